@@ -12,10 +12,10 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, part
 from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, available_instruments
+from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
-from rfpsurvey.projection import RadialMap, TangentPlane
+from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
 from rfpsurvey.region import Region
 from rfpsurvey.tile import Tile, plan_tile, score_tile
 
@@ -40,6 +40,7 @@ __all__ = [
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
+    "DistortionMap",
     "Estimate",
     "FocalPlane",
     "InputError",
@@ -49,6 +50,7 @@ __all__ = [
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
+    "ProjectionComparison",
     "RadialMap",
     "Region",
     "Requirement",
@@ -63,6 +65,7 @@ __all__ = [
     "collision_probability",
     "compare_allocators",
     "compare_instruments",
+    "compare_projections",
     "count_collisions",
     "divide_polygon",
     "example_catalog",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numba
 
-__all__ = ["kernel"]
+__all__ = ["inlined_kernel", "kernel"]
 
 
 @cache
@@ -44,3 +44,11 @@ def kernel(function: Callable) -> Callable:
         except (RuntimeError, AttributeError):  # no folder is writable, or this version of numba has other internals
             pass
     return numba.njit(nogil=True, error_model="numpy")(function)
+
+
+def inlined_kernel(function: Callable) -> Callable:
+    """Compile ``function`` as a part of each kernel that calls it.
+
+    A call of a short function can take longer than the function itself if arrays are passed in a named tuple.
+    """
+    return numba.njit(nogil=True, error_model="numpy", inline="always")(function)

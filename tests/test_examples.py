@@ -72,7 +72,9 @@ def test_moons_gains_by_the_overlap(script):
 def test_desi_makes_several_visits(script):
     values, printed = script("plot_4_desi")
     survey = values["survey"]
-    fractions = {name: n / wanted for name, wanted, n in survey.completeness["category", "n_wanted", "n_observed"][-3:]}
+    fractions = {
+        name: n / wanted for name, wanted, n in survey.completeness["category", "n_requested", "n_observed"][-3:]
+    }
     assert fractions["QSO"] > fractions["LRG"] > fractions["ELG"]
     assert survey.outcomes["observed"].max() == 4
     assert re.search(r"^ +4 +QSO +48312 ", printed, re.MULTILINE)

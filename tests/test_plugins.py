@@ -109,7 +109,10 @@ def test_an_interrupt_is_that_of_the_user():
 
 def test_one_name_of_two_packages_is_nobodys(hers, install):
     install("his", HERS, "2.1", allocators={"swapped": "swapped"})
-    with pytest.raises(rs.InputError, match="several packages add the allocator 'swapped': hers 1.0, his 2.1; all but"):
+    with pytest.raises(
+        rs.InputError,
+        match="several packages add the allocator 'swapped': hers 1.0, his 2.1; uninstall all of these packages but",
+    ):
         rs.allocate(PAIR, FOUR, allocator="swapped")
 
 

@@ -176,6 +176,9 @@ def print_summary(tile: "rs.Tile") -> None:
         print("scored from positions on the focal plane, for which no field center is needed")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
+    projection = tile.summary.get("projection", {})
+    if "sentence" in projection:
+        print(f"projection: {projection['model']}; {projection['sentence']}")
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_objectives(tile)

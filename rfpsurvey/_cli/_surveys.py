@@ -98,9 +98,12 @@ def run(
     plot: Path | None,
     quality: Path | None,
     report: Path | None,
+    conditions: Path | None = None,
 ) -> None:
     """Plan a survey, print its summary, and plot it if requested."""
     tiling = _read_tiles(tiles, targets, model)
+    if conditions is not None:
+        tiling = tiling.with_conditions(rs.ObservingConditions.read(conditions))
     begin = perf_counter()
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)

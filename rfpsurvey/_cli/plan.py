@@ -5,7 +5,7 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _conditions, _options
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tile import north_of_date
 
@@ -19,6 +19,13 @@ def plan(
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     allocator: _options.AllocatorOption = "lamost",
+    conditions: _conditions.ConditionsOption = None,
+    site: _conditions.SiteOption = None,
+    time: _conditions.TimeOption = None,
+    hour_angle: _conditions.HourAngleOption = None,
+    wavelength: _conditions.WavelengthOption = None,
+    exposure_time: _conditions.ExposureOption = None,
+    projection: _conditions.ProjectionOption = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
     keep_out: _options.KeepOutOption = None,
@@ -43,6 +50,7 @@ def plan(
     _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
     _app.check_targets(targets, plot)
     model = as_instrument(instrument)
+    seen = _conditions.conditions_of(conditions, site, time, hour_angle, wavelength, exposure_time)
     sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
     if field is None and equinox is not None:
         field = sky.mean_direction
@@ -65,6 +73,8 @@ def plan(
         position_angle=pa * u.deg,
         epoch=epoch,
         allocator=options,
+        conditions=seen,
+        projection=projection,
         progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
         rng=seed,
     )

@@ -1,6 +1,6 @@
 """``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _options, _surveys
+from rfpsurvey._cli import _app, _conditions, _options, _surveys
 from rfpsurvey.instrument import as_instrument
 
 
@@ -13,6 +13,7 @@ def survey(
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
     epoch: _options.EpochOption = None,
+    conditions: _conditions.TilesConditionsOption = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
     keep_out: _options.KeepOutOption = None,
@@ -55,4 +56,4 @@ def survey(
         "rng": seed,
     }
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiles, model, executor, options, plot, quality, report)
+        _surveys.run(targets, tiles, model, executor, options, plot, quality, report, conditions)

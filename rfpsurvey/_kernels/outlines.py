@@ -5,9 +5,8 @@ central arm. Each polygon is processed in the frame of its own arm: the x axis p
 the elbow (eccentric arm) or the center of the positioner (central arm). A pair of polygons requires the relative
 position of their frames only, so that no polygon is moved and no memory is allocated.
 
-In all bounds, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the points of a pair:
-vertices, elbows, centers of the positioners, and the ends of the cores. The proofs are on the accuracy page of the
-documentation.
+In all bounds, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the vertices, elbows and
+centers of a pair of positioners. The proofs are on the accuracy page of the documentation.
 """
 
 import math
@@ -15,47 +14,55 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inlined_kernel, kernel
 
 UNIT = 2.0**-53
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
-OUTLINE_ERROR = 256.0 * UNIT
-# The error of a separation along the normal of an edge is less than this factor times S, but also less than the factor
-# times the size that `frames_apart` returns.
-AXIS_ERROR = 48.0 * UNIT
+OUTLINE_ERROR = 1024.0 * UNIT
+# The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
+# two frames plus twice the largest distance of a vertex from the origin of its frame.
+AXIS_ERROR = 64.0 * UNIT
+# Allowance for the directions of arms in the first test of a pair, which are approximate, relative to the scale.
+LOOSE = 1e-6
 
-# Rows of the table of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
+# Rows of the columns of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
 # single vertex has an edge of length 0 with an arbitrary normal.
 X, Y, NX, NY, LENGTH = range(5)
-# Rows of the table of parts: the radius, and a circle that contains the part.
-RADIUS, MX, MY, MR = range(4)
+# Rows of the columns of parts: the radius, a circle that contains the part, and the column of the first vertex.
+RADIUS, MX, MY, MR, START = range(5)
 
 
 class Outline(NamedTuple):
     """The outline of all positioners, in mm; without any parts, the arms are capsules."""
 
-    vertices: np.ndarray
-    """Array of shape (5, m); see X, Y, NX, NY and LENGTH."""
+    table: np.ndarray
+    """A column for each vertex and then a column for each part, and the start of the next part; see X and RADIUS.
+
+    It is one array because numba counts references to each array that it passes to a function.
+    """
     start: np.ndarray
     """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
-    parts: np.ndarray
-    """Array of shape (4, k); see RADIUS, MX, MY and MR."""
+    n_vertices: int
+    """Number of vertices."""
     n_eccentric: int
     """The first parts move with the eccentric arm, the others with the central arm."""
     offset: float
     """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
-    size: float
-    """Largest distance of a vertex from the origin of its frame."""
+    inverse_length: float
+    """Inverse length of the cores."""
+    scale: float
+    """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
     eccentric_box: tuple[float, float, float, float]
     """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
     """The same for the central parts."""
-    eccentric_circle: tuple[float, float, float]
-    """Center in units of the length of the core, and radius in mm, of a circle that contains the eccentric parts."""
-    central_circle: tuple[float, float, float]
-    """Center and radius in mm of a circle that contains the central parts."""
     centers: np.ndarray
     """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
+
+    @property
+    def parts(self) -> np.ndarray:
+        """The columns of the parts."""
+        return self.table[:, self.n_vertices : -1]
 
 
 def _nothing(*shape, dtype=np.float64):
@@ -66,16 +73,15 @@ def _nothing(*shape, dtype=np.float64):
 
 
 NO_OUTLINE = Outline(
-    _nothing(5, 0),
+    _nothing(5, 1),
     _nothing(1, dtype=np.int64),
-    _nothing(4, 0),
+    0,
     0,
     0.0,
     0.0,
+    0.0,
     (0.0,) * 4,
     (0.0,) * 4,
-    (0.0,) * 3,
-    (0.0,) * 3,
     _nothing(3, 0),
 )
 """The value for arms that are segments."""
@@ -99,34 +105,31 @@ def frames_apart(first, second):
 
 
 @kernel
-def separation_along_normals(outline, p, q, tx, ty, c, s, enough):
-    """Return the largest separation of part q from part p along the normals of the edges of part p, without radii.
+def separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough):
+    """Return the largest separation of polygon q from polygon p along the normals of the edges of polygon p.
 
-    The frame of q has the origin t and the rotation (c, s) in the frame of p. The search stops at a separation of more
-    than ``enough``.
+    The polygons have the vertices from p to ``p_end`` and from q to ``q_end`` of the table v. The frame of q has the
+    origin t and the rotation (c, s) in the frame of p. The search stops at a separation of more than ``enough``.
     """
-    v = outline.vertices
-    best = -math.inf
-    for e in range(outline.start[p], outline.start[p + 1]):
+    best, e = -math.inf, p
+    while e < p_end and best <= enough:
         nx, ny = v[NX, e], v[NY, e]
         mx, my = c * nx + s * ny, c * ny - s * nx  # the normal in the frame of q
         least = math.inf
-        for k in range(outline.start[q], outline.start[q + 1]):
+        for k in range(q, q_end):
             least = min(least, mx * v[X, k] + my * v[Y, k])
         best = max(best, least + (nx * (tx - v[X, e]) + ny * (ty - v[Y, e])))
-        if best > enough:
-            break
+        e += 1
     return best
 
 
 @kernel
-def vertices_squared(outline, p, q, tx, ty, c, s):
-    """Return the least squared distance of a vertex of part q from an edge of part p; the frames are as above."""
-    v = outline.vertices
+def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
+    """Return the least squared distance of a vertex of polygon q from an edge of polygon p; see above."""
     best = math.inf
-    for k in range(outline.start[q], outline.start[q + 1]):
+    for k in range(q, q_end):
         x, y = tx + (c * v[X, k] - s * v[Y, k]), ty + (s * v[X, k] + c * v[Y, k])
-        for e in range(outline.start[p], outline.start[p + 1]):
+        for e in range(p, p_end):
             dx, dy = x - v[X, e], y - v[Y, e]
             across = dx * v[NX, e] + dy * v[NY, e]
             along = dy * v[NX, e] - dx * v[NY, e]
@@ -136,84 +139,68 @@ def vertices_squared(outline, p, q, tx, ty, c, s):
 
 
 @kernel
-def boxes_apart(first, second, between):
-    """Return the largest separation of two boxes along their sides: a lower limit of the signed gap of their contents.
+def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other_wide, other_high, limit):
+    """Return whether two rectangles are not separated by more than ``limit`` along any of their sides.
 
-    A box is the center and half the lengths of the sides of a rectangle that is aligned with its frame.
+    The center, the direction and half the lengths of the sides of both rectangles are given.
     """
-    tx, ty, c, s, _ = between
-    x, y, wide, high = first
-    qx, qy, other_wide, other_high = second
-    mx, my = tx + (c * qx - s * qy) - x, ty + (s * qx + c * qy) - y
-    ac, as_ = abs(c), abs(s)
-    return max(
-        max(
-            abs(mx) - wide - (ac * other_wide + as_ * other_high),
-            abs(my) - high - (as_ * other_wide + ac * other_high),
-        ),
-        max(
-            abs(c * mx + s * my) - other_wide - (ac * wide + as_ * high),
-            abs(c * my - s * mx) - other_high - (as_ * wide + ac * high),
-        ),
+    mx, my = other_x - x, other_y - y
+    along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
+    return (
+        (abs(c * mx + s * my) <= limit + wide + (along * other_wide + across * other_high))
+        & (abs(c * my - s * mx) <= limit + high + (across * other_wide + along * other_high))
+        & (abs(other_c * mx + other_s * my) <= limit + other_wide + (along * wide + across * high))
+        & (abs(other_c * my - other_s * mx) <= limit + other_high + (across * wide + along * high))
     )
 
 
 @kernel
-def parts_apart(outline, p, q, between, limit, slack):
-    """Return the signed gap of part p and part q, or infinity if it certainly exceeds ``limit``."""
-    tx, ty, c, s, _ = between
-    parts, start = outline.parts, outline.start
-    dx = tx + (c * parts[MX, q] - s * parts[MY, q]) - parts[MX, p]
-    dy = ty + (s * parts[MX, q] + c * parts[MY, q]) - parts[MY, p]
-    far = limit + parts[MR, p] + parts[MR, q] + slack
-    if far < 0.0 or dx * dx + dy * dy > far * far:
-        return math.inf
-    radii = parts[RADIUS, p] + parts[RADIUS, q]
-    enough = limit + radii + slack
-    apart = separation_along_normals(outline, p, q, tx, ty, c, s, enough)
-    if apart > enough:
-        return math.inf
-    bx, by = -(c * tx + s * ty), s * tx - c * ty  # the origin of the frame of p in the frame of q
-    apart = max(apart, separation_along_normals(outline, q, p, bx, by, c, -s, enough))
-    if apart > enough:
-        return math.inf
-    if apart < -slack and start[p + 1] - start[p] + start[q + 1] - start[q] > 2:
-        return apart - radii  # the polygons certainly overlap
-    squared = min(
-        vertices_squared(outline, p, q, tx, ty, c, s),
-        vertices_squared(outline, q, p, bx, by, c, -s),
-    )
-    return math.sqrt(squared) - radii
+def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
+    """Return the smallest gap of the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
 
-
-@kernel
-def groups_apart(outline, first, last, between, limit):
-    """Return the least signed gap of eccentric parts and parts from ``first`` to ``last``, or infinity above ``limit``.
-
-    ``between`` is the position of the frame of the latter in the frame of the former. If parts certainly overlap, the
-    gap of any such parts is returned.
+    ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
+    first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
+    of the cores, and c and d are the centers.
     """
-    slack = AXIS_ERROR * (between[4] + 2.0 * outline.size)
-    box = outline.eccentric_box if first == 0 else outline.central_box
-    if boxes_apart(outline.eccentric_box, box, between) > limit + slack:
-        return math.inf
+    # The table v has m columns of vertices and n columns of parts. This is one long function because numba counts
+    # references to arrays that are passed between functions.
     gap = math.inf
-    for p in range(outline.n_eccentric):
-        for q in range(first, last):
-            gap = min(gap, parts_apart(outline, p, q, between, min(gap, limit), slack))
-            if gap < -slack:
-                return gap
+    for group in range(3):
+        if near[group] and gap >= 0.0:
+            first, last = (m, m + n_eccentric) if group == 0 else (m + n_eccentric, m + n)
+            if group == 0:
+                between = frames_apart(frame(*a), frame(*b))
+            elif group == 1:
+                between = frames_apart(frame(*a), frame(d[0], d[1], b[0], b[1]))
+            else:
+                between = frames_apart(frame(*b), frame(c[0], c[1], a[0], a[1]))
+            tx, ty, cosine, sine, distance = between
+            bx, by = -(cosine * tx + sine * ty), sine * tx - cosine * ty  # the opposite position
+            slack = AXIS_ERROR * (distance + scale)
+            for q in range(first, last):
+                x = tx + (cosine * v[MX, q] - sine * v[MY, q])
+                y = ty + (sine * v[MX, q] + cosine * v[MY, q])
+                for p in range(m, m + n_eccentric):
+                    dx, dy = x - v[MX, p], y - v[MY, p]
+                    far = min(gap, limit) + v[MR, p] + v[MR, q] + slack
+                    if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
+                        radii = v[RADIUS, p] + v[RADIUS, q]
+                        enough = min(gap, limit) + radii + slack
+                        p0, p1, q0, q1 = int(v[START, p]), int(v[START, p + 1]), int(v[START, q]), int(v[START, q + 1])
+                        apart = separation_along_normals(v, p0, p1, q0, q1, tx, ty, cosine, sine, enough)
+                        if apart <= enough:
+                            other = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
+                            apart = max(apart, other)
+                        if apart < -slack and p1 - p0 + q1 - q0 > 2:
+                            gap = min(gap, apart - radii)
+                        elif apart <= enough:
+                            squared = vertices_squared(v, p0, p1, q0, q1, tx, ty, cosine, sine)
+                            squared = min(squared, vertices_squared(v, q0, q1, p0, p1, bx, by, cosine, -sine))
+                            gap = min(gap, math.sqrt(squared) - radii)
     return gap
 
 
-@kernel
-def circles_near(x, y, radius, other_x, other_y, other_radius, limit):
-    """Return whether the gap between two circles is at most ``limit``."""
-    dx, dy, far = other_x - x, other_y - y, radius + other_radius + limit
-    return dx * dx + dy * dy <= far * far
-
-
-@kernel
+@inlined_kernel
 def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx1, by1):
     """Return the squared sum of the signed gap of two positioners and the offset of the outline.
 
@@ -221,48 +208,46 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines overlap. The cores
     of the arms i and j follow; their length is that of the outline.
     """
-    limit = separation - outline.offset
-    n_eccentric, n = outline.n_eccentric, outline.start.size - 1
-    x, y, r = outline.eccentric_circle
-    ux, uy, vx, vy = ax1 - ax0, ay1 - ay0, bx1 - bx0, by1 - by0
-    ax, ay = ax0 + (x * ux - y * uy), ay0 + (y * ux + x * uy)
-    bx, by = bx0 + (x * vx - y * vy), by0 + (y * vx + x * vy)
-    arms = circles_near(ax, ay, r, bx, by, r, limit)
-    if n_eccentric == n:
-        if not arms:
-            return math.inf
-        gap = groups_apart(outline, 0, n, frames_apart(frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)), limit)
-    else:
-        centers = outline.centers
-        x, y, rc = outline.central_circle
-        cx, cy, dx, dy = centers[0, i], centers[1, i], centers[0, j], centers[1, j]
-        ux, uy = (ax0 - cx) * centers[2, i], (ay0 - cy) * centers[2, i]
-        vx, vy = (bx0 - dx) * centers[2, j], (by0 - dy) * centers[2, j]
-        first = circles_near(ax, ay, r, dx + (x * vx - y * vy), dy + (y * vx + x * vy), rc, limit)
-        second = circles_near(bx, by, r, cx + (x * ux - y * uy), cy + (y * ux + x * uy), rc, limit)
-        if not (arms | first | second):
-            return math.inf
-        gap = math.inf
-        a, b = frame(ax0, ay0, ax1, ay1), frame(bx0, by0, bx1, by1)
-        if arms:
-            gap = groups_apart(outline, 0, n_eccentric, frames_apart(a, b), limit)
-        if first and gap >= 0.0:
-            between = frames_apart(a, frame(dx, dy, bx0, by0))
-            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
-        if second and gap >= 0.0:
-            between = frames_apart(b, frame(cx, cy, ax0, ay0))
-            gap = min(gap, groups_apart(outline, n_eccentric, n, between, min(gap, limit)))
+    # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
+    cx, cy, shorter = outline.centers[0, i], outline.centers[1, i], outline.centers[2, i]
+    dx, dy, other = outline.centers[0, j], outline.centers[1, j], outline.centers[2, j]
+    k, limit = outline.inverse_length, separation - outline.offset
+    x, y, wide, high = outline.eccentric_box
+    ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
+    ax, ay, bx, by = (
+        ax0 + (x * ac - y * as_),
+        ay0 + (y * ac + x * as_),
+        bx0 + (x * bc - y * bs),
+        by0 + (y * bc + x * bs),
+    )
+    x, y, other_wide, other_high = outline.central_box
+    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
+    px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
+    qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
+    loose = limit + LOOSE * outline.scale
+    near = (
+        boxes_near(ax, ay, ac, as_, wide, high, bx, by, bc, bs, wide, high, loose),
+        boxes_near(ax, ay, ac, as_, wide, high, qx, qy, dc, ds, other_wide, other_high, loose),
+        boxes_near(bx, by, bc, bs, wide, high, px, py, cc, cs, other_wide, other_high, loose),
+    )
+    if not (near[0] | near[1] | near[2]):
+        return math.inf
+    shape = outline.table, outline.n_vertices, outline.start.size - 1, outline.n_eccentric, outline.scale
+    gap = smallest_gap(*shape, limit, near, (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1), (cx, cy), (dx, dy))
     total = max(gap + outline.offset, 0.0)
     return total * total
 
 
 @kernel
 def place_outline(outline, i, x0, y0, x1, y1, placed):
-    """Compute the positions of all vertices of positioner i as rows of ``placed``, shape (2, m)."""
-    v, start = outline.vertices, outline.start
+    """Compute the vertices of positioner i, whose core is given, as rows of ``placed``, shape (4, m).
+
+    The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to it.
+    """
+    v, start = outline.table, outline.start
     eccentric = frame(x0, y0, x1, y1)
     central = frame(outline.centers[0, i], outline.centers[1, i], x0, y0)
-    for k in range(v.shape[1]):
+    for k in range(outline.n_vertices):
         x, y, c, s = eccentric if k < start[outline.n_eccentric] else central
-        placed[0, k] = x + (c * v[X, k] - s * v[Y, k])
-        placed[1, k] = y + (s * v[X, k] + c * v[Y, k])
+        placed[0, k], placed[1, k] = x, y
+        placed[2, k], placed[3, k] = c * v[X, k] - s * v[Y, k], s * v[X, k] + c * v[Y, k]

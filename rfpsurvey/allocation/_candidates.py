@@ -7,6 +7,7 @@ import numpy as np
 from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
+from rfpsurvey.allocation._clock import OutOfTimeError, left
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
@@ -14,6 +15,8 @@ from rfpsurvey.collision import arms_closer_exactly, touching
 __all__ = ["Candidates", "find_candidates"]
 
 ROOM = 1 << 18
+# Largest number of collisions for which the memory is sufficient.
+MOST_PAIRS = 25_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +64,13 @@ def find_candidates(
     collide: bool = True,
     squared_cost: bool = False,
     keep_target: np.ndarray | None = None,
+    deadline: float = np.inf,
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
     Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains one target for
-    each positioner; this target is always kept.
+    each positioner; this target is always kept. If the deadline passes or there are too many collisions,
+    `OutOfTimeError` is raised.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -78,7 +83,7 @@ def find_candidates(
     at_home = np.zeros(len(own), dtype=bool)
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
-    pairs = _conflicts(plane, start, segments)
+    pairs = _conflicts(plane, start, segments, deadline)
     # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
     pairs = pairs[:, ~at_home[pairs].all(axis=0)]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
@@ -130,7 +135,7 @@ def _touches_obstacle(plane, start, segments):
     return mark
 
 
-def _conflicts(plane, start, segments):
+def _conflicts(plane, start, segments, deadline):
     """Return pairs of candidates that collide, shape (2, m); borderline pairs are decided in exact arithmetic."""
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
@@ -139,8 +144,10 @@ def _conflicts(plane, start, segments):
     room = int(max(ROOM, (size[pairs[:, 0]] * size[pairs[:, 1]]).max(initial=0)))
     first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     borderline = np.empty(room, dtype=bool)
-    p, found = 0, []
+    p, found, total = 0, [], 0
     while p < len(pairs):
+        if (left(deadline) == 0 or total > MOST_PAIRS) and deadline < np.inf:
+            raise OutOfTimeError
         n, p = conflicts.list_conflicts(
             pairs, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
         )
@@ -152,6 +159,7 @@ def _conflicts(plane, start, segments):
             close = [arms_closer_exactly(columns, segments, *four) for four in rows]
             part = np.delete(part, edge[~np.array(close)], axis=1)
         found.append(part)
+        total += part.shape[1]
     return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)
 
 

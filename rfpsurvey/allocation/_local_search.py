@@ -7,7 +7,7 @@ from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["improve", "match", "pick", "repair_collisions", "trim"]
+__all__ = ["improve", "match", "pick", "repair_collisions", "stand", "trim"]
 
 ROUNDS = 10
 
@@ -65,7 +65,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
-    now, *state = _stand(candidates, np.where(chosen < 0, options.start[1:] - 1, chosen))
+    now, *state = stand(candidates, np.where(chosen < 0, options.start[1:] - 1, chosen))
     low = [group.requirement.minimum > 0 for group in groups]
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
@@ -85,13 +85,13 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
 
 def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
     """Return a plan without collisions, improved by local moves that give positioners more important targets."""
-    now, *state = _stand(candidates, chosen)
+    now, *state = stand(candidates, chosen)
     order = np.argsort(-candidates.options.rank[now], kind="stable")
     moves.repair(candidates.options, order, now, *state, ROUNDS)
     return now
 
 
-def _stand(candidates, chosen):
+def stand(candidates, chosen):
     """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)

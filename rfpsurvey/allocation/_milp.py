@@ -1,13 +1,13 @@
 """The integer program for positioners with several candidates: its variables, constraints and objectives."""
 
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._cliques import cover_by_pairs
+from rfpsurvey.allocation._solver import maximize
 
 __all__ = ["Objective", "Program"]
 
@@ -34,7 +34,14 @@ class Program:
     the candidate is in use. The variable of a requirement is its number of missing fibers.
     """
 
-    def __init__(self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray):
+    def __init__(
+        self,
+        candidates: Candidates,
+        rows: np.ndarray,
+        others: np.ndarray,
+        edges: np.ndarray,
+        deadline: float = np.inf,
+    ):
         self.problem, self.candidates, self.candidate = candidates.problem, candidates, rows
         options = candidates.options
         self.target, self.own = options.target[rows], options.own[rows]
@@ -44,7 +51,7 @@ class Program:
         self.short = np.arange(len(rows), self.n)
         self._parts, self._low, self._high = [], [], []
         self._positioners()
-        self._cliques(edges)
+        self._cliques(edges, deadline)
         self._targets()
         self._requirements(others)
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
@@ -83,30 +90,13 @@ class Program:
         The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the
         first objectives; ``gap`` is the relative error allowed.
         """
-        from scipy.optimize import Bounds, LinearConstraint, milp
-
-        left = deadline - perf_counter()
-        if left <= 0:
-            return None, np.inf
         matrix, low, high = self.rows
         if len(keep):
             matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
             low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
-        # HiGHS only accepts 32-bit indices.
-        short = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
-        matrix = csr_array((matrix.data, *short), shape=matrix.shape)
         most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
-        found = milp(
-            -goal,
-            constraints=LinearConstraint(matrix, low, high),
-            bounds=Bounds(0, most),
-            integrality=np.full(self.n, int(integral)),
-            options={"time_limit": min(left, 1e9), "mip_rel_gap": gap, "presolve": self._may_presolve(matrix)},
-        )
-        if integral:
-            bound = np.inf if found.mip_dual_bound is None else -found.mip_dual_bound
-            return None if found.x is None else np.round(found.x), bound
-        return (found.x, -found.fun) if found.status == 0 else (None, np.inf)
+        presolve = self._may_presolve(matrix)
+        return maximize((matrix, low, high), goal, most, deadline, integral=integral, gap=gap, presolve=presolve)
 
     def _may_presolve(self, matrix) -> bool:
         """Return whether the presolve is fast enough, from an estimate that is the same on all computers."""
@@ -136,41 +126,12 @@ class Program:
         _, row = np.unique(row[shared], return_inverse=True)
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))
 
-    def _cliques(self, edges):
+    def _cliques(self, edges, deadline):
         """Add the constraints that no two arms collide; two arms at the same target also exclude each other."""
-        if edges.shape[1] == 0:
-            return
-        options = self.candidates.options
-        edges = np.concatenate([edges, self._twins()], axis=1)
-        own = options.own[edges]
-        edges = np.where(own[0] < own[1], edges, edges[::-1])
-        own = np.sort(own, axis=0)
-        order = np.lexsort((edges[1], edges[0], own[1], own[0]))
-        edges, own = edges[:, order], own[:, order]
-        new = np.append(True, (np.diff(own, axis=1) != 0).any(axis=0))
-        starts = np.append(np.flatnonzero(new), edges.shape[1])
-        edges = np.ascontiguousarray(edges)
-        sizes = np.zeros(edges.shape[1] + 1, dtype=np.int64)
-        n = conflicts.clique_rows(edges, len(starts) - 1, starts, sizes, np.empty(0, dtype=np.int64))
-        column = np.empty(sizes[n], dtype=np.int64)
-        conflicts.clique_rows(edges, len(starts) - 1, starts, sizes, column)
-        row = np.repeat(np.arange(n), np.diff(sizes[: n + 1]))
-        self._add(row, self.index[column], -np.inf, np.ones(n))
-
-    def _twins(self):
-        """Return the pairs of candidates that have the same target but different positioners."""
-        options = self.candidates.options
-        rows = self.candidate[np.argsort(self.target, kind="stable")]
-        rows = rows[options.target[rows] >= 0]
-        found, step = [np.empty((2, 0), dtype=np.int64)], 1
-        while True:
-            pair = np.array([rows[:-step], rows[step:]])
-            same = options.target[pair[0]] == options.target[pair[1]]
-            if not same.any():
-                return np.concatenate(found, axis=1)
-            apart = options.own[pair[0]] != options.own[pair[1]]
-            found.append(pair[:, same & apart])
-            step += 1
+        indptr, column = cover_by_pairs(self.candidates.options, self.candidate, edges, deadline)
+        n = len(indptr) - 1
+        if n:
+            self._add(np.repeat(np.arange(n), np.diff(indptr)), self.index[column], -np.inf, np.ones(n))
 
     def _requirements(self, others):
         """Add the constraints of the requirements: a minimum may be missed, but a maximum must not be exceeded."""

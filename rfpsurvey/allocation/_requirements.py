@@ -125,7 +125,7 @@ class Shortfall:
         The requirement; None if required targets are missing.
     spectrograph : int or None
         Spectrograph, if the requirement applies to each spectrograph.
-    wanted : int
+    requested : int
         Required number of targets; the maximum if the plan contains too many targets.
     found : int
         Number of targets in the plan that the requirement counts.
@@ -137,7 +137,7 @@ class Shortfall:
 
     requirement: Requirement | None
     spectrograph: int | None
-    wanted: int
+    requested: int
     found: int
     possible: int
     hint: str = ""
@@ -152,30 +152,29 @@ class Shortfall:
 
     def __str__(self):
         where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
-        missing = self.wanted - self.found
+        missing = self.requested - self.found
         if missing < 0:
-            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.wanted}"
-        why = f"; {_few(self.possible)} in reach" if self.possible < self.wanted else ""
-        return (
-            f"{self.what}{where}: {self.found} of {self.wanted}, {missing} missing{why}{self.hint and '; ' + self.hint}"
-        )
+            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.requested}"
+        why = f"; {_few(self.possible)} in reach" if self.possible < self.requested else ""
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.what}{where}: {self.found} of {self.requested}, {missing} missing{why}{hint}"
 
 
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
     """Return one sentence for each requirement that is not met."""
     by_requirement: dict = {}
     for one in shortfalls:
-        by_requirement.setdefault((one.requirement, one.wanted > one.found), []).append(one)
+        by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
     found = []
     for (_, lacking), rows in by_requirement.items():
         if len(rows) == 1 or not lacking:
             found += [str(one) for one in rows]
             continue
-        missing, possible = sum(r.wanted - r.found for r in rows), sum(r.possible for r in rows)
+        missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
         places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
-        why = f"; {_few(possible)} in reach there" if possible < sum(r.wanted for r in rows) else ""
+        why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
         found.append(
-            f"{rows[0].what}, {rows[0].wanted} in each spectrograph: {missing} missing in {len(rows)} of them "
+            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} of them "
             f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
         )
     return found

@@ -1,5 +1,6 @@
 """Find proven plans: remove unnecessary candidates, split the rest into independent parts, and solve each part."""
 
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 from typing import NamedTuple
@@ -7,45 +8,197 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array
 
+from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import reduce
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
-from rfpsurvey.allocation._lexicographic import pursue
+from rfpsurvey.allocation._clock import OutOfTimeError, share
+from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
+from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
-from rfpsurvey.focal_plane import elbow_names
+from rfpsurvey.focal_plane import Reach, elbow_names
 
 __all__ = ["decide"]
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
-# Fraction of the time that is reserved for the bound on plans with omitted candidates.
-FOR_BOUND = 0.3
+# Parts with more variables than this are not solved as one integer program, but divided into clusters.
+LARGEST = 20_000
+# Fraction of the time that is reserved for the bound on plans with omitted candidates, and for clusters.
+FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
+# Fractions of the remaining time for the candidates and their collisions, for prices of one objective, and for the
+# integer programs of the bound of the first objective that is not proven.
+FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
+# Smallest time for the candidates in seconds, whatever the time limit.
+AT_LEAST = 0.1
+# Number of best targets of each positioner that are used if it takes too long to find all collisions.
+FEWER = (16, 4, 1)
+# Largest number of objectives for which prices are adjusted.
+MOST_BOUNDS = 8
+# The bounds of whole numbers are rounded down, unless they are this close to the next whole number.
+ROUNDING = 1e-4
 
 
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan with proven bounds; if ``collide`` is true, arms must not collide."""
+    """Return the best plan that is found in time, with upper bounds; if ``collide`` is true, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
-    everything = find_candidates(problem, collide=collide, squared_cost=squared_cost)
+    everything, whole = _candidates_in_time(problem, deadline, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
-    n_left_out = everything.preselection.n_left_out
-    # Some time is reserved for the bound on plans with omitted candidates.
-    halt = deadline - FOR_BOUND * (deadline - perf_counter()) if collide and n_left_out else deadline
-    used, found = _search(everything, halt, collide=collide, **options)
-    target_of = used.options.target[found.chosen]
-    reached = problem.values(target_of)
-    names, values, bounds = list(reached), np.array(list(reached.values())), found.bounds
+    n_left_out = everything.preselection.n_left_out if whole else 0
+    # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans with them.
+    halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
+    used, found = _search(everything, share(halt, 1 - FOR_BOUND) if n_left_out else halt, collide=collide, **options)
+    chosen, bounds, bounding = found.chosen, found.bounds, used
     meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
+    proven = found.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
-        relaxed = _search(everything.relaxed(), deadline, collide=True, **options)[1]
-        bounds = np.maximum(relaxed.bounds, values)
-    if (values < bounds).any():
-        bounds = _bounds(problem, everything, names, values, bounds)
+        bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
+        bounds = relaxed.bounds
+        proven = (found.values >= bounds) & (relaxed.values >= bounds)
+    names = list(problem.values(np.full(0, -1)))
+    values = _values(used, chosen)
+    if not (whole and proven.all()):
+        first = int(np.argmin(proven)) if whole else 0
+        bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
+        limits = _matching_limits(problem, everything if whole else None, names)
+        if collide:
+            chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
+            values = _values(used, chosen)
+        bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
+    bounds = np.maximum(bounds, values)
+    target_of = used.options.target[chosen]
     levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
-    return AllocationAnswer(target_of, elbow_names(used.side[found.chosen]), None, levels, meta)
+    return AllocationAnswer(target_of, elbow_names(used.side[chosen]), None, levels, meta)
+
+
+def _candidates_in_time(problem, deadline, *, collide, squared_cost):
+    """Return the candidates, and whether they are complete.
+
+    If it takes too long to find all collisions, only the best targets of each positioner are used.
+    """
+    if not collide:
+        return find_candidates(problem, collide=False, squared_cost=squared_cost), True
+    for most in (None, *FEWER):
+        last = most == FEWER[-1]
+        some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
+        limit = np.inf if last else max(share(deadline, FOR_CANDIDATES), perf_counter() + AT_LEAST)
+        try:
+            found = find_candidates(some, squared_cost=squared_cost, deadline=limit)
+        except OutOfTimeError:
+            continue
+        return found, most is None
+    raise AssertionError
+
+
+def _best_pairs(problem, most):
+    """Return the pairs of each positioner with its best targets."""
+    reach = problem.pairs
+    n = reach.n_positioners
+    start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
+    target, r2 = np.empty(n * most, dtype=np.int64), np.empty(n * most)
+    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, start, count, target, r2)
+    own = np.repeat(np.arange(n), most)
+    kept = np.arange(n * most) - start[own] < count[own]
+    own, target, r2 = own[kept], target[kept], r2[kept]
+    order = np.argsort(target, kind="stable")
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=len(problem.rank)))])
+    return Reach(indptr, own[order], r2[order], n)
+
+
+def _values(candidates, chosen):
+    """Return the values of the objectives of a plan."""
+    return np.array(list(candidates.problem.values(candidates.options.target[chosen]).values()))
+
+
+def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
+    """Improve a plan, and find smaller upper limits of the objectives from ``first`` on.
+
+    The limit of a class is for the sum of its targets and those of all earlier classes. The limits are computed for the
+    candidates ``bounding``, unless it is None.
+    """
+    problem = used.problem
+
+    def is_best(plan):
+        values = _values(used, plan)
+        return bool((values >= np.minimum(bounds, _conditional(problem, names, values, limits, first))).all())
+
+    def better(plan):
+        return plan if tuple(_values(used, plan)) > tuple(_values(used, chosen)) else chosen
+
+    able, weights = [], []
+    if bounding is not None:
+        weights = weights_of(problem, bounding.options, names)
+        able = [k for k in range(first, len(names)) if weights[k] is not None]
+        able = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, MOST_BOUNDS).astype(int))] if able else []
+    try:
+        if able:
+            prices, k = Prices(bounding, share(deadline, FOR_PRICES)), able[0]
+            limits[k] = min(limits[k], _whole(prices.improve(weights[k], share(deadline, FOR_PRICES))))
+            if not is_best(chosen):
+                bound, plan = bound_by_clusters(bounding, prices, weights[k], share(deadline, FOR_FIRST))
+                limits[k] = min(limits[k], _whole(bound))
+                if bounding is used and len(names) == 1:
+                    chosen = better(repair_collisions(used, plan)[0])
+            end = share(deadline, FOR_PRICES)
+            for k in able[1:]:
+                limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
+            offset = _offset(problem, names)
+            limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
+    except OutOfTimeError:
+        pass
+    return better(improve_by_clusters(used, chosen, deadline, is_best)), limits
+
+
+def _whole(bound):
+    """Return the largest whole number that does not exceed a bound with rounding errors."""
+    return np.floor(bound + ROUNDING)
+
+
+def _offset(problem, names):
+    """Return the index of the first class among the objectives."""
+    return len(names) - len(problem.classes) - (not problem.science.all())
+
+
+def _matching_limits(problem, everything, names):
+    """Return upper limits of the objectives from a matching whose arms may collide.
+
+    The limit of a class is for the sum of its targets and those of all earlier classes: no plan has more of them than
+    the matching. Without candidates, the limits are the numbers of targets in reach.
+    """
+    n, n_classes = problem.pairs.n_positioners, len(problem.classes)
+    if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
+        target = np.flatnonzero(np.diff(problem.pairs.indptr) > 0)
+        if problem.watched is not None:
+            target = np.union1d(target, problem.watched[problem.watched >= 0])
+    else:
+        target = match(everything)
+        target = target[target >= 0]
+    most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
+    offset = _offset(problem, names)
+    limits = np.empty(len(names))
+    for k, name in enumerate(names[:offset]):
+        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
+            name, most[n_classes - 1]
+        )
+    limits[offset:] = most[: len(names) - offset]
+    return limits
+
+
+def _conditional(problem, names, values, limits, first):
+    """Return upper bounds of the objectives, given the values of the objectives before them.
+
+    Objectives before ``first`` have no bound.
+    """
+    offset, bounds = _offset(problem, names), limits.copy()
+    last = offset + len(problem.classes)
+    bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
+    bounds[:first] = np.inf
+    return bounds
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
@@ -57,10 +210,10 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
     blind = pick(used, match(used))
     # If the idle arm of a positioner is not among the candidates, this is not always a valid plan.
     start = _plan(used, blind, collide)
-    found = _solve(used, blind, start, deadline, integral=integral, squared_cost=squared_cost)
+    found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
-        used = everything
-        return used, found._replace(chosen=_plan(used, pick(used, trim(problem, match(used))), collide))
+        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide)
+        return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
         return used, found._replace(chosen=improve(used, found.chosen))
     return used, found
@@ -82,7 +235,7 @@ class _Found(NamedTuple):
     meta: dict
 
 
-def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Found:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> _Found:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching whose arms may collide, or -1 for no target.
@@ -99,11 +252,18 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
     integers, complete = False, True
     parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
     for rows, edges in parts:
-        program = Program(candidates, rows, known, edges)
         mine = np.unique(options.own[rows])
-        limit = None if problem.groups else program.reaches(program.variables(blind[mine][blind[mine] >= 0]))
         tell = None if problem.tell is None else partial(_tell, problem.tell, n_parts, len(parts))
-        part = pursue(program, start[mine], deadline, limit, integral=integral, squared_cost=squared_cost, tell=tell)
+        if collide and len(rows) > LARGEST:
+            part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))
+        else:
+            try:
+                program = Program(candidates, rows, known, edges, deadline)
+                limit = None if problem.groups else program.reaches(program.variables(blind[mine][blind[mine] >= 0]))
+                settings = {"integral": integral, "squared_cost": squared_cost, "tell": tell}
+                part = pursue(program, start[mine], deadline, limit, **settings)
+            except OutOfTimeError:
+                part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))
         values, bounds = np.where(adds, values, 0.0) + part.values, np.where(adds, bounds, 0.0) + part.bounds
         if part.chosen is None:
             complete = False
@@ -120,34 +280,31 @@ def _solve(candidates, blind, start, deadline, *, integral, squared_cost) -> _Fo
     return _Found(chosen, values, bounds, complete, meta)
 
 
+def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
+    """Return the initial plan of a part, with the bounds that follow from a matching whose arms may collide."""
+    problem = candidates.problem
+    if problem.groups:  # the initial plan may exceed the maximum of a requirement
+        return Solution(None, np.full(n_levels, -np.inf), np.full(n_levels, np.inf), 0, False)
+    in_use = np.zeros(len(candidates), dtype=bool)
+    in_use[start] = True
+    collides = in_use[edges].all(axis=0).any()
+    values = np.array(list(problem.values(_targets_of(problem, candidates.options, start)).values()))
+    best = np.array(list(problem.values(_targets_of(problem, candidates.options, blind[blind >= 0])).values()))
+    bounds = best if (values == best).all() else np.full(len(values), np.inf)
+    return Solution(None if collides else start, values, bounds, 0, False)
+
+
+def _targets_of(problem, options, used):
+    """Return the target of each positioner for the given candidates in use."""
+    target = np.full(problem.pairs.n_positioners, -1)
+    target[options.own[used]] = options.target[used]
+    return target
+
+
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
     """Report the current part of a search and the objective that is being solved."""
     of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
     tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
-
-
-def _bounds(problem, everything, names, values, bounds):
-    """Return the upper bounds of the levels; they are proven up to the first level that is below its bound.
-
-    The bounds of the later levels follow from a matching whose arms may collide: no plan has more targets of the first
-    classes, or of all classes, than this matching.
-    """
-    first = int(np.flatnonzero(values < bounds)[0]) if (values < bounds).any() else len(names)
-    target_of = match(everything)
-    counts = np.bincount(problem.rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)
-    if problem.any_required:  # the matching did not assign targets by their class alone
-        counts = np.bincount(problem.rank[np.diff(problem.pairs.indptr) > 0], minlength=len(counts))
-    most, total = np.cumsum(counts), min(int(counts.sum()), len(target_of))
-    offset = len(names) - len(problem.classes) - (not problem.science.all())  # position of the first class
-    out = bounds.copy()
-    for k in range(first + 1, len(names)):
-        if k < offset:
-            out[k] = 0.0 if names[k] == "requirements" else min(int(most[-2]), len(target_of))
-        elif k < offset + len(problem.classes):
-            out[k] = min(most[k - offset], len(target_of)) - values[offset:k].sum()
-        else:
-            out[k] = total
-    return np.maximum(out, values)
 
 
 def _parts(candidates, rows):

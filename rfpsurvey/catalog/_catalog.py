@@ -16,7 +16,7 @@ from rfpsurvey._display import to_html
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
-from rfpsurvey.catalog._example_files import path_and_name
+from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns, result_name
 from rfpsurvey.catalog._motion import move_coordinates
 from rfpsurvey.catalog._time import to_time
@@ -289,7 +289,7 @@ class Catalog:
             If the file does not exist or cannot be read, or a column is missing.
         """
         path, name = path_and_name(path)
-        table = _io.read_table(path)
+        table = read_table(path)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
             catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)

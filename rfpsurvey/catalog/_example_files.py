@@ -3,15 +3,18 @@
 import os
 from pathlib import Path
 
-from rfpsurvey._io import to_path
+from astropy.table import QTable
+
+from rfpsurvey import _io
+from rfpsurvey.catalog._packed import unpack
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name"]
+__all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name", "read_table"]
 
 PREFIX = "example:"
 EXAMPLES = {"anticenter": "tycho2_anticenter_r8.ecsv"}
 # The first folder is in the wheel, where data/wheel.py writes it. The second folder is in the source tree.
-_PLACES = ((Path(__file__).parent / "examples", ".bz2"), (Path(__file__).parents[2] / "data", ".gz"))
+_PLACES = ((Path(__file__).parent / "examples", ".packed"), (Path(__file__).parents[2] / "data", ".gz"))
 
 
 def is_example(path: object) -> bool:
@@ -22,7 +25,7 @@ def is_example(path: object) -> bool:
 def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
     """Return the path of a file or an example, and its name for the provenance of results."""
     if not is_example(path):
-        path = to_path(path)
+        path = _io.to_path(path)
         return path, path.name
     name = os.fspath(path)
     file = EXAMPLES[check_choice(name.removeprefix(PREFIX), EXAMPLES, "example catalog")]
@@ -31,3 +34,10 @@ def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
     if found is None:
         raise InputError(f"the installation must contain {paths[0]}, but the file is missing: install rfpsurvey again")
     return found, name
+
+
+def read_table(path: Path) -> QTable:
+    """Read the table of a catalog, or of an example in packed form."""
+    if path.suffix != ".packed":
+        return _io.read_table(path)
+    return QTable.read(unpack(path.read_bytes()).splitlines(), format="ascii.ecsv")

@@ -60,8 +60,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     """Return whether the gap between the outlines of two positioners is less than ``separation``, without rounding.
 
     ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
-    its vertices, placed in double precision. Polygons without radii and with a separation of 0 collide if and only if
-    no line separates them; they may touch.
+    its vertices, whose positions relative to the elbow or center are rounded to double precision. Polygons without
+    radii and with a separation of 0 collide if and only if no line separates them; they may touch.
     """
     hulls = [_placed_hulls(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(float(radius)) for radius in outline.parts[RADIUS]]
@@ -74,9 +74,9 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
 def _placed_hulls(outline, i, core):
     """Return the convex hulls of all parts of a positioner, as lists of points with rational coordinates."""
-    placed = np.empty((2, outline.vertices.shape[1]))
+    placed = np.empty((4, outline.n_vertices))
     place_outline(outline, i, *map(float, core), placed)
-    points = [(Fraction(x), Fraction(y)) for x, y in placed.T.tolist()]
+    points = [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
     return [_hull(points[a:b]) for a, b in zip(outline.start[:-1], outline.start[1:], strict=True)]
 
 

@@ -18,6 +18,7 @@ def find_limits(columns) -> collisions.Limits:
         return collisions.limits(columns.separation, columns.longest, size)
     outline = make_outline(shape, columns.xy, columns.central_arm)
     # no two points of a pair at the minimum separation are farther from each other than this
-    largest = 4 * float(columns.arm_reach.max()) + columns.separation
+    arms_apart = columns.longest + outline.offset + float(columns.central_arm.max())
+    largest = columns.separation + outline.offset + 2 * arms_apart
     error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
     return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error)

@@ -1,5 +1,6 @@
 """Instruments, which consist of a focal plane, optics and the sources of all values; presets are data files."""
 
+from rfpsurvey.instrument._compare_projections import ProjectionComparison, choose_projection, compare_projections
 from rfpsurvey.instrument._facts import arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (
     Instrument,
@@ -12,10 +13,13 @@ from rfpsurvey.instrument._pfs_map import pfs_engineering_fibers, pfs_fibers
 
 __all__ = [
     "Instrument",
+    "ProjectionComparison",
     "arm_facts",
     "as_focal_plane",
     "as_instrument",
     "available_instruments",
+    "choose_projection",
+    "compare_projections",
     "every_instrument",
     "fact_texts",
     "pfs_engineering_fibers",

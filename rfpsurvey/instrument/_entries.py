@@ -143,6 +143,7 @@ ENTRIES = {
     "layout.spectrograph_shape": _choice("blocks", "wedges"),
     "optics.plate_scale": _number("a positive length per angle", TINY, 1e12, SCALE),
     "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
+    "optics.fiber_diameter": LENGTH,
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
         "a table that contains, for each fiber type or for any, a table with form and coefficients (and radius or "

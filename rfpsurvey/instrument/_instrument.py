@@ -52,8 +52,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
         The positioners.
     plate_scale : Quantity, optional
         Length per angle at the field center; required without ``distortion``.
-    distortion : RadialMap or dict of str to RadialMap, optional
-        Radial map of the field, or one for each fiber type.
+    distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
+        Radial map or distortion map of the field, or one for each fiber type.
     title : str, optional
         Full name.
     layout : {"nominal", "as built"}, optional

@@ -1,8 +1,21 @@
 """Observing conditions: refraction, dispersion and field rotation in the projection of a field."""
 
-from rfpsurvey.observing._conditions import ObservingConditions
+from rfpsurvey.observing._conditions import ObservingConditions, as_hour_angle
 from rfpsurvey.observing._field import ObservedField
+from rfpsurvey.observing._models import MODELS, displacements, drifts, field_of_model, model_of
 from rfpsurvey.observing._plane import ObservedPlane
-from rfpsurvey.observing._sites import SITES
+from rfpsurvey.observing._sites import SITES, location
 
-__all__ = ["SITES", "ObservedField", "ObservedPlane", "ObservingConditions"]
+__all__ = [
+    "MODELS",
+    "SITES",
+    "ObservedField",
+    "ObservedPlane",
+    "ObservingConditions",
+    "as_hour_angle",
+    "displacements",
+    "drifts",
+    "field_of_model",
+    "location",
+    "model_of",
+]

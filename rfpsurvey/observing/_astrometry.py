@@ -10,12 +10,10 @@ from astropy.utils import iers
 
 from rfpsurvey._units import to_lonlat
 from rfpsurvey.errors import InputError
-from rfpsurvey.observing._conditions import ObservingConditions
+from rfpsurvey.observing._conditions import RATE, ObservingConditions
 
 __all__ = ["Instant", "instants_of"]
 
-# Angle by which the Earth rotates in a second of time (UT1), radians.
-RATE = 1.00273781191135448 * 2 * np.pi / 86400
 # Points and weights of Gauss-Legendre quadrature over an exposure, which is from -1 to 1.
 NODES, WEIGHTS = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
 

@@ -1,6 +1,7 @@
 """The conditions of an observation: place, time, weather and wavelengths."""
 
-from dataclasses import dataclass, replace
+import os
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import astropy.units as u
@@ -8,13 +9,17 @@ import numpy as np
 from astropy.coordinates import EarthLocation
 from astropy.time import Time
 
+from rfpsurvey._io import to_path
+from rfpsurvey._readers import read_toml
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
-from rfpsurvey.observing._sites import as_site
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
+from rfpsurvey.observing._sites import as_site, location
 
-__all__ = ["ObservingConditions"]
+__all__ = ["RATE", "ObservingConditions", "as_hour_angle"]
 
 LONGEST_DAYS = 0.5
+# Angle by which the Earth rotates in a second of time (UT1), radians.
+RATE = 1.00273781191135448 * 2 * np.pi / 86400
 
 
 @check_keywords
@@ -49,6 +54,10 @@ class ObservingConditions:
     exposure_time : Quantity, optional
         Duration of the exposure. Fibers are placed at the mean positions of their targets during the exposure.
 
+    tolerance : Quantity, optional
+        Largest displacement on the focal plane that is negligible, by which the sufficient model of the projection is
+        chosen. By default, a tenth of the diameter of the instrument's fibers.
+
     Raises
     ------
     InputError
@@ -78,6 +87,7 @@ class ObservingConditions:
     temperature: u.Quantity = 10 * u.deg_C
     humidity: float = 0.2
     exposure_time: u.Quantity = 0 * u.s
+    tolerance: u.Quantity | None = None
 
     def __post_init__(self):
         name = self.site if isinstance(self.site, str) else ""
@@ -89,7 +99,7 @@ class ObservingConditions:
         if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar):
             raise InputTypeError(f"time must be one Time, got {short(self.time)}")
         if self.hour_angle is not None:
-            angle = _hour_angle(self.hour_angle)
+            angle = as_hour_angle(self.hour_angle)
             to_scalar(angle, u.deg, "hour_angle", low=-360, high=360)
             object.__setattr__(self, "hour_angle", angle)
         waves = self.wavelength
@@ -122,6 +132,40 @@ class ObservingConditions:
         to_scalar(humidity, u.dimensionless_unscaled, "humidity", low=0, high=1 + 1e-12, closed=True)
         object.__setattr__(self, "humidity", float(humidity))
         to_scalar(self.exposure_time, u.day, "exposure_time", low=0, high=LONGEST_DAYS, closed=True)
+        if self.tolerance is not None:
+            to_scalar(self.tolerance, u.mm, "tolerance", low=0)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike, **changes: object) -> "ObservingConditions":
+        """Read conditions from a TOML file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            File with parameters of this class as keys. Values with a unit are text, such as ``"720 hPa"``, and ``site``
+            is a name or longitude, latitude (deg) and height (m). A table ``wavelength`` has a value for each fiber
+            type.
+        **changes : object
+            Parameters that replace those of the file.
+
+        Returns
+        -------
+        ObservingConditions
+            The conditions.
+
+        Raises
+        ------
+        InputError
+            If the file does not exist, or a key or value is not valid.
+        """
+        path = to_path(path)
+        given = {name: _from_text(name, value, path) for name, value in read_toml(path).items()}
+        if {"time", "hour_angle"} & set(changes):
+            given = {name: value for name, value in given.items() if name not in ("time", "hour_angle")}
+        try:
+            return cls(**{**given, **changes})
+        except InputError as error:
+            raise type(error)(f"{path}: {error}") from None
 
     @property
     def at_guide_wavelength(self) -> "ObservingConditions":
@@ -132,6 +176,39 @@ class ObservingConditions:
     def without_exposure(self) -> "ObservingConditions":
         """The conditions at the midpoint of the exposure."""
         return replace(self, site=self._name or self.site, exposure_time=0 * u.s)
+
+    def shifted(self, time: u.Quantity) -> "ObservingConditions":
+        """Return the conditions at a later time.
+
+        Parameters
+        ----------
+        time : Quantity
+            Difference of the times; negative for an earlier time.
+
+        Returns
+        -------
+        ObservingConditions
+            The conditions, with another time or hour angle.
+        """
+        if self.time is not None:
+            return replace(self, site=self._name or self.site, time=self.time + time)
+        angle = self.hour_angle + time.to_value(u.s) * RATE * u.rad
+        return replace(self, site=self._name or self.site, hour_angle=angle)
+
+    def at_hour_angle(self, hour_angle: u.Quantity) -> "ObservingConditions":
+        """Return the conditions at another hour angle.
+
+        Parameters
+        ----------
+        hour_angle : Quantity
+            Hour angle of the field center, in place of the time or hour angle.
+
+        Returns
+        -------
+        ObservingConditions
+            The conditions at this hour angle.
+        """
+        return replace(self, site=self._name or self.site, time=None, hour_angle=hour_angle)
 
     @cached_property
     def wavelengths_um(self) -> dict[str, float] | float:
@@ -156,11 +233,53 @@ class ObservingConditions:
         if self.time is None:
             numbers["hour_angle_deg"] = self.hour_angle.to_value(u.deg)
         when = {} if self.time is None else {"time": self.time.utc.isot}
+        if self.tolerance is not None:
+            numbers["tolerance_mm"] = self.tolerance.to_value(u.mm)
         return {
             **{name: round(float(value), 9) for name, value in numbers.items()},
             **when,
             "wavelength_um": self.wavelengths_um,
         }
+
+    @classmethod
+    def from_record(cls, record: dict) -> "ObservingConditions":
+        """Make conditions from the values of ``record``.
+
+        Parameters
+        ----------
+        record : dict
+            A dict as in the attribute ``record``.
+
+        Returns
+        -------
+        ObservingConditions
+            The conditions.
+
+        Raises
+        ------
+        InputError
+            If a value is missing or not valid.
+        """
+        try:
+            waves = record["wavelength_um"]
+            given = {
+                "site": location([record[name] for name in ("longitude_deg", "latitude_deg", "height_m")]),
+                "wavelength": {k: v * u.um for k, v in waves.items()} if isinstance(waves, dict) else waves * u.um,
+                "guide_wavelength": record["guide_wavelength_um"] * u.um,
+                "pressure": record["pressure_hpa"] * u.hPa,
+                "temperature": record["temperature_c"] * u.deg_C,
+                "humidity": record["humidity"],
+                "exposure_time": record["exposure_time_s"] * u.s,
+            }
+            if "time" in record:
+                given["time"] = Time(record["time"], scale="utc")
+            if "hour_angle_deg" in record:
+                given["hour_angle"] = record["hour_angle_deg"] * u.deg
+            if "tolerance_mm" in record:
+                given["tolerance"] = record["tolerance_mm"] * u.mm
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"record must be that of observing conditions, got {short(record)}: {error}") from None
+        return cls(**given)
 
     def __repr__(self):
         when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
@@ -168,11 +287,28 @@ class ObservingConditions:
         return f"<ObservingConditions at {site}, {when}, {self.pressure.to(u.hPa):.4g}>"
 
 
-def _hour_angle(value):
+def as_hour_angle(value: u.Quantity) -> u.Quantity:
     """Convert hours of time to an hour angle; return other values unchanged."""
     if isinstance(value, u.Quantity) and value.unit.is_equivalent(u.hour):
         return value.to_value(u.hour) * u.hourangle
     return value
+
+
+def _from_text(name: str, value: object, path: object) -> object:
+    """Return the value of a parameter from a TOML file."""
+    check_choice(name, [one.name for one in fields(ObservingConditions)], f"key of {path}")
+    if name == "site" and isinstance(value, list):
+        return location(value)
+    if name in ("site", "humidity"):
+        return value
+    try:
+        if name == "time":
+            return Time(value, scale="utc")
+        if isinstance(value, dict):
+            return {kind: u.Quantity(text) for kind, text in value.items()}
+        return u.Quantity(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: {name} must be text such as '0.54 um', got {short(value)}: {error}") from None
 
 
 def _check_wavelength(value, name: str) -> None:

@@ -3,9 +3,9 @@
 import astropy.units as u
 from astropy.coordinates import EarthLocation
 
-from rfpsurvey.errors import InputTypeError, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 
-__all__ = ["SITES", "as_site"]
+__all__ = ["SITES", "as_site", "location"]
 
 # Longitude (deg, east), latitude (deg), height (m). The values are those of astropy's table of sites, which names as
 # their sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the
@@ -18,6 +18,15 @@ SITES = {
     "paranal": (-70.404987, -24.627439, 2669.0),
     "xinglong": (117.575, 40.393333, 950.0),
 }
+
+
+def location(values: list) -> EarthLocation:
+    """Return the location for longitude and latitude (deg) and height (m)."""
+    try:
+        lon, lat, height = map(float, values)
+        return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
+    except (TypeError, ValueError):
+        raise InputError(f"site must be longitude, latitude (deg) and height (m), got {short(values)}") from None
 
 
 def as_site(site: object) -> EarthLocation:

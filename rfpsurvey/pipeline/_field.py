@@ -11,11 +11,15 @@ from rfpsurvey._units import to_lonlat
 from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.observing import ObservedField
 from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import with_keep_out
 from rfpsurvey.projection import FieldProjection
 
 __all__ = ["FieldPlan", "FieldTargets", "field_radius_rad", "plan_field", "project_field"]
+
+# Number of points on a ring near the edge of a field, and its radius as a fraction of that of the field.
+N_RING, RING = 72, 0.98
 
 
 class FieldTargets(NamedTuple):
@@ -57,9 +61,28 @@ class FieldPlan(NamedTuple):
     """Computing time of each stage in seconds."""
 
 
-def field_radius_rad(instrument: Instrument) -> float:
-    """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding."""
-    return instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
+    """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding.
+
+    Without a projection, it is the radius without refraction. Refraction and dispersion shift the edge of the field.
+    """
+    radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
+    if not isinstance(projection, ObservedField):
+        return radius
+    # The ring is slightly inside of the edge, so that it has an image under all conditions.
+    turn = np.linspace(0, 2 * np.pi, N_RING, endpoint=False)[:, None]
+    x, y, center = projection.basis
+    ring = np.cos(RING * radius) * center + np.sin(RING * radius) * (np.cos(turn) * x + np.sin(turn) * y)
+    static = FieldProjection(projection.basis, projection.focal_length, projection.distortion)
+    types = (
+        list(projection.distortion) if isinstance(projection.distortion, dict) else instrument.focal_plane.fiber_types
+    )
+    shift = 0.0
+    for kind in types:
+        seen = projection.unproject(static.project(ring, kind), kind)
+        apart = np.linalg.norm(np.cross(seen, center), axis=1).max()
+        shift = max(shift, np.arcsin(apart) - RING * radius)
+    return float(radius + shift / RING**3)  # the shift increases at most with the cube of the distance
 
 
 def project_field(

@@ -58,7 +58,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     if "category" in after.colnames:
         after = after[after["category"] == "all"]
     order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
-    share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_wanted"], 1)
+    share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_requested"], 1)
     ax.plot(np.arange(len(tiles) + 1), np.append(0, share), **{"color": "k", "label": "all visits", **kwargs})
     classes = [name for name in dict.fromkeys(after["priority"]) if name != "all"]
     for k, name in enumerate(classes):

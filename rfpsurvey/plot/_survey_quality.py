@@ -28,7 +28,7 @@ def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
     _draw_fibers(fibers, survey)
     _draw_tiles(tiles, survey)
     s, name = survey.summary, survey.provenance["instrument"]["name"]
-    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_wanted'], 'visit')} observed"
+    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')} observed"
     title = f"{name}: {visits} on {number_of(s['n_tiles'], 'tile')}"
     classes.set_title(title, loc="left", fontsize="medium")
 
@@ -55,7 +55,7 @@ def _draw_visits(ax, survey, kwargs):
     """Draw a bar for each class: the fraction of its visits that each pass observed."""
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = class_rows(survey)
-    wanted, observed = (np.asarray(rows[name], float) for name in ("n_wanted", "n_observed"))
+    wanted, observed = (np.asarray(rows[name], float) for name in ("n_requested", "n_observed"))
     # if there are many passes, the last color stands for several of them
     ends = [*range(min(len(passes), MOST_PASSES) - 1), len(passes) - 1]
     colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
@@ -72,7 +72,7 @@ def _draw_visits(ax, survey, kwargs):
     groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in names]
     y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=0) != 0)
     stacked_bars(ax, y, wanted, tuple(pieces), [_label_of(row) for row in names], observed, kwargs, columns=3)
-    label, left_out = "fraction of the visits wanted", len(_after(survey, -1)) - len(rows)
+    label, left_out = "fraction of the requested visits", len(_after(survey, -1)) - len(rows)
     label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
     ax.set_xlabel(label, fontsize="small" if left_out else None)
 

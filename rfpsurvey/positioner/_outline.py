@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 
 import astropy.units as u
@@ -19,10 +20,10 @@ SAME = 1e-9
 """Vertices closer to each other than this are one vertex, and edges that bend inward by less are straight, mm."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
+FAR = 1e30
+"""Negative size of the rectangle of no parts, mm."""
 ROUNDED_UP = 1.0 + 1e-12
 """Factor for upper limits."""
-LOOSE = 1e-6
-"""Relative and absolute (mm) increase of circles of which the position is approximate."""
 
 
 @check_keywords
@@ -169,9 +170,10 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
         return NO_OUTLINE
-    vertices = np.ascontiguousarray(np.hstack([_with_normals(vertices) for vertices, _ in parts]))
-    circles = np.ascontiguousarray(np.array([_circle(vertices, radius) for vertices, radius in parts]).T)
-    length, n = outline.length.value, outline.n_eccentric
+    vertices = np.hstack([_with_normals(vertices) for vertices, _ in parts])
+    circles = np.column_stack([*(_circle(vertices, radius) for vertices, radius in parts), np.zeros(4)])
+    table = np.hstack([vertices, np.vstack([circles, start])])
+    length, n = float(outline.length.value), outline.n_eccentric
     eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
     central = [
         float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
@@ -179,27 +181,19 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
         for arm in (central_arm.min(), central_arm.max())  # the distance is a convex function of the length of the arm
     ]
     offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
-    size = float(np.hypot(vertices[0], vertices[1]).max())
-    shapes = _box(parts[:n]), _box(parts[n:]), _enclosing(parts[:n], length), _enclosing(parts[n:], 1.0)
-    return Outline(locked(vertices), locked(start), locked(circles), n, offset, size, *shapes, centers)
+    scale = 2.0 * float(np.hypot(vertices[0], vertices[1]).max()) + offset
+    boxes = _box(parts[:n]), _box(parts[n:])
+    table, n_vertices = locked(np.ascontiguousarray(table)), vertices.shape[1]
+    return Outline(table, locked(start), n_vertices, n, offset, 1.0 / length, scale, *boxes, centers)
 
 
 def _box(parts):
     """Return the center of a rectangle along the axes that contains parts, and half the lengths of its sides."""
     if not parts:
-        return (0.0, 0.0, 0.0, 0.0)
+        return (0.0, 0.0, -FAR, -FAR)
     low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
     high = np.max([vertices.max(axis=0) + radius for vertices, radius in parts], axis=0)
     return (*(0.5 * (low + high)).tolist(), *(0.5 * (high - low) * ROUNDED_UP).tolist())
-
-
-def _enclosing(parts, unit):
-    """Return the center of a circle that contains parts, in the unit, and its radius with an allowance for rounding."""
-    if not parts:
-        return (0.0, 0.0, 0.0)
-    x, y, _, _ = _box(parts)
-    radius = max(float(np.hypot(*(vertices - (x, y)).T).max()) + radius for vertices, radius in parts)
-    return x / unit, y / unit, radius * (1.0 + LOOSE) + LOOSE
 
 
 def _from_core(vertices, low, high):
@@ -219,7 +213,7 @@ def _with_normals(vertices):
 
 def _circle(vertices, radius):
     """Return the radius of a part, and a circle that contains it."""
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    middle = vertices.mean(axis=0)  # the kernel requires a point of the polygon
     return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
 
@@ -241,17 +235,17 @@ def _to_part(part, name):
 
 
 def _hull(points):
-    """Return the vertices of the convex hull in counter-clockwise order; close vertices are merged."""
-    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    """Return the vertices of the exact convex hull in counter-clockwise order; close vertices are merged."""
+    ordered = [(Fraction(x), Fraction(y)) for x, y in points[np.lexsort(points.T[::-1])].tolist()]
     kept = []
     for run in (ordered, ordered[::-1]):
         chain = []
-        for x, y in run:
-            while len(chain) > 1 and _bend(chain[-2], chain[-1], (x, y)) <= 0:
+        for point in run:
+            while len(chain) > 1 and _bend(chain[-2], chain[-1], point) <= 0:
                 chain.pop()
-            chain.append((x, y))
+            chain.append(point)
         kept += chain[:-1]
-    hull = np.array(kept or ordered[:1])
+    hull = np.array(kept or ordered[:1], dtype=float)
     while len(hull) > 1:
         gaps = np.hypot(*(np.roll(hull, -1, axis=0) - hull).T)
         if gaps.min() > SAME:

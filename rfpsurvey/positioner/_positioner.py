@@ -108,10 +108,10 @@ class Positioner:
         check_choice(self.arm_model, ARM_MODELS, "arm model")
         if (self.arm_model == "capsule") != (self.arm_length is not None):
             raise InputError("arm_length must be given for the arm model 'capsule', and only for this model")
-        if (self.arm_model == "outline") != (self.outline is not None):
-            raise InputError("outline must be given for the arm model 'outline', and only for this model")
         if self.outline is not None and not isinstance(self.outline, ArmOutline):
             raise InputTypeError(f"outline must be an ArmOutline, got {short(self.outline)}")
+        if (self.arm_model == "outline") != (self.outline is not None):
+            raise InputError("outline must be given for the arm model 'outline', and only for this model")
         if self.arm_model not in ("capsule", "outline") and self.arm_angle is not None:
             raise InputError("arm_angle must be given only for the arm models 'capsule' and 'outline'")
         for name in ("theta_range", "phi_range", "home"):

@@ -4,6 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import sky
 from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._radial_map import RadialMap
 
 __all__ = ["FieldProjection", "field_basis"]
@@ -18,8 +19,8 @@ class FieldProjection:
         ICRS unit vectors as rows: the directions of +x and +y at the field center, and the center.
     focal_length : float
         Plate scale at the center, mm per radian, for a projection without a radial map.
-    distortion : RadialMap, dict of str to RadialMap, or None
-        Radial map, or one for each fiber type.
+    distortion : RadialMap, DistortionMap, dict of str to one of them, or None
+        Radial map or distortion map, or one for each fiber type.
 
     Attributes
     ----------
@@ -60,6 +61,11 @@ class FieldProjection:
             image = np.empty((len(part), width))
             if distortion is None:
                 gnomonic(part, self.basis, self.focal_length, image)
+            elif isinstance(distortion, DistortionMap) and width == 2:
+                gnomonic(part, self.basis, 1.0, image)
+                image = distortion.project(image)
+            elif isinstance(distortion, DistortionMap):
+                gnomonic(distortion.unproject(part), self.basis, 1.0, image)
             else:
                 radial(part, self.basis, *distortion.arguments, image)
             if isinstance(rows, slice):

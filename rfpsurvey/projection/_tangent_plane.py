@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_center, to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_keywords, refusal
+from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap
 
@@ -35,8 +36,8 @@ class TangentPlane:
         Length per angle at the field center. It is not needed with ``distortion``, which determines it.
     rotation : Quantity, optional
         Position angle of +y, measured from north toward east.
-    distortion : RadialMap or dict of str to RadialMap, optional
-        Radial map, or one for each fiber type.
+    distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
+        Radial map or distortion map, or one for each fiber type.
 
     Raises
     ------
@@ -61,8 +62,12 @@ class TangentPlane:
     def __post_init__(self):
         object.__setattr__(self, "center", to_center(self.center))
         maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
-        if self.distortion is not None and not (maps and all(isinstance(m, RadialMap) for m in maps)):
-            raise refusal("distortion must be a RadialMap or a dict of them by fiber type", self.distortion, dict)
+        if self.distortion is not None and not (maps and all(isinstance(m, RadialMap | DistortionMap) for m in maps)):
+            raise refusal(
+                "distortion must be a RadialMap or a DistortionMap, or a dict of them by fiber type",
+                self.distortion,
+                dict,
+            )
         scale = self.plate_scale
         if scale is None:
             if self.distortion is None:

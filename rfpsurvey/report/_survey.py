@@ -18,7 +18,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         where = "Survey.tiles" if survey.folder is None else f"tiles.fits of the folder {survey.folder.name}"
     highlights = {
         "tiles": s["n_tiles"],
-        f"of {s['n_visits_wanted']} visits observed": s["n_visits_observed"],
+        f"of {s['n_visits_requested']} visits observed": s["n_visits_observed"],
         "completeness": s["completeness"],
         "fraction of the fibers used": s["fiber_use"],
         "collision rate": s["collision_rate"],
@@ -39,7 +39,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     ]
     if s.get("unmet"):
         sections.insert(1, Section("Required targets", [Text(list(s["unmet"]))]))
-    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_wanted'], 'visit')}"
+    visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')}"
     lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)
 

@@ -114,6 +114,9 @@ def _asked(tile) -> dict:
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:
         asked["model"] = tile.summary["model"]
+    projection = tile.summary.get("projection", {})
+    if "sentence" in projection:
+        asked["projection"] = f"{projection['model']}; {projection['sentence']}"
     return asked
 
 

@@ -27,7 +27,7 @@ class Tally:
 
     def __init__(self, class_of: np.ndarray, names: list[str], wanted: np.ndarray, n_passes: int):
         self.class_of, self.names = class_of, names
-        self.n_wanted = np.bincount(class_of, weights=wanted, minlength=len(names)).astype(np.int64)
+        self.n_requested = np.bincount(class_of, weights=wanted, minlength=len(names)).astype(np.int64)
         self.n_targets = np.bincount(class_of[wanted > 0], minlength=len(names))
         self.n_observed = np.zeros((n_passes, len(names)), dtype=np.int64)
         self.n_complete = np.zeros_like(self.n_observed)

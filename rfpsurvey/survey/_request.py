@@ -18,11 +18,13 @@ from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
 from rfpsurvey.tile import versions
-from rfpsurvey.tiling import Tiling
+from rfpsurvey.tiling import Tiling, conditions_of_tiles
 
 __all__ = ["Request", "make_request"]
 
 FIELDS_DIFFER = 0.01
+# Factor for the radius of fields under observing conditions, which differ by aberration and dispersion.
+MARGIN = 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,27 @@ class Request:
 
     @cached_property
     def radius_rad(self) -> float:
-        """Radius of a field."""
-        return field_radius_rad(self.instrument)
+        """Radius of a field; refraction enlarges that of the lowest field the most."""
+        if self.conditions is None:
+            return field_radius_rad(self.instrument)
+        fields = self._fields()
+        lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
+        return field_radius_rad(self.instrument, lowest) * MARGIN
+
+    @cached_property
+    def conditions(self) -> list | None:
+        """Observing conditions of each tile; None if refraction is neglected."""
+        return conditions_of_tiles(self.tiling)
+
+    def _fields(self) -> list:
+        """Return the projections of all tiles, or raise an error if one of them is not above the horizon."""
+        fields = []
+        for name, *place, conditions in zip(*self._places, self.conditions, strict=True):
+            try:
+                fields.append(self.instrument.field_projection(*np.deg2rad(place), conditions))
+            except InputError as error:
+                raise InputError(f"tile {name}: {error}") from None
+        return fields
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
@@ -80,7 +101,8 @@ class Request:
             field = field._replace(targets=field.targets._replace(columns=columns))
         name, *where = (column[tile] for column in self._places)
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
-        return Job(self.model, name, *where, field, seed, as_file)
+        conditions = None if self.conditions is None else self.conditions[tile]
+        return Job(self.model, name, *where, field, seed, as_file, conditions)
 
     @cached_property
     def _places(self) -> list[list]:
@@ -105,6 +127,7 @@ class Request:
             "rng": self.seed,
             "lost_in_collision": self.lost_in_collision,
             "radius_deg": float(np.rad2deg(self.radius_rad)),
+            **({} if self.conditions is None else {"conditions": self.tiling.table.meta["conditions"]}),
         }
 
     @cached_property
@@ -133,6 +156,8 @@ class Request:
         columns = ("ra", "dec", "position_angle", "pass")
         tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
         names = np.asarray(self.tiling.table["tile"]).astype(str)
+        if self.conditions is not None:
+            tiles.append(np.array([str(one.record) for one in self.conditions]))
         about = {
             "catalog": (number_of(len(self.source), "target"), self.source.digest()),
             "visits": (number_of(int(self.visits.sum()), "visit"), digest(self.visits)),

@@ -34,7 +34,7 @@ TILES = {
 }
 OUTCOME = {
     "target_id": "identifier of the target",
-    "wanted": "number of requested visits",
+    "requested": "number of requested visits",
     "observed": "number of successful visits",
     "outcome": "code of the outcome; the header cards OUTCOME0, OUTCOME1, ... state the outcome of each code",
 }
@@ -62,7 +62,7 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
 
 def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
     tally = state.tallies["priority"]
-    wanted, observed = int(tally.n_wanted.sum()), int(tally.n_observed.sum())
+    wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
     required = np.flatnonzero([] if request.is_required is None else request.is_required)
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
@@ -72,7 +72,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_rounds": len(request.rounds),
         "n_targets": targets,
         "n_complete": complete,
-        "n_visits_wanted": wanted,
+        "n_visits_requested": wanted,
         "n_visits_observed": observed,
         "completeness": observed / max(wanted, 1),
         "completeness_targets": complete / max(targets, 1),
@@ -89,7 +89,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
         "unmet": _unmet(request.source, missed, why),
-        "model": model_sentence(request.instrument),
+        "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 
 
@@ -112,12 +112,12 @@ def completeness_table(request, state: Bookkeeping) -> QTable:
     """Return a table with a row for each pass and, if there are several, for each class of priority and category."""
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
     columns = ("priority", "category") if "category" in state.tallies else ("priority",)
-    names = ("n_targets", "n_wanted", "n_observed", "n_complete")
+    names = ("n_targets", "n_requested", "n_observed", "n_complete")
     rows = []
     for k, number in enumerate(request.passes):
         for column, tally in state.tallies.items():
             observed, complete = tally.n_observed[: k + 1].sum(axis=0), tally.n_complete[: k + 1].sum(axis=0)
-            counts = np.column_stack([tally.n_targets, tally.n_wanted, observed, complete])
+            counts = np.column_stack([tally.n_targets, tally.n_requested, observed, complete])
             classes = list(zip(tally.names, counts.tolist(), strict=True)) if len(tally.names) > 1 else []
             if column == "priority":
                 classes.insert(0, ("all", counts.sum(axis=0).tolist()))
@@ -131,7 +131,7 @@ def outcome_table(request, state: Bookkeeping) -> QTable:
     """Return a table with a row for each target, in the order of the catalog."""
     source = request.source
     table = QTable({"target_id": source.ids()}, copy=False)
-    table["wanted"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
+    table["requested"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
     table["outcome"] = source.by_row(state.outcomes())
     table.meta = {"outcome": {str(k): name for k, name in enumerate(OUTCOMES)}}
     return describe(table, OUTCOME)

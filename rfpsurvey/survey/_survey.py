@@ -21,8 +21,8 @@ __all__ = ["Survey"]
 # Columns that must be in the tables of a folder and in the file of a tile.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
-    ("pass", "priority", "n_targets", "n_wanted", "n_observed", "n_complete", "completeness"),
-    ("target_id", "wanted", "observed", "outcome"),
+    ("pass", "priority", "n_targets", "n_requested", "n_observed", "n_complete", "completeness"),
+    ("target_id", "requested", "observed", "outcome"),
 )
 VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
 
@@ -45,9 +45,9 @@ class Survey:
         ``provenance``.
     completeness : QTable
         Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if there
-        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_wanted`` and
+        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_requested`` and
         ``n_observed`` (requested visits, and visits made), ``n_complete`` (targets with all requested visits),
-        ``completeness`` (``n_observed`` divided by ``n_wanted``).
+        ``completeness`` (``n_observed`` divided by ``n_requested``).
     outcomes : QTable
         Table with a row for each target: ``target_id``, ``wanted`` and ``observed`` (numbers of requested visits, and
         of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
@@ -151,7 +151,7 @@ class Survey:
         s = self.summary
         return (
             f"<Survey of {number_of(s['n_tiles'], 'tile')}: {s['n_visits_observed']} of "
-            f"{number_of(s['n_visits_wanted'], 'visit')}, "
+            f"{number_of(s['n_visits_requested'], 'visit')}, "
             f"completeness {s['completeness']:.4f}>"
         )
 

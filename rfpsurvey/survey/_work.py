@@ -9,6 +9,7 @@ import numpy as np
 from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
@@ -108,6 +109,7 @@ class Job(NamedTuple):
     field: Field
     seed: np.random.SeedSequence
     as_file: bool
+    conditions: ObservingConditions | None = None
 
 
 class Done(NamedTuple):
@@ -176,4 +178,5 @@ def in_reach(job: Job) -> np.ndarray:
 
 def _projection(job: Job):
     """Return the projection of a field."""
-    return job.model.instrument.field_projection(*np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg]))
+    place = np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg])
+    return job.model.instrument.field_projection(*place, job.conditions)

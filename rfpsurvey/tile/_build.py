@@ -20,6 +20,7 @@ from rfpsurvey.tile._tile import Tile
 __all__ = ["build_tile", "versions"]
 
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
+REFRACTED = "static geometry in the focal plane with atmospheric refraction; no dynamic collisions"
 
 
 def build_tile(
@@ -46,7 +47,7 @@ def build_tile(
     addition to those of the usual packages.
     """
     plane = instrument.focal_plane
-    n = len(plane)
+    n, projection = len(plane), parameters.get("projection", "radial")
     has_target = posed.assigned
     if len(ids) == 0:  # there are no targets
         ids, sky_deg = np.zeros(1, dtype=ids.dtype), np.full((2, 1), np.nan)
@@ -91,14 +92,14 @@ def build_tile(
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
-        "model": model_sentence(instrument, posed),
+        "model": model_sentence(instrument, posed, projection),
     }
     meta = {
         "summary": summary,
         "provenance": {
             "software": {**versions(), **(software or {})},
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "model": MODEL,
+            "model": MODEL if projection in ("tangent", "radial") else REFRACTED,
             "instrument": instrument.provenance,
             "catalog": dict(catalog_meta),
             "parameters": parameters,

@@ -4,6 +4,7 @@ import numpy as np
 
 from rfpsurvey.collision import Arms, Configuration, near_pairs
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.observing import MODELS
 
 __all__ = ["model_sentence"]
 
@@ -19,7 +20,7 @@ ARMS = {
 }
 
 
-def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
+def model_sentence(instrument: Instrument, posed: Arms | None = None, projection: str = "radial") -> str:
     """Return a description of the model of a tile or of the tiles of a survey, and why it suffices.
 
     Parameters
@@ -28,6 +29,8 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
         The instrument.
     posed : Arms, optional
         The arms of the tile; without them, the text describes all tiles of a survey.
+    projection : str, optional
+        Model of the projection, a key of ``rfpsurvey.observing.MODELS``.
 
     Returns
     -------
@@ -47,9 +50,10 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None) -> str:
             n_near = len(near_pairs(case)[0])
             looked = f"of {n_pairs} pairs within reach of each other, {n_near} needed a distance, which is"
         collisions = f"Collisions: {TYPES[kind]}; {looked} {arms}"
-    if instrument.distortion is None:
+    if instrument.distortion is None or projection == "tangent":
         positions = "a tangent plane with one plate scale"
     else:
         each = ", one for each fiber type" if isinstance(instrument.distortion, dict) else ""
         positions = f"a tangent plane with the instrument's radial map{each}"
-    return f"{collisions}. Positions: {positions}, without refraction."
+    refraction = "without refraction" if projection in ("tangent", "radial") else f"with {MODELS[projection]}"
+    return f"{collisions}. Positions: {positions}, {refraction}."

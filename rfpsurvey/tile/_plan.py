@@ -24,7 +24,8 @@ from rfpsurvey.allocation import (
 )
 from rfpsurvey.catalog import Catalog, as_catalog, to_time
 from rfpsurvey.errors import InputError, check_keywords, number_of, warn
-from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
+from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import (
     FieldPlan,
     FieldTargets,
@@ -56,6 +57,8 @@ def plan_tile(
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
     allocator: AllocationOptions | str | Callable = "lamost",
+    conditions: ObservingConditions | None = None,
+    projection: str | None = None,
     progress: bool | Callable = False,
     rng: int | np.random.Generator | None = 0,
 ) -> Tile:
@@ -83,6 +86,13 @@ def plan_tile(
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
+    conditions : ObservingConditions, optional
+        Site, time or hour angle, wavelengths and weather, from which refraction is computed. The summary then states
+        under ``projection`` how far targets move if a simpler model of the projection neglects an effect, and which
+        model suffices.
+    projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
+        Model of the projection, as in `compare_projections`; ``auto`` is the cheapest one that suffices. By default,
+        ``radial`` without conditions and ``full`` with them.
     progress : bool or callable, optional
         Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
         the finished fraction and 1.
@@ -120,8 +130,9 @@ def plan_tile(
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = to_center(catalog.mean_direction if center is None else center)
     plane = instrument.projection(center, position_angle)
+    plain, chosen = choose_projection(instrument, plane, conditions, projection)
     options = asked.for_instrument(instrument)
-    everything, radius = catalog, field_radius_rad(instrument)
+    everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
     is_required = mark_required(options.required, [catalog.id])
     n_required = 0 if is_required is None else int(is_required.sum())
@@ -163,9 +174,7 @@ def plan_tile(
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
     with Progress(progress) as bar:
-        plan = plan_field(
-            instrument, plane.plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage)
-        )
+        plan = plan_field(instrument, plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage))
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
@@ -184,6 +193,7 @@ def plan_tile(
         "n_required_observed": _n_required_observed(plan, columns["is_required"]),
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
+        "projection": chosen,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
     log.info("planned a tile of %s: %s", instrument.name, summary)
@@ -191,6 +201,8 @@ def plan_tile(
         **where(center, position_angle),
         "epoch": epoch_text(catalog.epoch),
         "epoch_asked": None if epoch is None else str(epoch),
+        "projection": chosen["model"],
+        "conditions": None if conditions is None else conditions.record,
         **options.record,
         "rng": seed,
     }

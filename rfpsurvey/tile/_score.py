@@ -20,6 +20,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
@@ -38,6 +39,7 @@ def score_tile(
     equinox: str | None = None,
     epoch: Time | str | float | None = None,
     positions: str | None = None,
+    conditions: ObservingConditions | None = None,
     columns: dict | None = None,
     units: dict | None = None,
     parked_obstacles: bool = True,
@@ -68,6 +70,8 @@ def score_tile(
         Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
         Positions to use; by default those on the focal plane, if there are any.
+    conditions : ObservingConditions, optional
+        Conditions under which positions on the sky are projected; without them, refraction is neglected.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
         columns of a DataFrame are in mm and deg unless ``units`` specifies others.
@@ -139,14 +143,23 @@ def score_tile(
         center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
-        xy = instrument.projection(center, position_angle).plain.project(catalog.arrays.vectors, fibers)
+        plain = instrument.projection(center, position_angle, conditions).plain
+        xy = plain.project(catalog.arrays.vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
         parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
+        if conditions is not None:
+            parameters.update(projection="full", conditions=conditions.record)
     else:
         if None in xy_names:
             raise find.missing("x and y")
-        given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
+        given = {
+            "center": center,
+            "position_angle": position_angle,
+            "equinox": equinox,
+            "epoch": epoch,
+            "conditions": conditions,
+        }
         unused = [name for name, value in given.items() if value is not None]
         if unused:
             warn(

@@ -1,10 +1,20 @@
 """Placement of the tiles of a survey."""
 
 from rfpsurvey.tiling._centers import Centers
+from rfpsurvey.tiling._conditions import conditions_of_tiles
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
 from rfpsurvey.tiling._suspicion import warn_of_targets
 from rfpsurvey.tiling._tiling import Tiling, as_tiling
 
-__all__ = ["METHODS", "Centers", "Fibers", "Tiling", "as_tiling", "place_tiles", "warn_of_targets"]
+__all__ = [
+    "METHODS",
+    "Centers",
+    "Fibers",
+    "Tiling",
+    "as_tiling",
+    "conditions_of_tiles",
+    "place_tiles",
+    "warn_of_targets",
+]

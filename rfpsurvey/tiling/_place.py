@@ -340,7 +340,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
         "n_targets": int(np.count_nonzero(wanted)) + n_away,
         **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),
         "n_on_tiles": int(np.count_nonzero(depth)),
-        "n_wanted": int(wanted.sum()) + problem.n_beyond,
+        "n_requested": int(wanted.sum()) + problem.n_beyond,
         "n_observed": int(made.sum()),
         "completeness": float(state.completeness),
         "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),

@@ -73,7 +73,7 @@ class TilingState:
         self.left = self.problem.wanted.astype(np.float64)
         self.hopeless = np.zeros(len(self.left), dtype=bool)
         self._n_left = float(self.left.sum())
-        self._n_wanted = max(self._n_left + self.problem.n_beyond, 1.0)
+        self._n_requested = max(self._n_left + self.problem.n_beyond, 1.0)
         self._at = {}
 
     @property
@@ -97,12 +97,12 @@ class TilingState:
     @property
     def unit(self) -> float:
         """Weight of a visit of a priority that is not the leading one."""
-        return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_wanted)
+        return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_requested)
 
     @property
     def completeness(self) -> float:
         """Fraction of the requested visits that the tiles placed so far make."""
-        return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_wanted
+        return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_requested
 
     @property
     def done(self) -> bool:

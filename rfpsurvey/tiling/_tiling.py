@@ -13,7 +13,8 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal, short
+from rfpsurvey.observing import ObservingConditions
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -105,6 +106,37 @@ class Tiling:
     def summary(self) -> dict:
         """Description of the method and quality of the tiling; empty for a list of tiles from another source."""
         return self.table.meta.get("summary", {})
+
+    @property
+    def conditions(self) -> ObservingConditions | None:
+        """Observing conditions of the tiles; None if refraction is neglected."""
+        record = self.table.meta.get("conditions")
+        return None if record is None else ObservingConditions.from_record(record)
+
+    def with_conditions(self, conditions: ObservingConditions | None) -> "Tiling":
+        """Return the tiling with observing conditions, under which `plan_survey` plans the tiles.
+
+        Parameters
+        ----------
+        conditions : ObservingConditions or None
+            The conditions. The table may have a column ``hour_angle`` (of the center; numbers without a unit are in
+            hours) or ``time`` (midpoint of the exposure), which replaces the time or hour angle of the conditions.
+
+        Returns
+        -------
+        Tiling
+            The tiling; its files contain the conditions.
+
+        Raises
+        ------
+        InputError
+            If ``conditions`` has another type.
+        """
+        if not isinstance(conditions, ObservingConditions | None):
+            raise InputTypeError(f"conditions must be ObservingConditions or None, got {short(conditions)}")
+        table = self.table.copy()
+        table.meta["conditions"] = None if conditions is None else conditions.record
+        return Tiling(table)
 
     @cached_property
     def vectors(self) -> np.ndarray:

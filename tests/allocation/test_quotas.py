@@ -122,7 +122,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
         f"sky targets: 3 of 5, 2 missing; {why}",
         f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
     ]
-    assert [(s.spectrograph, s.wanted, s.found, s.possible) for s in found.unmet] == [
+    assert [(s.spectrograph, s.requested, s.found, s.possible) for s in found.unmet] == [
         (None, 5, 3, 12),
         (7, 3, 2, 8),
         (9, 3, 1, 4),
@@ -135,7 +135,7 @@ def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method
     assert sentences(found.unmet) == ["science targets: 1 of 3, 2 missing"]
     # both requirements need the first positioner, so that one requirement lacks a target
     found = allocate(method, ["sky=1", "near=1"], category=["near", "", "", "", "", ""])
-    assert [(s.wanted, s.found, s.possible) for s in found.unmet] in ([(1, 0, 1)], [(1, 0, 3)])
+    assert [(s.requested, s.found, s.possible) for s in found.unmet] in ([(1, 0, 1)], [(1, 0, 3)])
     assert found.n_assigned == 3
 
 

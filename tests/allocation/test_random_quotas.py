@@ -68,7 +68,7 @@ def test_unmet_is_what_a_count_by_hand_finds(method, seed):
     for one, place, n in counts_of(plane, found, options):
         if n < one.minimum or (one.maximum is not None and n > one.maximum):
             lacking[one, place] = (one.minimum if n < one.minimum else one.maximum, n)
-    by_name = {(s.requirement, s.spectrograph): (s.wanted, s.found) for s in found.unmet if s.requirement}
+    by_name = {(s.requirement, s.spectrograph): (s.requested, s.found) for s in found.unmet if s.requirement}
     assert by_name == lacking
     can = plane.reachable(xy * MM, options["fiber_type"]).toarray()
     can[tuple(options["forbidden"].T)] = False
@@ -76,7 +76,7 @@ def test_unmet_is_what_a_count_by_hand_finds(method, seed):
         if s.requirement is None:
             required = options["required"]
             n, possible = np.isin(required, found.target_of_positioner).sum(), can.any(axis=0)[required].sum()
-            assert (s.wanted, s.found, s.possible) == (len(required), n, possible)
+            assert (s.requested, s.found, s.possible) == (len(required), n, possible)
             continue
         columns = options["kind"], options["category"], options["fiber_type"]
         counted = {t for i, t in np.argwhere(can) if held(s.requirement, plane, [(i, t)], *columns, s.spectrograph)}
@@ -117,6 +117,7 @@ def test_a_plan_out_of_time_is_a_plan_all_the_same(method):
     assert 10 < found.n_assigned <= 37
     assert found.gap > 0 == best.gap
     lacks = [
-        sum(s.wanted - s.found for s in plan.unmet if s.requirement and s.wanted > s.found) for plan in (found, best)
+        sum(s.requested - s.found for s in plan.unmet if s.requirement and s.requested > s.found)
+        for plan in (found, best)
     ]
     assert lacks[0] >= lacks[1]

@@ -112,8 +112,8 @@ def test_impossible_fields_are_named(arguments, message):
     assert str(error.value) == message
 
 
-def short(what="sky", place=None, wanted=5, found=2, possible=9, **options):
-    return Shortfall(what and rs.Requirement(what, 5, **options), place, wanted, found, possible)
+def short(what="sky", place=None, requested=5, found=2, possible=9, **options):
+    return Shortfall(what and rs.Requirement(what, 5, **options), place, requested, found, possible)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def short(what="sky", place=None, wanted=5, found=2, possible=9, **options):
         (short(possible=0, found=0), "sky targets: 0 of 5, 5 missing; none is in reach"),
         (short(found=7, place=3), "sky targets in spectrograph 3: 7, 2 more than the maximum of 5"),
         (short(fiber_type="BOSS", place=0), "sky targets for BOSS in spectrograph 0: 2 of 5, 3 missing"),
-        (short(None, wanted=3), "required targets: 2 of 3, 1 missing"),
+        (short(None, requested=3), "required targets: 2 of 3, 1 missing"),
     ],
 )
 def test_a_shortfall_is_a_sentence(one, sentence):

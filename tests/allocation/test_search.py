@@ -6,7 +6,7 @@ from itertools import combinations, product
 import astropy.units as u
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 import flat
@@ -301,8 +301,10 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
-    late = OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
-    monkeypatch.setattr("scipy.optimize.milp", lambda *_, **__: late)
+    for module in ("_milp", "_clusters"):
+        monkeypatch.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
+    # without prices of cliques, all bounds follow from a matching
+    monkeypatch.setattr("rfpsurvey.allocation._search.MOST_BOUNDS", 0)
     found = flat.allocate(plane, xy, **options)
     assert best.gap == 0 < found.gap
     assert any(level.value < level.bound for level in found.levels)
@@ -321,11 +323,12 @@ def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypa
     r, angle = 1.3 * 5 * pitch * np.sqrt(rng.random(91)), 2 * np.pi * rng.random(91)
     said = []
 
-    def answer(*_, options, **__):
-        said.append(options["presolve"])
-        return OptimizeResult(status=1, x=None, fun=None, mip_dual_bound=None)
+    def answer(*_, presolve, **__):
+        said.append(presolve)
+        return None, np.inf
 
-    monkeypatch.setattr("scipy.optimize.milp", answer)
+    monkeypatch.setattr("rfpsurvey.allocation._milp.maximize", answer)
+    monkeypatch.setattr("rfpsurvey.allocation._search.improve_by_clusters", lambda _, chosen, *__: chosen)
     # the scene is dense enough to leave work to the solver
     plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM

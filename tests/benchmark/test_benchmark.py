@@ -135,7 +135,7 @@ def test_joint_limits_are_kept(rng):
         ),
         (
             lambda: rs.plot.plot_speed_accuracy(QTable({"method": ["exact"]})),
-            "it has no max_error, misclassified, n_colliding_true",
+            "without the column max_error, misclassified, n_colliding_true",
         ),
     ],
 )
@@ -177,7 +177,7 @@ def test_densities_that_stand_in_for_queues():
         (lambda: rs.plot.plot_probability_accuracy(3), "table must be a QTable"),
         (
             lambda: rs.plot.plot_probability_accuracy(QTable({"method": ["a"]})),
-            "it has no effort, error, error_error, estimand",
+            "without the column effort, error, error_error, estimand",
         ),
     ],
 )

@@ -1,5 +1,6 @@
 """Catalogs that are distributed with the package, and read by name."""
 
+import gzip
 import importlib.util
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import setuptools
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import _example_files
+from rfpsurvey.catalog._packed import unpack
 
 ROOT = Path(__file__).parents[2]
 
@@ -39,8 +41,8 @@ def test_an_unknown_name_lists_the_examples():
 
 
 def test_a_missing_file_is_named(monkeypatch, tmp_path):
-    monkeypatch.setattr(_example_files, "_PLACES", ((tmp_path, ".bz2"),))
-    with pytest.raises(rs.InputError, match=r"must contain .*ecsv.bz2, but the file is missing: install rfpsurvey"):
+    monkeypatch.setattr(_example_files, "_PLACES", ((tmp_path, ".packed"),))
+    with pytest.raises(rs.InputError, match=r"must contain .*ecsv.packed, but the file is missing: install rfpsurvey"):
         rs.example_catalog()
 
 
@@ -76,7 +78,12 @@ def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
     folder = tmp_path / "rfpsurvey" / "catalog" / "examples"
     assert folder.exists() != editable
     if not editable:
-        monkeypatch.setattr(_example_files, "_PLACES", ((folder, ".bz2"),))
-        assert len(rs.example_catalog()) == 21_662
-        assert [path.name for path in folder.iterdir()] == ["tycho2_anticenter_r8.ecsv.bz2"]
-        assert (folder / "tycho2_anticenter_r8.ecsv.bz2").stat().st_size < 415_000
+        monkeypatch.setattr(_example_files, "_PLACES", ((folder, ".packed"),))
+        [path] = folder.iterdir()
+        assert path.name == "tycho2_anticenter_r8.ecsv.packed"
+        assert path.stat().st_size < 295_000
+        assert unpack(path.read_bytes()).encode() == gzip.decompress(tycho.read_bytes())
+        found, expected = rs.example_catalog(), rs.Catalog.read(tycho, keep=["bt_mag", "vt_mag"])
+        np.testing.assert_array_equal(found.arrays.vectors, expected.arrays.vectors)
+        assert {**found.meta, "file": ""} == {**expected.meta, "file": ""}
+        assert found.to_table().pformat() == expected.to_table().pformat()

@@ -87,7 +87,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
         (["--output", "{folder}/no/d.fits"], "does not exist"),
         (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),
         (["--resume"], "resume needs the path"),
-        (["--spread", 0.2], "--spread is the spread around an --instrument"),
+        (["--spread", 0.2], "--spread must be used with --instrument"),
         (["--instrument", "lamost", "--spread", 2], "spread must be a number above 0 and below 1, got 2"),
         (["--instrument", "lamst"], "unknown instrument 'lamst'"),
     ],

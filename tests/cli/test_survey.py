@@ -48,7 +48,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
-    assert lines["visits wanted"] == [str(sky.visits.sum())]
+    assert lines["visits requested"] == [str(sky.visits.sum())]
     assert lines["observed"] == [str(expected["n_visits_observed"])]
     assert lines["targets in no field"] == [str(expected["outcomes"]["in no field"])]
     assert f"model: {expected['model']}" in out.splitlines()
@@ -56,7 +56,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "not met" not in out  # no target was required
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {tmp_path / 'quality.svg'}" in out
-    assert "fraction of the visits wanted" in (tmp_path / "quality.svg").read_text()
+    assert "fraction of the requested visits" in (tmp_path / "quality.svg").read_text()
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")

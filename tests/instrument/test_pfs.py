@@ -227,7 +227,7 @@ DAMAGES = [
     (INTERFERENCE, lambda text: text[: len(text) // 2], "must have 2394 rows|line"),
     (INTERFERENCE, edit("theta_limit_2", "theta_2"), "must have the column 'theta_limit_2'"),
     (INTERFERENCE, edit(",141", ",wide"), "the column 'max_phi_angle' must hold numbers, got 'wide'"),
-    (INTERFERENCE, edit(",26.95,", ",,"), "all three limits or none, got some for cobra 7"),
+    (INTERFERENCE, edit(",26.95,", ",,"), "all three limits or none, got only some for cobra 7"),
     (INTERFERENCE, edit("5.34,26.95,141", "0.093,0.470,2.461"), "angles from 0 to 360 in degrees"),
     (INTERFERENCE, edit("\n9,", "\n8,"), "cobra_id must be unique"),
 ]

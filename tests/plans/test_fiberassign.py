@@ -205,7 +205,7 @@ def test_the_format_is_recognized(path, tmp_path):
 
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     plan = plans.read_plan(path)
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="without the other tables of its file"):
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="without the other tables of the file"):
         plans.write_plan(plan, tmp_path / "plan.ecsv")
     again = plans.read_plan(tmp_path / "plan.ecsv")
     assert_array_equal(plan["x"], again["x"])

@@ -172,7 +172,7 @@ def test_the_bars_of_a_survey_are_the_visits_of_each_class_and_pass(survey):
     assert labels == ["all", "qso", "lrg", "priority 3", "priority 2", "priority 1"]
     order = [0, 4, 5, 1, 2, 3]
     assert last["category"][order].tolist() == ["all", "qso", "lrg", "all", "all", "all"]
-    wanted, one, two = last["n_wanted"][order], first["n_observed"][order], last["n_observed"][order]
+    wanted, one, two = last["n_requested"][order], first["n_observed"][order], last["n_observed"][order]
     for label, expected in (("in pass 4", one), ("in pass 2", two - one), ("not observed", wanted - two)):
         np.testing.assert_allclose([bar.get_width() for bar in bars(ax, label)], expected / wanted, atol=1e-12)
     assert (two > one).all()

@@ -150,7 +150,7 @@ def test_focal_length_is_another_way_to_say_plate_scale():
         ({"plate_scale": 5 * u.mm}, "plate_scale must have a unit convertible to mm / rad, got mm"),
         ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one finite value above 0 mm / rad, got -5"),
         ({}, "needs plate_scale or distortion"),
-        ({"distortion": "no"}, "distortion must be a RadialMap or a dict"),
+        ({"distortion": "no"}, "distortion must be a RadialMap or a DistortionMap"),
         ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "is not that of the distortion"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": [5, 6] * u.deg}, "rotation must be one value, got the shape"),

@@ -187,7 +187,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     heads, rows = page.table("Positioners with the smallest clearances")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
-    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("The smallest")]
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("Positioners with the smallest")]
     assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
@@ -249,7 +249,7 @@ def test_a_survey_has_its_own_numbers(survey, plain_page):
     np.testing.assert_array_equal(
         [full(row[heads.index("n observed")]) for row in rows], survey.completeness["n_observed"]
     )
-    assert int(page.facts()["visits wanted"]) == survey.summary["n_visits_wanted"]
+    assert int(page.facts()["visits requested"]) == survey.summary["n_visits_requested"]
     assert page.facts()["model"] == survey.summary["model"]
     assert len(page.all("svg")) == 2
 
@@ -263,7 +263,7 @@ def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
         foot = {key for key in facts if "_" in key}
         assert not keys & (set(facts) - foot)
         assert float(facts["radius of a field in degrees"]) == pytest.approx(tiling.summary["radius_deg"], rel=1e-3)
-    assert int(facts["targets wanted"]) == tiling.summary["n_targets"]
+    assert int(facts["targets requested"]) == tiling.summary["n_targets"]
 
 
 def test_claims_have_verdicts_and_their_experiments(tmp_path):

@@ -67,7 +67,7 @@ def test_completeness_counts_what_the_visits_say(sky, small, order):
         seen = visits["target_row"][of_pass <= row["pass"]]
         times = np.bincount(seen, minlength=len(sky))
         assert row["n_targets"] == chosen.sum()
-        assert row["n_wanted"] == sky.visits[chosen].sum()
+        assert row["n_requested"] == sky.visits[chosen].sum()
         assert row["n_observed"] == times[chosen].sum()
         assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
         assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
@@ -129,4 +129,4 @@ def test_a_field_without_targets_has_no_completeness(sky, small):
     assert np.isnan(survey.tiles["completeness"][1])
     near = sky.coord.separation(CENTER) < small.field_radius
     table = survey.outcomes[near]
-    assert survey.tiles["completeness"][0] == pytest.approx(table["observed"].sum() / table["wanted"].sum())
+    assert survey.tiles["completeness"][0] == pytest.approx(table["observed"].sum() / table["requested"].sum())

@@ -240,7 +240,7 @@ def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path
     visits = survey.targets
     times = np.bincount(visits["target_row"][visits["observed"]], minlength=len(survey.outcomes))
     assert np.array_equal(times, survey.outcomes["observed"])
-    assert (times <= survey.outcomes["wanted"]).all()
+    assert (times <= survey.outcomes["requested"]).all()
 
 
 def test_blank_sky_is_resumed(case, tmp_path):

@@ -111,7 +111,7 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
         table = survey.visits(tile)
         found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
         assert set(found) == visits.get(k, set())
-    assert np.array_equal(survey.outcomes["wanted"] - survey.outcomes["observed"].astype(int), left)
+    assert np.array_equal(survey.outcomes["requested"] - survey.outcomes["observed"].astype(int), left)
     assert survey.summary["n_visits_observed"] == sky.visits.sum() - left.sum()
     assert survey.summary["n_colliding"] == (0 if allocator == "repair" else survey.targets["in_collision"].sum())
 
@@ -153,8 +153,8 @@ def test_visits_given_by_hand(sky, small):
     by_column = rs.plan_survey(sky, small, tiling)
     plain = rs.Catalog(sky.coord, priority=sky.priority)
     assert same(rs.plan_survey(plain, small, tiling, visits=sky.visits), by_column)
-    assert rs.plan_survey(plain, small, tiling).summary["n_visits_wanted"] == len(sky)
-    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_wanted"] == 2 * len(sky)
+    assert rs.plan_survey(plain, small, tiling).summary["n_visits_requested"] == len(sky)
+    assert rs.plan_survey(sky, small, tiling, visits=2).summary["n_visits_requested"] == 2 * len(sky)
 
 
 def test_standards_and_sky_are_never_used_up(small):
@@ -308,7 +308,7 @@ def test_order_and_passes(sky, small):
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
     given = rs.plan_survey(sky, small, tiling, order="given")
     left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
-    assert np.array_equal(given.outcomes["wanted"] - given.outcomes["observed"].astype(int), left)
+    assert np.array_equal(given.outcomes["requested"] - given.outcomes["observed"].astype(int), left)
 
 
 def test_drawing_allocators_draw_the_same_for_the_same_seed(sky, small):

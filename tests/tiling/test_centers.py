@@ -31,7 +31,7 @@ def test_declinations_hold(method, limits):
     assert tiling.table["dec"].min() >= (low - 1e-9) * DEG
     assert tiling.table["dec"].max() <= (high + 1e-9) * DEG
     assert tiling.summary["n_beyond_declination"] == beyond.sum()
-    assert tiling.summary["n_targets"] == tiling.summary["n_wanted"] == 300
+    assert tiling.summary["n_targets"] == tiling.summary["n_requested"] == 300
     assert tiling.summary["completeness"] == pytest.approx(tiling.summary["n_observed"] / 300)
     # the targets within reach of the strip are on tiles, except for narrow parts at its edge
     if method in ("hexagonal", "spiral"):

@@ -186,7 +186,7 @@ def test_visits_take_as_many_tiles(method):
         assert tiling.table["n_new"].tolist() == [30] * 3
         assert tiling.table["pass"].tolist() == [1, 2, 3]
     wanted = rs.Catalog(catalog.coord, visits=np.repeat([0, 1, 2], 10))
-    assert rs.place_tiles(wanted, radius=1 * DEG, fibers=30, method=method, **options).summary["n_wanted"] == 30
+    assert rs.place_tiles(wanted, radius=1 * DEG, fibers=30, method=method, **options).summary["n_requested"] == 30
 
 
 def test_priority_comes_first(method):

@@ -28,7 +28,7 @@ print(tiles)
 # Long arms that overlap collide often; "optimal" finds the best plan of each tile without collisions.
 survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=2026.5)
 print(survey)
-survey.completeness["pass", "priority", "n_wanted", "n_observed"][-4:].pprint(max_width=-1)
+survey.completeness["pass", "priority", "n_requested", "n_observed"][-4:].pprint(max_width=-1)
 
 survey.outcomes.write("sdssv_outcomes.ecsv", overwrite=True)  # how often each star was observed, or why it was not
 

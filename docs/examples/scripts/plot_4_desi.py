@@ -30,7 +30,7 @@ print(tiles)
 with ThreadPoolExecutor(2) as executor:
     survey = rs.plan_survey(targets, "desi", tiles, allocator="repair", executor=executor)
 print(survey)
-survey.completeness["pass", "category", "n_wanted", "n_observed"][-3:].pprint(max_width=-1)
+survey.completeness["pass", "category", "n_requested", "n_observed"][-3:].pprint(max_width=-1)
 survey.targets.write("desi_targets.fits", overwrite=True)  # a row for each fiber with a target
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(13, 5), layout="constrained")

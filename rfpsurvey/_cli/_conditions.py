@@ -1,0 +1,106 @@
+"""Observing conditions on the command line."""
+
+from pathlib import Path
+from typing import Annotated
+
+import astropy.units as u
+import typer
+from astropy.time import Time
+
+import rfpsurvey as rs
+from rfpsurvey.observing import SITES, location
+
+__all__ = [
+    "ConditionsOption",
+    "ExposureOption",
+    "HourAngleOption",
+    "ProjectionOption",
+    "SiteOption",
+    "TilesConditionsOption",
+    "TimeOption",
+    "WavelengthOption",
+    "conditions_of",
+]
+
+ConditionsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file with observing conditions: site, time or hour_angle, wavelength, guide_wavelength, pressure, "
+        "temperature, humidity, exposure_time, tolerance. The options below take precedence."
+    ),
+]
+TilesConditionsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file with observing conditions, as of rfpsurvey plan. A column hour_angle (hours) or time of the "
+        "tiles replaces its time or hour angle."
+    ),
+]
+SiteOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Site for refraction: apache point, kitt peak, las campanas, mauna kea, paranal, xinglong, or "
+        "LONGITUDE,LATITUDE,HEIGHT (deg, deg, m). By default, refraction is neglected."
+    ),
+]
+TimeOption = Annotated[str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00.")]
+HourAngleOption = Annotated[
+    float | None, typer.Option(help="Hour angle of the field center (hours), positive west, in place of --time.")
+]
+WavelengthOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Wavelength of the fibers (micrometers), or TYPE=WAVELENGTH for a fiber type, such as BOSS=0.54."
+    ),
+]
+ExposureOption = Annotated[float | None, typer.Option(help="Exposure time (s).")]
+ProjectionOption = Annotated[
+    str | None,
+    typer.Option(
+        help="tangent, radial, refraction, dispersion or full, or auto, which is the cheapest of them that suffices. "
+        "By default, full with observing conditions, and radial without them."
+    ),
+]
+
+
+def conditions_of(
+    path: Path | None,
+    site: str | None,
+    time: str | None,
+    hour_angle: float | None,
+    wavelength: list[str] | None,
+    exposure_time: float | None,
+) -> "rs.ObservingConditions | None":
+    """Return the conditions of a file with the changes of the options, or None without any of them."""
+    given = {}
+    if site is not None:
+        given["site"] = site if "," not in site else location(site.split(","))
+    if time is not None:
+        try:
+            given["time"] = Time(time, scale="utc")
+        except ValueError:
+            raise rs.InputError(f"--time must be a time such as 2026-07-01T06:30:00, got {time!r}") from None
+    if hour_angle is not None:
+        given["hour_angle"] = hour_angle * u.hourangle
+    if wavelength:
+        given["wavelength"] = _wavelengths(wavelength)
+    if exposure_time is not None:
+        given["exposure_time"] = exposure_time * u.s
+    if path is not None:
+        return rs.ObservingConditions.read(path, **given)
+    if not given:
+        return None
+    if "site" not in given:
+        raise rs.InputError(f"--site must be given for refraction: LONGITUDE,LATITUDE,HEIGHT or {', '.join(SITES)}")
+    return rs.ObservingConditions(**given)
+
+
+def _wavelengths(texts: list[str]):
+    """Return one wavelength, or one for each fiber type."""
+    try:
+        if len(texts) == 1 and "=" not in texts[0]:
+            return float(texts[0]) * u.um
+        pairs = [text.split("=") for text in texts]
+        return {kind: float(value) * u.um for kind, value in pairs}
+    except ValueError:
+        raise rs.InputError(f"--wavelength must be WAVELENGTH, or TYPE=WAVELENGTH, got {' '.join(texts)}") from None

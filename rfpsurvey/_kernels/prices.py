@@ -1,0 +1,191 @@
+"""Prices of cliques of candidates: an upper bound of the number of targets that is valid for all prices.
+
+A clique is a set of candidates of which a plan uses at most one. Each clique has a price of at least 0. The value of a
+candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest value of each
+positioner is an upper bound of the weight of a plan.
+"""
+
+import math
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+# Largest number of candidates from which a clique is extended.
+POOL = 4096
+
+
+@kernel
+def excludes(a, b, options):
+    """Return whether no plan uses both of two candidates."""
+    own, target, indptr, other = options.own, options.target, options.indptr, options.other
+    if own[a] == own[b] or (target[a] >= 0 and target[a] == target[b]):
+        return True
+    if indptr[a + 1] - indptr[a] > indptr[b + 1] - indptr[b]:
+        a, b = b, a
+    found = False
+    for k in range(indptr[a], indptr[a + 1]):
+        found |= other[k] == b
+    return found
+
+
+@kernel
+def collect(lo, hi, column, options, alive, pool):
+    """Write the candidates that exclude all members of a clique to ``pool``, and return their number."""
+    start, indptr, target = options.start, options.indptr, options.target
+    best = column[lo]
+    for k in range(lo + 1, hi):
+        if indptr[column[k] + 1] - indptr[column[k]] < indptr[best + 1] - indptr[best]:
+            best = column[k]
+    n = 0
+    for part in range(3):
+        if part == 0:
+            first, last = indptr[best], indptr[best + 1]
+        elif part == 1:
+            first, last = start[options.own[best]], start[options.own[best] + 1]
+        elif target[best] >= 0:
+            first, last = options.t_indptr[target[best]], options.t_indptr[target[best] + 1]
+        else:
+            first, last = 0, 0
+        for m in range(first, last):
+            c = m
+            if part == 0:
+                c = options.other[m]
+            elif part == 2:
+                c = options.t_candidate[m]
+            fits = alive[c]
+            k = lo
+            while fits and k < hi:
+                fits = column[k] != c and excludes(c, column[k], options)
+                k += 1
+            for k in range(n):
+                fits &= pool[k] != c
+            if fits and n < pool.size:
+                pool[n] = c
+                n += 1
+    return n
+
+
+@kernel
+def extend_cliques(indptr, column, first, options, alive, row_start, out):
+    """Extend cliques, beginning with clique ``first``, until no candidate can be added to any of them.
+
+    Members are sorted. Returns the index of the first clique for which there was no space in ``out``.
+    """
+    pool = np.empty(POOL, np.int64)
+    m = row_start[first]
+    for r in range(first, indptr.size - 1):
+        lo, hi = indptr[r], indptr[r + 1]
+        n = collect(lo, hi, column, options, alive, pool)
+        if m + hi - lo + n > out.size:
+            return r
+        begin = m
+        for k in range(lo, hi):
+            out[m] = column[k]
+            m += 1
+        while n > 0:
+            best, most = 0, -1
+            for i in range(n):
+                degree = 0
+                for j in range(n):
+                    degree += j != i and excludes(pool[i], pool[j], options)
+                if degree > most:
+                    best, most = i, degree
+            c = pool[best]
+            out[m] = c
+            m += 1
+            kept = 0
+            for j in range(n):
+                if j != best and excludes(c, pool[j], options):
+                    pool[kept] = pool[j]
+                    kept += 1
+            n = kept
+        out[begin:m].sort()
+        row_start[r + 1] = m
+    return indptr.size - 1
+
+
+@kernel
+def mark_repeated(order, row_start, column, repeated):
+    """Mark cliques that are equal to an earlier clique; equal cliques must be successive in ``order``."""
+    for k in range(1, order.size):
+        a, b = order[k - 1], order[k]
+        n = row_start[a + 1] - row_start[a]
+        same = n == row_start[b + 1] - row_start[b]
+        m = 0
+        while same and m < n:
+            same = column[row_start[a] + m] == column[row_start[b] + m]
+            m += 1
+        repeated[b] = same
+
+
+@kernel
+def bound_of(start, value, price):
+    """Return the upper bound that follows from the prices and the values of the candidates."""
+    total = price.sum()
+    for i in range(start.size - 1):
+        best = -np.inf
+        for c in range(start[i], start[i + 1]):
+            best = max(best, value[c])
+        total += best
+    return total
+
+
+@kernel
+def adjust_prices(start, own, row_start, column, value, price, width, begin, end, step):
+    """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
+
+    The maximum over the candidates of a positioner is replaced by a smooth maximum of the given width. The price of a
+    clique then minimizes the smooth bound: the weights of its members sum to 1, or the price is 0.
+    """
+    odds = np.empty(256)
+    for r in range(begin, end, step):
+        k, last = row_start[r], row_start[r + 1]
+        if last - k > odds.size:
+            odds = np.empty(last - k)
+        n, total = 0, 0.0
+        while k < last:
+            i = own[column[k]]
+            best = -np.inf
+            for c in range(start[i], start[i + 1]):
+                best = max(best, value[c])
+            inside = outside = 0.0
+            for c in range(start[i], start[i + 1]):
+                weight = math.exp((value[c] - best) / width)
+                if k < last and column[k] == c:
+                    inside += weight
+                    k += 1
+                else:
+                    outside += weight
+            odds[n] = min(inside / max(outside, 1e-300), 1e12)
+            total += odds[n] / (1.0 + odds[n])
+            n += 1
+        if total <= 1.0 and price[r] == 0.0:
+            continue
+        # Newton's method with bisection; x is minus the change of the price in units of the width.
+        low, high = -700.0, min(price[r] / width, 700.0)
+        factor, total = math.exp(high), 0.0
+        for m in range(n):
+            total += odds[m] * factor / (1.0 + odds[m] * factor)
+        x = high if total <= 1.0 else 0.0  # at the upper end, the price is 0
+        for _ in range(20):
+            if total <= 1.0:
+                break
+            factor, excess, slope = math.exp(x), -1.0, 0.0
+            for m in range(n):
+                a = odds[m] * factor
+                excess += a / (1.0 + a)
+                slope += a / ((1.0 + a) * (1.0 + a))
+            if abs(excess) < 1e-6:
+                break
+            if excess > 0.0:
+                high = x
+            else:
+                low = x
+            x -= excess / max(slope, 1e-12)
+            if x <= low or x >= high:
+                x = 0.5 * (low + high)
+        new = max(price[r] - x * width, 0.0)
+        for k in range(row_start[r], last):
+            value[column[k]] += price[r] - new
+        price[r] = new

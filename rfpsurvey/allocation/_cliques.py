@@ -1,0 +1,122 @@
+"""Cover the collisions of candidates with cliques, of which a plan uses at most one candidate."""
+
+import numpy as np
+
+from rfpsurvey._kernels import conflicts, prices
+from rfpsurvey.allocation._clock import OutOfTimeError, left
+
+__all__ = ["cover_by_pairs", "extend"]
+
+# Number of collisions that are processed before the clock is read again, and number of cliques that are extended.
+BATCH, N_EXTENDED = 200_000, 4096
+
+
+def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
+    """Return cliques of the candidates ``rows`` that cover the collisions and the shared targets of two positioners.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    rows : ndarray of int, shape (n,)
+        Candidates.
+    edges : ndarray of int, shape (2, m)
+        Collisions between candidates of ``rows``.
+    deadline : float, optional
+        Time of `time.perf_counter` at which `OutOfTimeError` is raised.
+
+    Returns
+    -------
+    indptr, column : ndarray of int
+        The cliques, as compressed rows.
+    """
+    if edges.shape[1] == 0:
+        return np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)
+    edges = np.concatenate([edges, _twins(options, rows)], axis=1)
+    own = options.own[edges]
+    edges = np.where(own[0] < own[1], edges, edges[::-1])
+    own = np.sort(own, axis=0)
+    order = np.lexsort((edges[1], edges[0], own[1], own[0]))
+    edges, own = edges[:, order], own[:, order]
+    new = np.append(True, (np.diff(own, axis=1) != 0).any(axis=0))
+    starts = np.append(np.flatnonzero(new), edges.shape[1])
+    edges = np.ascontiguousarray(edges)
+    sizes, columns, begin = [np.zeros(1, dtype=np.int64)], [], 0
+    while begin < len(starts) - 1:
+        if left(deadline) == 0:
+            raise OutOfTimeError
+        end = max(int(np.searchsorted(starts, starts[begin] + BATCH, side="right")) - 1, begin + 1)
+        part, some = starts[begin : end + 1], np.zeros(starts[end] - starts[begin] + 1, dtype=np.int64)
+        n = conflicts.clique_rows(edges, len(part) - 1, part, some, np.empty(0, dtype=np.int64))
+        column = np.empty(some[n], dtype=np.int64)
+        conflicts.clique_rows(edges, len(part) - 1, part, some, column)
+        sizes.append(np.diff(some[: n + 1]))
+        columns.append(column)
+        begin = end
+    return np.cumsum(np.concatenate(sizes)), np.concatenate(columns)
+
+
+def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, alive: np.ndarray, deadline: float):
+    """Return maximal cliques that contain the given cliques, without repetition; cliques are extended until a deadline.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    indptr, column : ndarray of int
+        Cliques, as compressed rows.
+    alive : ndarray of bool, shape (n_candidates,)
+        Candidates that may be added.
+    deadline : float
+        Time of `time.perf_counter` after which the remaining cliques are not extended.
+
+    Returns
+    -------
+    indptr, column : ndarray of int
+        The cliques, as compressed rows; each row is sorted.
+    """
+    n = len(indptr) - 1
+    sizes, columns, first = [], [], 0
+    room = np.empty(max(4 * N_EXTENDED, int(np.diff(indptr).max(initial=0)) + prices.POOL), dtype=np.int64)
+    while first < n and left(deadline) > 0:
+        end = min(first + N_EXTENDED, n)
+        part, row_start = indptr[first : end + 1], np.zeros(end - first + 1, dtype=np.int64)
+        done = int(prices.extend_cliques(part, column, 0, options, alive, row_start, room))
+        sizes.append(np.diff(row_start[: done + 1]))
+        columns.append(room[: row_start[done]].copy())
+        first += done
+    # The members of the remaining cliques are sorted, but no members are added.
+    rest = column[indptr[first] :]
+    row = np.repeat(np.arange(n - first), np.diff(indptr[first:]))
+    columns.append(rest[np.lexsort((rest, row))])
+    sizes.append(np.diff(indptr[first:]))
+    size, column = np.concatenate(sizes), np.concatenate(columns)
+    indptr = np.concatenate([[0], np.cumsum(size)])
+    code = np.add.reduceat(_scramble(column), indptr[:-1]) if n else np.empty(0)
+    order, repeated = np.lexsort((code, size)), np.zeros(n, dtype=bool)
+    prices.mark_repeated(order, indptr, column, repeated)
+    keep = np.repeat(~repeated, size)
+    return np.concatenate([[0], np.cumsum(size[~repeated])]), column[keep]
+
+
+def _scramble(values):
+    """Return whole numbers that look random, such that the sums of different sets are usually different."""
+    mixed = (values.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= mixed >> np.uint64(31)
+    mixed *= np.uint64(0xBF58476D1CE4E5B9)
+    return mixed ^ (mixed >> np.uint64(29))
+
+
+def _twins(options, rows):
+    """Return the pairs of candidates that have the same target but different positioners."""
+    rows = rows[np.argsort(options.target[rows], kind="stable")]
+    rows = rows[options.target[rows] >= 0]
+    found, step = [np.empty((2, 0), dtype=np.int64)], 1
+    while True:
+        pair = np.array([rows[:-step], rows[step:]])
+        same = options.target[pair[0]] == options.target[pair[1]]
+        if not same.any():
+            return np.concatenate(found, axis=1)
+        apart = options.own[pair[0]] != options.own[pair[1]]
+        found.append(pair[:, same & apart])
+        step += 1

@@ -1,0 +1,222 @@
+"""Plans and upper bounds for many positioners: integer programs for clusters of neighboring positioners."""
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from rfpsurvey._kernels import prices as kernels
+from rfpsurvey._kernels import repair as moves
+from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._clock import OutOfTimeError, left, share
+from rfpsurvey.allocation._lexicographic import pursue
+from rfpsurvey.allocation._local_search import stand
+from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._prices import Prices
+from rfpsurvey.allocation._solver import maximize
+
+__all__ = ["bound_by_clusters", "improve_by_clusters"]
+
+# Number of variables of the program of a cluster: at first, at least, and at most.
+SIZE, SMALLEST, LARGEST = 2000, 100, 8000
+# Relative error of the programs for bounds.
+GAP = 2e-4
+# Fraction of the remaining time that the program of one cluster may take.
+FOR_ONE = 0.25
+# Successive partitions are rotated by this angle, the golden angle, in radians.
+ANGLE = 2.399963
+
+
+def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarray, deadline: float):
+    """Return an upper bound of the weight of a plan, and a plan whose clusters may collide with each other.
+
+    The cliques with members in several clusters are replaced by their prices, and each cluster is solved as an integer
+    program. If a program is not solved before the deadline, the bound from the prices is used for its cluster.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        The candidates.
+    prices : Prices
+        Prices of the cliques of these candidates.
+    weights : ndarray of float, shape (n_candidates,)
+        Weight of each candidate.
+    deadline : float
+        Time of `time.perf_counter` at which the search ends.
+
+    Returns
+    -------
+    bound : float
+        Upper bound.
+    chosen : ndarray of int, shape (n_positioners,)
+        Candidate of each positioner, or -1 if its cluster was not solved.
+    """
+    options = candidates.options
+    n = len(options.start) - 1
+    chosen = np.where(np.diff(options.start) == 1, options.start[:-1], -1)
+    label = _partition(candidates, np.arange(n), LARGEST, 0.0)
+    of_candidate = label[options.own]
+    row = np.repeat(np.arange(len(prices.price)), np.diff(prices.indptr))
+    cluster = of_candidate[prices.column]
+    low, high = np.full(len(prices.price), len(label)), np.full(len(prices.price), -1)
+    np.minimum.at(low, row, cluster)
+    np.maximum.at(high, row, cluster)
+    cross = low != high
+    total = float(prices.price[cross].sum())
+    value = weights - prices.matrix.T @ np.where(cross, prices.price, 0.0)
+    reduced = prices.values(weights)
+    # The candidates of one cluster, and its cliques with at least two members in it, are found by sorting.
+    order = np.argsort(of_candidate, kind="stable")
+    ends = np.searchsorted(of_candidate[order], np.arange(label.max(initial=-1) + 2))
+    by_column = prices.matrix.tocsc()
+    inner = np.bincount(low[~cross], weights=prices.price[~cross], minlength=len(ends))
+    for k in range(len(ends) - 1):
+        rows = order[ends[k] : ends[k + 1]]
+        own = np.unique(options.own[rows])
+        start = np.searchsorted(options.own[rows], np.append(own, n))
+        fallback = float(inner[k]) + float(kernels.bound_of(start, reduced[rows], np.zeros(0)))
+        bound, x = _solve_cluster(by_column, rows, start, value[rows], deadline)
+        total += min(bound, fallback)
+        if x is not None:
+            used = rows[x > 0.5]
+            chosen[options.own[used]] = used
+    return total + 1e-9 * (n + float(prices.price.sum())), chosen
+
+
+def _solve_cluster(matrix, rows, start, value, deadline):
+    """Return the upper bound and the variables of the program of one cluster."""
+    if left(deadline) == 0:
+        return np.inf, None
+    size = np.diff(start)
+    part = csr_array(matrix[:, rows])
+    part = part[np.flatnonzero(np.diff(part.indptr) > 1)]
+    m = len(size)
+    single = csr_array(
+        (np.ones(len(rows)), (np.repeat(np.arange(m), size), np.arange(len(rows)))), shape=(m, len(rows))
+    )
+    high = np.ones(m + part.shape[0])
+    low = np.append(np.ones(m), np.full(part.shape[0], -np.inf))
+    both = vstack([single, part], format="csr")
+    limit = share(deadline, FOR_ONE)
+    x, bound = maximize((both, low, high), value, np.ones(len(rows)), limit, integral=True, gap=GAP, presolve=True)
+    return bound, x
+
+
+def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None) -> np.ndarray:
+    """Return a plan, improved by integer programs for clusters of positioners while all other arms remain in place.
+
+    The positioners are divided into clusters several times, each time along other lines. The search ends at the
+    deadline, when ``is_best(chosen)`` is true, or when programs of the largest size change nothing.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        The candidates.
+    chosen : ndarray of int, shape (n_positioners,)
+        Candidate of each positioner in a plan without collisions.
+    deadline : float
+        Time of `time.perf_counter` at which the search ends.
+    is_best : callable, optional
+        Whether a plan is known to be optimal.
+
+    Returns
+    -------
+    ndarray of int, shape (n_positioners,)
+        Candidate of each positioner.
+    """
+    options = candidates.options
+    now, blocked, holder = stand(candidates, chosen)
+    open_ones = np.flatnonzero(np.diff(options.start) > 1)
+    best_rank = np.minimum.reduceat(options.rank, options.start[:-1]) if len(now) else options.rank
+    size, quiet, turn = SIZE, 0, 0
+    while len(open_ones) and left(deadline) > 0 and not (is_best is not None and is_best(now)):
+        label = _partition(candidates, open_ones, size, turn * ANGLE)
+        turn += 1
+        improved, in_time = False, True
+        order = np.argsort(label[open_ones], kind="stable")
+        for members in np.split(open_ones[order], np.flatnonzero(np.diff(label[open_ones][order])) + 1):
+            at_best = (options.rank[now[members]] == best_rank[members]).all()
+            if at_best and not candidates.problem.groups:
+                continue
+            if left(deadline) == 0:
+                break
+            better, solved = _improve_cluster(candidates, members, now, blocked, holder, deadline)
+            improved |= better
+            in_time &= solved
+        if not in_time:
+            size = max(size // 2, SMALLEST)
+        elif improved:
+            quiet = 0
+        elif (quiet := quiet + 1) > 1:
+            if size >= LARGEST or size >= len(options.own):
+                break
+            size, quiet = 2 * size, 0
+        if not in_time and size == SMALLEST and not improved and (quiet := quiet + 1) > 2:
+            break
+    return now
+
+
+def _improve_cluster(candidates, members, now, blocked, holder, deadline):
+    """Solve one cluster in place; return whether its plan is better, and whether the program was solved in time."""
+    options, problem = candidates.options, candidates.problem
+    before = now[members].copy()
+    size = options.start[members + 1] - options.start[members]
+    begin = np.cumsum(size) - size
+    rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
+    for i in members:
+        moves.put(i, -1, options, now, blocked, holder)
+    target = options.target[rows]
+    rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
+    found = None
+    limit = share(deadline, FOR_ONE)
+    try:
+        others = now[now >= 0] if problem.groups else np.empty(0, dtype=np.int64)
+        program = Program(candidates, rows, others, _edges_within(options, rows), limit)
+        found = pursue(program, before, limit, None, integral=True, squared_cost=False)
+    except OutOfTimeError:
+        pass
+    better = False
+    after = before
+    if found is not None and found.chosen is not None and len(found.chosen) == len(members):
+        x = program.variables(before)
+        better = not program.holds(x) or tuple(found.values) > tuple(program.reaches(x))
+        after = found.chosen
+    for c in after:
+        moves.put(options.own[c], c, options, now, blocked, holder)
+    return better, found is not None and bool((found.values >= found.bounds).all())
+
+
+def _edges_within(options, rows):
+    """Return the collisions between some candidates, shape (2, m)."""
+    size = options.indptr[rows + 1] - options.indptr[rows]
+    begin = np.cumsum(size) - size
+    first = np.repeat(rows, size)
+    second = options.other[np.repeat(options.indptr[rows] - begin, size) + np.arange(size.sum())]
+    sorted_rows = np.sort(rows)
+    place = np.minimum(np.searchsorted(sorted_rows, second), len(rows) - 1)
+    keep = (sorted_rows[place] == second) & (first < second) if len(rows) else np.zeros(0, dtype=bool)
+    return np.array([first[keep], second[keep]])
+
+
+def _partition(candidates, members, size, angle):
+    """Divide positioners into clusters of about ``size`` candidates, and return the cluster of each positioner.
+
+    The clusters are rectangles in a coordinate system that is rotated by ``angle``. Positioners that are not members
+    receive -1.
+    """
+    options = candidates.options
+    xy = candidates.problem.focal_plane.arrays.xy[members]
+    load = np.diff(options.start)[members]
+    n_strips = max(round(np.sqrt(load.sum() / size)), 1)
+    u, v = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ xy.T
+    order = np.lexsort((v, u))
+    before = np.cumsum(load[order]) - load[order]
+    strip = np.empty(len(members), dtype=np.int64)
+    strip[order] = before * n_strips // max(load.sum(), 1)
+    order = np.lexsort((v, strip))
+    before = np.cumsum(load[order]) - load[order]
+    first = before[np.searchsorted(strip[order], np.arange(n_strips))]
+    in_strip = np.bincount(strip, weights=load, minlength=n_strips)
+    n_cells = np.maximum(np.round(in_strip / size), 1).astype(np.int64)
+    cell = ((before - first[strip[order]]) * n_cells[strip[order]] // np.maximum(in_strip[strip[order]], 1)).astype(int)
+    label = np.full(len(options.start) - 1, -1)
+    label[members[order]] = (np.cumsum(n_cells) - n_cells)[strip[order]] + cell
+    return label

@@ -1,0 +1,102 @@
+"""Run HiGHS such that the caller regains control at the deadline, or if the user interrupts it."""
+
+import threading
+from time import perf_counter
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from rfpsurvey.allocation._clock import left, stop
+
+__all__ = ["maximize"]
+
+# Interval in seconds at which the caller looks for an interrupt while HiGHS runs in a different thread.
+INTERVAL = 0.1
+# HiGHS stops at its own time limit in most steps. If it has not returned this many seconds later, it is abandoned.
+GRACE = 0.1
+# The bound of a program with integer variables is increased by this fraction, because HiGHS computes it with rounding
+# errors.
+ROUNDING = 1e-6
+
+
+def maximize(
+    rows: tuple, goal: np.ndarray, most: np.ndarray, deadline: float, *, integral: bool, gap: float, presolve: bool
+):
+    """Return the variables that maximize a goal, and an upper bound of the goal.
+
+    The variables are None if no solution is found before the deadline.
+
+    Parameters
+    ----------
+    rows : tuple
+        Matrix of the constraints, and their lower and upper bounds.
+    goal, most : ndarray of float, shape (n,)
+        Coefficient and upper bound of each variable; the lower bound is 0.
+    deadline : float
+        Time of `time.perf_counter` at which the search ends.
+    integral : bool
+        Whether the variables must be whole numbers.
+    gap : float
+        Allowed relative error.
+    presolve : bool
+        Whether HiGHS may simplify the program first.
+    """
+    if left(deadline) == 0:
+        return None, np.inf
+    solver = _solver(rows, goal, most, integral=integral)
+    solver.setOptionValue("time_limit", min(left(deadline), 1e9))
+    solver.setOptionValue("mip_rel_gap", gap)
+    solver.setOptionValue("presolve", "on" if presolve else "off")
+    if not _run(solver, deadline):
+        return None, np.inf
+    info = solver.getInfo()
+    has_solution = info.primal_solution_status == 2
+    x = np.array(solver.getSolution().col_value) if has_solution else None
+    if not integral:
+        from highspy import HighsModelStatus
+
+        done = solver.getModelStatus() == HighsModelStatus.kOptimal
+        return (x, -info.objective_function_value) if done else (None, np.inf)
+    bound = -info.mip_dual_bound
+    return None if x is None else np.round(x), bound if np.isfinite(bound) else np.inf
+
+
+def _solver(rows, goal, most, *, integral):
+    """Return the solver with its program."""
+    import highspy
+
+    matrix, low, high = rows
+    matrix = csr_array(matrix)
+    program = highspy.HighsLp()
+    program.num_col_, program.num_row_ = len(goal), matrix.shape[0]
+    program.col_cost_, program.col_lower_, program.col_upper_ = -goal, np.zeros(len(goal)), most
+    program.row_lower_, program.row_upper_ = low, high
+    program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    program.a_matrix_.num_col_, program.a_matrix_.num_row_ = len(goal), matrix.shape[0]
+    # HiGHS only accepts 32-bit indices.
+    program.a_matrix_.start_ = matrix.indptr.astype(np.int32)
+    program.a_matrix_.index_ = matrix.indices.astype(np.int32)
+    program.a_matrix_.value_ = matrix.data
+    if integral:
+        program.integrality_ = [highspy.HighsVarType.kInteger] * len(goal)
+    solver = highspy.Highs()
+    solver.setOptionValue("output_flag", False)
+    solver.passModel(program)
+    return solver
+
+
+def _run(solver, deadline: float) -> bool:
+    """Run the solver in a thread, and return whether it ended in time."""
+    thread = threading.Thread(target=solver.run, daemon=True, name="HiGHS")
+    solver.HandleUserInterrupt = True
+    thread.start()
+    try:
+        while thread.is_alive():
+            seconds = deadline + GRACE - perf_counter()
+            if seconds <= 0 or stop.is_set():
+                return False
+            thread.join(min(seconds, INTERVAL))
+        return True
+    finally:
+        if thread.is_alive():
+            solver.cancelSolve()

@@ -1,0 +1,232 @@
+"""Comparison of models of the projection of an instrument: the cheapest one that suffices."""
+
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+from rfpsurvey._units import to_center, to_scalar, to_unit
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
+from rfpsurvey.instrument._instrument import Instrument, as_instrument
+from rfpsurvey.observing import (
+    MODELS,
+    ObservedField,
+    ObservingConditions,
+    as_hour_angle,
+    displacements,
+    drifts,
+    field_of_model,
+    model_of,
+)
+from rfpsurvey.projection import FieldProjection, TangentPlane
+
+__all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
+
+# Fraction of the fiber's diameter that is the default tolerance.
+FRACTION = 0.1
+# Numbers of fibers for which displacements are computed: at all distances from the field center, and at the edge.
+N_FIBERS, N_EDGE = 240, 60
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectionComparison:
+    """How far targets move on the focal plane if a model of the projection neglects an effect.
+
+    Parameters
+    ----------
+    table : QTable
+        Table with a row for each model, from the cheapest to the fullest. Columns: ``model``, ``neglects`` (the effect
+        of the next model), ``median``, ``p95`` and ``max`` (displacements of targets relative to the full model on the
+        focal plane), ``max_on_sky`` (the largest one as an angle), and ``sufficient`` (whether ``max`` is at most the
+        tolerance).
+    tolerance : Quantity or None
+        Largest displacement that is negligible; None if it is unknown.
+    drift : Quantity
+        Largest distance of a target from its mean position during the exposure, which no model can remove.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> conditions = rs.ObservingConditions("kitt peak", hour_angle=3 * u.hourangle)
+    >>> rs.compare_projections("desi", "10h +32d", conditions).sufficient
+    'refraction'
+    """
+
+    table: QTable
+    tolerance: u.Quantity | None
+    drift: u.Quantity
+
+    @property
+    def sufficient(self) -> str | None:
+        """Name of the cheapest model that suffices; None if the tolerance is unknown."""
+        if self.tolerance is None:
+            return None
+        return str(self.table["model"][np.flatnonzero(self.table["sufficient"])[0]])
+
+    def __str__(self):
+        """Return a sentence on the displacements and the sufficient model."""
+        radial = self.table[list(MODELS).index("radial")]
+        moved = f"refraction and dispersion move targets by up to {radial['max']:.3g} ({radial['max_on_sky']:.2g})"
+        if self.drift > 0 * u.mm:
+            moved += f", and by up to {self.drift:.2g} during the exposure"
+        if self.tolerance is None:
+            return f"{moved}; the tolerance is unknown"
+        return f"{moved}; the cheapest model within the tolerance of {self.tolerance:.3g} is {self.sufficient}"
+
+    @property
+    def record(self) -> dict:
+        """The result as plain numbers and text, for the records of results."""
+        return {
+            "sufficient": self.sufficient,
+            "sentence": str(self),
+            "tolerance_mm": None if self.tolerance is None else self.tolerance.to_value(u.mm),
+            "drift_mm": round(float(self.drift.to_value(u.mm)), 6),
+            "displacement_mm": {
+                str(row["model"]): {
+                    name: round(float(row[name].to_value(u.mm)), 6) for name in ("median", "p95", "max")
+                }
+                for row in self.table
+            },
+        }
+
+
+@check_keywords
+def compare_projections(
+    instrument: Instrument | str,
+    center: SkyCoord | str,
+    conditions: ObservingConditions,
+    *,
+    position_angle: u.Quantity = 0 * u.deg,
+    hour_angles: u.Quantity | None = None,
+    tolerance: u.Quantity | None = None,
+) -> ProjectionComparison:
+    """Compare models of the projection of a field, and name the cheapest one that suffices.
+
+    The models are, from the cheapest to the fullest, ``tangent`` (tangent plane), ``radial`` (radial map),
+    ``refraction`` (also refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (also the
+    wavelength of each fiber type) and ``full`` (also the mean over the exposure). A model suffices if no target moves
+    by more than the tolerance between this model and the full one.
+
+    Parameters
+    ----------
+    instrument : Instrument or str
+        Instrument, name of a preset, or path of a TOML file.
+    center : SkyCoord or str
+        Field center.
+    conditions : ObservingConditions
+        The conditions.
+    position_angle : Quantity, optional
+        Position angle of +y, from north toward east.
+    hour_angles : Quantity, optional
+        Hour angles of the field center, in place of the time or hour angle of the conditions. The result is the largest
+        displacement at any of them.
+    tolerance : Quantity, optional
+        Largest displacement that is negligible. By default, the tolerance of the conditions, or a tenth of the diameter
+        of the instrument's fibers.
+
+    Returns
+    -------
+    ProjectionComparison
+        Table of the models, with the name of the sufficient one.
+
+    Raises
+    ------
+    InputError
+        If the field is not above the horizon, or a value is not valid.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> conditions = rs.ObservingConditions("xinglong", hour_angle=0 * u.deg)
+    >>> result = rs.compare_projections("lamost", "6h20m +23d", conditions, hour_angles=[-2, 0, 2] * u.hourangle)
+    >>> result.sufficient
+    'refraction'
+    """
+    instrument = as_instrument(instrument)
+    _check_conditions(conditions)
+    if tolerance is not None:
+        to_scalar(tolerance, u.mm, "tolerance", low=0)
+    plane = instrument.projection(to_center(center), position_angle)
+    cases = [conditions]
+    if hour_angles is not None:
+        angles = to_unit(as_hour_angle(hour_angles), u.deg, "hour_angles")
+        if angles.size == 0 or angles.ndim > 1:
+            raise InputError(f"hour_angles must be at least one angle, shape (n,), got the shape {angles.shape}")
+        cases = [conditions.at_hour_angle(angle * u.deg) for angle in np.atleast_1d(angles)]
+    return _compare(instrument, plane, cases, tolerance)
+
+
+def choose_projection(
+    instrument: Instrument, plane: TangentPlane, conditions: ObservingConditions | None, model: str | None
+) -> tuple[FieldProjection | ObservedField, dict]:
+    """Return the projection of a field by a model, and a record of the model and of what others neglect.
+
+    The model ``auto`` is the cheapest one that suffices.
+    """
+    if conditions is not None:
+        _check_conditions(conditions)
+    compared = None if conditions is None else _compare(instrument, plane, [conditions])
+    if model == "auto":
+        if compared is None:
+            model = "radial"
+        elif compared.sufficient is None:
+            raise InputError(
+                "the projection 'auto' must have a tolerance, but the diameter of the instrument's fibers is unknown; "
+                "give the tolerance of the conditions"
+            )
+        else:
+            model = compared.sufficient
+    model = model_of(model, conditions)
+    record = {"model": model, **({} if compared is None else compared.record)}
+    return field_of_model(model, *_field(instrument, plane, conditions)), record
+
+
+def _check_conditions(conditions):
+    if not isinstance(conditions, ObservingConditions):
+        raise InputTypeError(f"conditions must be ObservingConditions, got {short(conditions)}")
+
+
+def _field(instrument, plane, conditions):
+    """Return the parameters of `field_of_model` after the model."""
+    focal_length, radius = plane.plate_scale.to_value(u.mm / u.rad), instrument.field_radius.to_value(u.rad)
+    return plane.plain.basis, focal_length, instrument.distortion, conditions, radius
+
+
+def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
+    """Compare the models under one or several conditions."""
+    if tolerance is None:
+        tolerance = cases[0].tolerance
+    entry = instrument.values.get("optics.fiber_diameter")
+    if tolerance is None and entry is not None:
+        tolerance = FRACTION * entry["value"] * u.Unit(entry["unit"])
+    xy = instrument.focal_plane.arrays.xy
+    order = np.argsort(np.hypot(*xy.T), kind="stable")
+    spread = np.linspace(0, len(xy) - 1, N_FIBERS).round().astype(int)
+    rows = order[np.append(np.unique(spread), np.arange(len(xy))[-N_EDGE:])]
+    n_spread = len(rows) - len(xy[-N_EDGE:])
+    kinds = instrument.focal_plane.fiber_types if _by_type(instrument, cases[0]) else [None]
+    found = [displacements(xy[rows], kinds, *_field(instrument, plane, case)) for case in cases]
+    moved = {name: np.concatenate([one[name].reshape(-1, len(rows)) for one in found]) * u.mm for name in MODELS}
+    drift = max(drifts(xy[rows], kinds, *_field(instrument, plane, case)).max() for case in cases) * u.mm
+    largest = u.Quantity([np.max(values) for values in moved.values()])
+    table = QTable(
+        {
+            "model": list(MODELS),
+            "neglects": ["radial map", "refraction", "dispersion", "change during the exposure", ""],
+            "median": u.Quantity([np.median(values[:, :n_spread]) for values in moved.values()]),
+            "p95": u.Quantity([np.percentile(values[:, :n_spread], 95) for values in moved.values()]),
+            "max": largest,
+            "max_on_sky": (largest / instrument.plate_scale).to(u.arcsec),
+            "sufficient": np.zeros(len(MODELS), dtype=bool) if tolerance is None else largest <= tolerance,
+        }
+    )
+    return ProjectionComparison(table, tolerance, drift)
+
+
+def _by_type(instrument, conditions) -> bool:
+    """Return whether the positions on the focal plane depend on the fiber type."""
+    return isinstance(instrument.distortion, dict) or isinstance(conditions.wavelength, dict)

@@ -1,0 +1,310 @@
+"""Maps between the tangent plane and the focal plane without radial symmetry, as of a dispersion compensator."""
+
+import os
+from dataclasses import dataclass, field, replace
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._io import to_path
+from rfpsurvey._readers import read_table
+from rfpsurvey._units import to_mm, to_scalar, to_unit
+from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
+
+__all__ = ["DistortionMap"]
+
+COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
+# Directions slightly outside of the traced ones are extrapolated.
+MARGIN = 1.04
+MOST_STEPS, N_AZIMUTHS = 30, 72
+
+
+@check_keywords
+@dataclass(frozen=True, eq=False)
+class DistortionMap:
+    """Positions on the focal plane as polynomials in the tangent plane, for a setting of a dispersion compensator.
+
+    The compensator consists of two prisms that rotate about the optical axis. With their angles a1 and a2, the
+    half difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 its
+    orientation. The coefficients of the polynomials are Fourier series in s. The system is symmetric about the plane
+    y = 0: if s and y change their signs, so does the position along y. The image of the field center is at (0, 0) at
+    every setting, because guiding removes a common shift.
+
+    Parameters
+    ----------
+    coefficients : sequence of float
+        Coefficients in mm: first those along x, then those along y, for the terms that the symmetry allows.
+    degree : int
+        Degree of the polynomials.
+    harmonics : int
+        Order of the Fourier series.
+    max_angle : Quantity
+        Largest field angle for which the map is valid.
+    adc : Quantity, shape (2,), optional
+        Angles a1 and a2 of the two prisms.
+    mirrored : bool, optional
+        Whether x of the polynomials is reversed, because +x is west in the tables of DESI.
+    residuals : QTable, optional
+        Residuals of the fit by setting: ``adc1``, ``adc2``, ``n``, ``rms``, ``max``.
+
+    Raises
+    ------
+    InputError
+        If the number of coefficients does not agree with degree and harmonics, or a value is not valid.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from dataclasses import replace
+    >>> import rfpsurvey as rs
+    >>> trace = rs.DistortionMap.from_ray_trace("raytrace-tan2fp-4957-v18.csv.gz")  # doctest: +SKIP
+    >>> trace.residuals["max"].max()  # doctest: +SKIP
+    <Quantity 0.00141 mm>
+    >>> desi = rs.Instrument.preset("desi")
+    >>> desi = replace(desi, plate_scale=None, distortion=trace.at([-30, 30] * u.deg))  # doctest: +SKIP
+    """
+
+    coefficients: tuple[float, ...]
+    degree: int
+    harmonics: int
+    max_angle: u.Quantity
+    adc: u.Quantity = field(default=(0.0, 0.0) * u.deg)
+    mirrored: bool = True
+    residuals: QTable | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        check_whole(self.degree, "degree", 1, 20)
+        check_whole(self.harmonics, "harmonics", 0, 20)
+        try:
+            values = np.array(self.coefficients, dtype=float)
+        except (TypeError, ValueError):
+            raise refusal("coefficients must be a sequence of numbers", self.coefficients, list, tuple) from None
+        n = sum(map(len, _terms(self.degree, self.harmonics)))
+        if values.shape != (n,) or not np.isfinite(values).all():
+            raise InputError(f"coefficients must be {n} finite numbers, got the shape {values.shape}")
+        object.__setattr__(self, "coefficients", tuple(values.tolist()))
+        limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
+        angles = to_unit(self.adc, u.rad, "adc")
+        if angles.shape != (2,) or not np.isfinite(angles).all():
+            raise InputError(f"adc must be two finite angles, got {self.adc}")
+        unit, mean = np.tan(limit), angles.mean()
+        tables = _tables(values, self.degree, self.harmonics, (angles[0] - angles[1]) / 2)
+        center = tables[:, 0, 0].copy()
+        tables[:, 0, 0] = 0.0
+        c, s = np.cos(mean), np.sin(mean)
+        turn = np.array([[c, -s], [s, c]])
+        flip = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
+        # rows (x, y) of the package are turned into those of the polynomials by this matrix
+        object.__setattr__(self, "_setting", (tables, unit, flip @ turn, center))
+        if not np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]) > 0:
+            raise InputError("coefficients must be those of a map that is invertible at the field center")
+
+    @classmethod
+    def from_ray_trace(cls, path: str | os.PathLike, *, degree: int = 5, harmonics: int = 2) -> "DistortionMap":
+        """Fit a map to a ray trace of DESI, as distributed with desimeter.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Table with the columns ``ADC1``, ``ADC2`` (deg), ``X_TAN``, ``Y_TAN`` (tangents), ``X_FP`` and ``Y_FP``
+            (mm), at settings with ADC1 = -ADC2.
+        degree, harmonics : int, optional
+            Degree of the polynomials, and order of the Fourier series.
+
+        Returns
+        -------
+        DistortionMap
+            The map at ADC1 = ADC2 = 0; the residuals of all settings are in ``residuals``.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read, lacks a column, or has too few rows.
+        """
+        path = to_path(path)
+        table = read_table(path)
+        lacking = [name for name in COLUMNS if name not in table.colnames]
+        if lacking:
+            raise InputError(f"{path}: the table must have the columns {', '.join(COLUMNS)}, got no {lacking[0]}")
+        try:
+            adc1, adc2, x, y, x_fp, y_fp = (np.asarray(table[name], dtype=float) for name in COLUMNS)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: the columns must be numbers, {error}") from None
+        if not np.isfinite([adc1, adc2, x, y, x_fp, y_fp]).all() or (np.abs(adc1 + adc2) > 1e-6).any():
+            raise InputError(f"{path}: the values must be finite, with ADC1 = -ADC2")
+        check_whole(degree, "degree", 1, 20)
+        check_whole(harmonics, "harmonics", 0, 20)
+        unit = MARGIN * np.hypot(x, y).max()
+        strength = np.deg2rad(adc1 - adc2) / 2
+        found, errors = [], []
+        for terms, values in zip(_terms(degree, harmonics), (x_fp, y_fp), strict=True):
+            columns = [(x / unit) ** i * (y / unit) ** j * _wave(kind, k, strength) for i, j, kind, k in terms]
+            solution, _, rank, _ = np.linalg.lstsq(np.transpose(columns), values, rcond=None)
+            if rank < len(terms):
+                raise InputError(f"{path}: the table must determine {len(terms)} coefficients, got {len(x)} rows")
+            found.append(solution)
+            errors.append(solution @ columns - values)
+        distance = np.hypot(*errors)
+        rows = [
+            (a1, a2, *_scatter(distance[(adc1 == a1) & (adc2 == a2)]))
+            for a1, a2 in np.unique([adc1, adc2], axis=1).T.tolist()
+        ]
+        residuals = QTable(
+            rows=rows,
+            names=["adc1", "adc2", "n", "rms", "max"],
+            units={"adc1": u.deg, "adc2": u.deg, "rms": u.mm, "max": u.mm},
+        )
+        limit = np.arctan(unit) * u.rad
+        return cls(tuple(np.concatenate(found)), degree, harmonics, limit.to(u.deg), residuals=residuals)
+
+    def at(self, adc: u.Quantity) -> "DistortionMap":
+        """Return the map at another setting of the compensator.
+
+        Parameters
+        ----------
+        adc : Quantity, shape (2,)
+            Angles of the two prisms.
+
+        Returns
+        -------
+        DistortionMap
+            The map at this setting.
+
+        Raises
+        ------
+        InputError
+            If ``adc`` is not two angles.
+        """
+        return replace(self, adc=adc)
+
+    @property
+    def shift(self) -> u.Quantity:
+        """Position of the field center on the focal plane, shape (2,), which guiding moves to (0, 0)."""
+        _, _, turn, center = self._setting
+        return turn @ center * u.mm
+
+    @property
+    def plate_scale(self) -> u.Quantity:
+        """Plate scale at the field center: the root of the product of the largest and the smallest scale."""
+        return (
+            np.sqrt(np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]))
+            * (u.mm / u.rad).to(u.mm / u.deg)
+            * (u.mm / u.deg)
+        )
+
+    def to_angle(self, radius: u.Quantity) -> u.Quantity:
+        """Return the largest field angles at distances from the field center on the focal plane.
+
+        Parameters
+        ----------
+        radius : Quantity
+            Distances on the focal plane.
+
+        Returns
+        -------
+        Quantity
+            Field angles in deg; NaN for distances outside the range of the map.
+
+        Raises
+        ------
+        InputError
+            If ``radius`` is not a length.
+        """
+        r = to_mm(radius, "radius")
+        turn = np.linspace(0, 2 * np.pi, N_AZIMUTHS, endpoint=False)
+        ring = np.column_stack([np.cos(turn), np.sin(turn)])
+        tangents = self.unproject((r.reshape(-1, 1, 1) * ring).reshape(-1, 2)).reshape(-1, N_AZIMUTHS, 2)
+        return np.rad2deg(np.arctan(np.hypot(*np.moveaxis(tangents, -1, 0)).max(axis=1))).reshape(r.shape) * u.deg
+
+    def project(self, tangents: np.ndarray) -> np.ndarray:
+        """Return the points on the focal plane of points in the tangent plane.
+
+        Parameters
+        ----------
+        tangents : ndarray, shape (n, 2)
+            Points in the tangent plane, in units of its distance.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Points in mm; NaN for field angles larger than ``max_angle``.
+        """
+        tables, unit, turn, _ = self._setting
+        inside = np.hypot(*tangents.T) <= unit * (1 + 1e-12)
+        local = np.where(inside[:, None], tangents, np.nan) @ turn / unit
+        return np.column_stack([np.polynomial.polynomial.polyval2d(*local.T, table) for table in tables]) @ turn.T
+
+    def unproject(self, points: np.ndarray) -> np.ndarray:
+        """Return the points in the tangent plane of points on the focal plane.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 2)
+            Points in mm.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Points in the tangent plane, in units of its distance; NaN for points outside the map.
+        """
+        unit = self._setting[1]
+        tangents = points @ np.linalg.inv(self._jacobian(np.zeros((1, 2)))[0]).T
+        for _ in range(MOST_STEPS):
+            # points far outside would diverge
+            tangents = np.where(np.hypot(*tangents.T)[:, None] <= 1.5 * unit, tangents, np.nan)
+            change = np.linalg.solve(self._jacobian(tangents), (points - self._image(tangents))[..., None])[..., 0]
+            tangents = tangents + change
+            if not np.nanmax(np.abs(change), initial=0.0) > 4e-16:
+                break
+        return np.where(np.hypot(*tangents.T)[:, None] <= unit * (1 + 1e-9), tangents, np.nan)
+
+    def _image(self, tangents):
+        """Return the points (mm) of tangents, also beyond ``max_angle``."""
+        tables, unit, turn, _ = self._setting
+        local = tangents @ turn / unit
+        return np.column_stack([np.polynomial.polynomial.polyval2d(*local.T, table) for table in tables]) @ turn.T
+
+    def _jacobian(self, tangents):
+        """Return the derivatives (mm) of the points with respect to tangents, shape (n, 2, 2)."""
+        tables, unit, turn, _ = self._setting
+        local = tangents @ turn / unit
+        rows = [
+            [
+                np.polynomial.polynomial.polyval2d(*local.T, np.polynomial.polynomial.polyder(table, axis=axis))
+                for axis in (0, 1)
+            ]
+            for table in tables
+        ]
+        return turn @ np.moveaxis(np.array(rows), -1, 0) @ turn.T / unit
+
+
+def _terms(degree: int, harmonics: int) -> tuple[list, list]:
+    """Return the terms x^i y^j cos(k s) or sin(k s) of the positions along x and y, as (i, j, kind, k)."""
+    along = [], []
+    for i in range(degree + 1):
+        for j in range(degree + 1 - i):
+            for k in range(harmonics + 1):
+                # x does not change if y and s change their signs, and y changes its sign
+                along[0].append((i, j, "cos" if j % 2 == 0 else "sin", k))
+                along[1].append((i, j, "sin" if j % 2 == 0 else "cos", k))
+    return tuple([term for term in terms if term[2:] != ("sin", 0)] for terms in along)
+
+
+def _wave(kind: str, k: int, strength: np.ndarray) -> np.ndarray:
+    return np.cos(k * strength) if kind == "cos" else np.sin(k * strength)
+
+
+def _tables(values, degree, harmonics, strength) -> np.ndarray:
+    """Return the coefficients of x^i y^j at a strength of the compensation, shape (2, degree + 1, degree + 1)."""
+    out, used = np.zeros((2, degree + 1, degree + 1)), 0
+    for table, terms in zip(out, _terms(degree, harmonics), strict=True):
+        for (i, j, kind, k), value in zip(terms, values[used : used + len(terms)], strict=True):
+            table[i, j] += value * _wave(kind, k, strength)
+        used += len(terms)
+    return out
+
+
+def _scatter(distance: np.ndarray) -> tuple[int, float, float]:
+    """Return number, root mean square and largest of some residuals."""
+    return len(distance), float(np.sqrt(np.mean(distance**2))), float(distance.max())

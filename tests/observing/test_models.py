@@ -1,0 +1,308 @@
+"""Models of the projection, the choice among them, and tiles under observing conditions."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.time import Time
+
+import rfpsurvey as rs
+from rfpsurvey.instrument import choose_projection
+from rfpsurvey.observing import MODELS, ObservedField
+from rfpsurvey.projection import FieldProjection
+
+CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
+WAVES = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
+
+
+def conditions_at(hours=3.0, **changes):
+    given = {"hour_angle": hours * u.hourangle, "wavelength": WAVES, "exposure_time": 15 * u.min, **changes}
+    return rs.ObservingConditions("apache point", **given)
+
+
+@pytest.fixture(scope="module")
+def catalog(presets):
+    kinds = np.array(["BOSS", "APOGEE"])
+    sky = rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=200 / u.deg**2, rng=3)
+    return rs.Catalog(sky.coord, fiber_type=kinds[np.arange(len(sky)) % 2])
+
+
+def test_each_model_adds_one_effect(presets):
+    """The reference adds the effects one by one, by conditions in which the others are absent."""
+    instrument, conditions = presets["sdss_apo"], conditions_at()
+    plane = instrument.projection(CENTER, 20 * u.deg)
+    instant, green = replace(conditions, exposure_time=0 * u.s), WAVES["BOSS"]
+    expected = {
+        "tangent": rs.TangentPlane(CENTER, instrument.plate_scale, 20 * u.deg),
+        "radial": plane,
+        "refraction": instrument.projection(CENTER, 20 * u.deg, replace(instant, wavelength=green)),
+        "dispersion": instrument.projection(CENTER, 20 * u.deg, instant),
+        "full": instrument.projection(CENTER, 20 * u.deg, conditions),
+    }
+    assert list(expected) == list(MODELS)
+    targets = CENTER.directional_offset_by(np.arange(0, 360, 30) * u.deg, 1.2 * u.deg)
+    vectors = targets.cartesian.xyz.value.T
+    images = {}
+    for name, plane_of_model in expected.items():
+        field, record = choose_projection(instrument, plane, conditions, name)
+        assert record["model"] == name
+        images[name] = field.project(vectors, "APOGEE")
+        seen = plane_of_model.to_focal_plane(targets, "APOGEE").value
+        np.testing.assert_allclose(images[name], seen, rtol=0, atol=1e-9)
+    names = list(MODELS)
+    for cheap, full in pairwise(names):
+        assert np.abs(images[cheap] - images[full]).max() > 1e-5
+
+
+def test_the_displacements_are_those_of_the_targets_of_fibers(presets):
+    instrument, conditions = presets["sdss_apo"], conditions_at()
+    result = rs.compare_projections(instrument, CENTER, conditions)
+    full = instrument.projection(CENTER, conditions=conditions)
+    xy = instrument.focal_plane.xy
+    for name, static in (
+        ("radial", instrument.projection(CENTER)),
+        ("tangent", rs.TangentPlane(CENTER, instrument.plate_scale)),
+    ):
+        moved = []
+        for kind in WAVES:
+            coord = full.to_sky(xy, kind)
+            moved.append(np.hypot(*(static.to_focal_plane(coord, kind) - xy).T).to_value("mm"))
+        row = result.table[list(MODELS).index(name)]
+        assert row["max"].to_value("mm") == pytest.approx(np.max(moved), rel=1e-6)
+        assert row["median"].to_value("mm") == pytest.approx(np.median(moved), rel=0.05)
+    assert result.table["max"][-1] < 1e-9 * u.mm
+    # half of the exposure before and after
+    ends = [conditions_at(3 + sign * 0.125 * 1.0027379, exposure_time=0 * u.s) for sign in (-1, 1)]
+    drift = []
+    for kind in WAVES:
+        coord = full.to_sky(xy, kind)
+        for end in ends:
+            plane = instrument.projection(CENTER, conditions=end)
+            drift.append(np.hypot(*(plane.to_focal_plane(coord, kind) - xy).T).max().to_value("mm"))
+    assert result.drift.to_value("mm") == pytest.approx(max(drift), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "sufficient"),
+    [(1e-6, "full"), (0.005, "dispersion"), (0.05, "refraction"), (0.3, "radial"), (10.0, "tangent")],
+)
+def test_the_cheapest_model_within_the_tolerance_suffices(presets, tolerance, sufficient):
+    conditions = conditions_at(tolerance=tolerance * u.mm)
+    result = rs.compare_projections(presets["sdss_apo"], CENTER, conditions)
+    assert result.sufficient == sufficient
+    assert result.table["max"][list(MODELS).index(sufficient)] <= tolerance * u.mm
+    field, record = choose_projection(presets["sdss_apo"], presets["sdss_apo"].projection(CENTER), conditions, "auto")
+    assert record["model"] == record["sufficient"] == sufficient
+    assert isinstance(field, FieldProjection if sufficient in ("tangent", "radial") else ObservedField)
+    assert f"{sufficient}" in str(result)
+
+
+def test_a_range_of_hour_angles_gives_the_largest_displacements(presets):
+    hours = [-3.0, 0.0, 1.0]
+    both = rs.compare_projections(
+        presets["lamost"], CENTER, conditions_at(wavelength=0.5 * u.um), hour_angles=hours * u.hour
+    )
+    single = [
+        rs.compare_projections(presets["lamost"], CENTER, conditions_at(hour, wavelength=0.5 * u.um)) for hour in hours
+    ]
+    largest = np.max([one.table["max"].value for one in single], axis=0)
+    np.testing.assert_allclose(both.table["max"].value[:-1], largest[:-1], rtol=0, atol=1e-9)
+    assert both.drift.value == pytest.approx(max(one.drift.value for one in single))
+
+
+def test_the_default_tolerance_is_a_tenth_of_the_fiber(presets):
+    diameters = {"lamost": 320, "sdss_apo": 120, "sdss_lco": 120, "moons": 571, "desi": 107, "pfs": 99.2}
+    for name, microns in diameters.items():
+        conditions = conditions_at(wavelength=0.6 * u.um)
+        result = rs.compare_projections(presets[name], CENTER, conditions)
+        assert result.tolerance.to_value(u.um) == pytest.approx(microns / 10)
+        given = rs.compare_projections(presets[name], CENTER, conditions, tolerance=9 * u.um)
+        assert given.tolerance == 9 * u.um
+
+
+def test_without_a_diameter_of_the_fibers_there_is_no_verdict(small):
+    sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=400 / u.deg**2, rng=3)
+    conditions = conditions_at(wavelength=0.6 * u.um)
+    tile = rs.plan_tile(sky, small, CENTER, conditions=conditions)
+    assert tile.summary["projection"]["sufficient"] is None
+    assert "tolerance is unknown" in tile.summary["projection"]["sentence"]
+    with pytest.raises(rs.InputError, match="the projection 'auto' must have a tolerance"):
+        rs.plan_tile(sky, small, CENTER, conditions=conditions, projection="auto")
+    conditions = replace(conditions, tolerance=0.5 * u.mm)
+    assert rs.plan_tile(sky, small, CENTER, conditions=conditions, projection="auto").summary["projection"]["model"]
+
+
+def test_a_tile_has_the_positions_of_its_conditions(presets, catalog, tmp_path):
+    instrument, conditions = presets["sdss_apo"], conditions_at()
+    static = rs.plan_tile(catalog, instrument, CENTER)
+    tile = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions)
+    plane = instrument.projection(CENTER, conditions=conditions)
+    rows = tile[tile["status"] == "assigned"]
+    assert len(rows) > 300
+    seen = plane.to_focal_plane(SkyCoord(rows["ra"], rows["dec"]), np.asarray(rows["fiber_type"]))
+    tips = np.column_stack([rows["tip_x"], rows["tip_y"]])
+    np.testing.assert_allclose(tips.to_value("mm"), seen.to_value("mm"), rtol=0, atol=1e-6)
+    assert static.provenance["parameters"]["conditions"] is None
+    assert static.summary["projection"] == {"model": "radial"}
+    assert "without refraction" in static.summary["model"]
+    assert "with refraction averaged over the exposure" in tile.summary["model"]
+    assert "with atmospheric refraction" in tile.provenance["model"]
+    assert tile.provenance["parameters"]["conditions"] == conditions.record
+    assert tile.summary["projection"]["sufficient"] == "dispersion"
+    for suffix in ("fits", "ecsv"):
+        tile.write(tmp_path / f"tile.{suffix}")
+        assert rs.Tile.read(tmp_path / f"tile.{suffix}") == tile
+    auto = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions, projection="auto")
+    assert auto.summary["projection"]["model"] == "dispersion"
+    plain = rs.plan_tile(catalog, instrument, CENTER, projection="auto")
+    assert plain.summary["projection"]["model"] == "radial"
+    assert (plain["target_id"] == static["target_id"]).all()
+
+
+def test_a_plan_is_scored_under_its_conditions(presets, catalog):
+    instrument, conditions = presets["sdss_apo"], conditions_at()
+    tile = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions)
+    rows = tile.table[tile["status"] == "assigned"]
+    plan = rows["id", "target_id", "ra", "dec", "fiber_type"]
+    given = {"center": CENTER, "position_angle": 0 * u.deg, "positions": "sky", "columns": {"positioner": "id"}}
+    scored = rs.score_tile(plan, instrument, conditions=conditions, **given)
+    same = scored[tile["status"] == "assigned"]
+    np.testing.assert_allclose(same["tip_x"].value, rows["tip_x"].value, rtol=0, atol=1e-6)
+    assert scored.summary["n_colliding"] == tile.summary["n_colliding"]
+    assert scored.provenance["parameters"]["conditions"] == conditions.record
+    assert "with refraction" in scored.summary["model"]
+    static = rs.score_tile(plan, instrument, **given)[tile["status"] == "assigned"]
+    assert np.abs(static["tip_x"].value - rows["tip_x"].value).max() > 0.03
+
+
+def test_targets_that_refraction_brings_into_the_field_are_planned(presets):
+    """Refraction compresses the field, so that it extends beyond its nominal radius on the sky."""
+    instrument = presets["lamost"]
+    conditions = rs.ObservingConditions("xinglong", hour_angle=5.3 * u.hourangle)
+    plane = instrument.projection(CENTER, conditions=conditions)
+    assert 5 * u.deg < plane.altitude - instrument.field_radius < 25 * u.deg
+    arrays = instrument.focal_plane.arrays
+    distance = np.maximum(np.hypot(*arrays.xy.T), 1.0)
+    outward = arrays.xy * (1 + arrays.outer_radius / distance * (1 - 1e-7))[:, None]
+    coord = plane.to_sky(outward * u.mm)
+    apart = coord.separation(CENTER)
+    assert (apart > instrument.field_radius).sum() > 10
+    tile = rs.plan_tile(rs.Catalog(coord[apart > instrument.field_radius]), instrument, CENTER, conditions=conditions)
+    assert tile.summary["n_in_field"] == tile.summary["n_reachable"] == (apart > instrument.field_radius).sum()
+
+
+def test_circles_that_no_arm_may_cover_are_seen_under_the_conditions(presets, catalog):
+    options = rs.AllocationOptions(
+        "repair", keep_out=[rs.Region.cap(CENTER.directional_offset_by(1 * u.rad, 1 * u.deg), 0.01 * u.deg)]
+    )
+    conditions = conditions_at(hours=4.0)
+    tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator=options, conditions=conditions)
+    plane = presets["sdss_apo"].projection(CENTER, conditions=conditions)
+    x, y, r = tile.table.meta["geometry"]["obstacles_mm"][-1]
+    spot = CENTER.directional_offset_by(1 * u.rad, 1 * u.deg)
+    images = [plane.to_focal_plane(SkyCoord([spot.ra], [spot.dec]), kind).value[0] for kind in WAVES]
+    np.testing.assert_allclose([x, y], np.mean(images, axis=0), atol=1e-6)
+    assert r > 2.2
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"projection": "full"}, "the projection 'full' must have conditions, got none"),
+        ({"projection": "best"}, "unknown projection 'best'"),
+        ({"conditions": "apache point"}, "conditions must be ObservingConditions"),
+        ({"conditions": conditions_at(11)}, "must be above the horizon"),
+    ],
+)
+def test_projections_that_are_not_valid_are_errors(presets, catalog, given, text):
+    with pytest.raises(rs.InputError, match=text):
+        rs.plan_tile(catalog, presets["sdss_apo"], CENTER, **given)
+
+
+def test_hour_angles_that_are_not_valid_are_errors(presets):
+    for angles in ([] * u.deg, [[1]] * u.deg, 5 * u.mm):
+        with pytest.raises(rs.InputError, match="hour_angles must"):
+            rs.compare_projections(presets["pfs"], CENTER, conditions_at(), hour_angles=angles)
+    with pytest.raises(rs.InputError, match="tolerance must"):
+        rs.compare_projections(presets["pfs"], CENTER, conditions_at(), tolerance=-1 * u.mm)
+
+
+TOML = """
+site = "apache point"
+hour_angle = "3 hourangle"
+guide_wavelength = "6231 AA"
+pressure = "720 hPa"
+temperature = "5 deg_C"
+humidity = 0.4
+exposure_time = "15 min"
+tolerance = "20 um"
+[wavelength]
+BOSS = "0.54 um"
+APOGEE = "1.6 um"
+"""
+
+
+def test_conditions_are_read_from_a_file(tmp_path):
+    path = tmp_path / "night.toml"
+    path.write_text(TOML)
+    expected = conditions_at(
+        guide_wavelength=0.6231 * u.um,
+        pressure=720 * u.hPa,
+        temperature=5 * u.deg_C,
+        humidity=0.4,
+        tolerance=0.02 * u.mm,
+    )
+    assert rs.ObservingConditions.read(path).record == expected.record
+    path.write_text('site = [10, 20, 30]\ntime = 2024-05-10T05:00:00\npressure = "0 hPa"')
+    read = rs.ObservingConditions.read(path)
+    assert read.time == Time("2024-05-10T05:00:00")
+    assert read.record["latitude_deg"] == pytest.approx(20)
+    assert rs.ObservingConditions.read(path, hour_angle=1 * u.deg).time is None
+    for text, message in (
+        ("sight = 5", "unknown key of .* 'sight'.* Did you mean 'site'"),
+        ('site = "paranal"\npressure = "high"', "pressure must be text such as"),
+        ('site = "paranal"\nhour_angle = "1 m"', "night.toml: hour_angle must have a unit"),
+        ("site = [1, 2]", "site must be longitude, latitude"),
+    ):
+        path.write_text(text)
+        with pytest.raises(rs.InputError, match=message):
+            rs.ObservingConditions.read(path)
+
+
+def test_the_command_plans_under_conditions(run, tmp_path):
+    path = tmp_path / "night.toml"
+    path.write_text(TOML)
+    common = "plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23", "--epoch", "2026"
+    output = tmp_path / "tile.ecsv"
+    code, out, err = run(*common, "--conditions", path, "--output", output, "--projection", "auto")
+    assert code == 0, err
+    assert "projection: dispersion; refraction and dispersion move targets by up to" in out
+    record = rs.Tile.read(output).provenance["parameters"]["conditions"]
+    assert record == rs.ObservingConditions.read(path).record
+    options = "--hour-angle", 3, "--exposure-time", 900, "--wavelength", "BOSS=0.54", "--wavelength", "APOGEE=1.6"
+    code, out, err = run(*common, "--site", "-105.82,32.78,2798", *options)
+    assert code == 0, err
+    assert "projection: full; " in out
+    code, out, err = run(*common, "--conditions", path, "--time", "2026-01-15T05:00:00", "--wavelength", "0.6")
+    assert code == 0, err
+    assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--hour-angle", "3"], "--site must be given"),
+        (["--site", "paranal"], "either a time or an hour_angle"),
+        (["--site", "paranal", "--time", "now"], "--time must be a time such as"),
+        (["--site", "paranal", "--hour-angle", "1", "--wavelength", "BOSS"], "--wavelength must be"),
+        (["--site", "1,2", "--hour-angle", "1"], "site must be longitude"),
+        (["--projection", "full"], "must have conditions"),
+    ],
+)
+def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):
+    code, _, err = run("plan", "example:anticenter", "--epoch", "2026", *options)
+    assert code == 2
+    assert text in err
