@@ -1,6 +1,6 @@
 """Candidates, which are the possible targets and elbows of each positioner, and pairs of candidates that collide."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -32,6 +32,8 @@ class Candidates:
     """Whether each requirement counts each candidate, shape (n_groups, n)."""
     preselection: Preselection
     """Reachable pairs from which the candidates were made; some pairs may have been left out."""
+    idle_pairs: np.ndarray | None = None
+    """Pairs of positioners whose idle arms collide, shape (2, m); None for a part of the candidates."""
 
     def __len__(self):
         return len(self.side)
@@ -85,10 +87,12 @@ def find_candidates(
     segments = place_segments(problem, own, target, side, idle)
     pairs = _conflicts(plane, start, segments, seconds, most_pairs)
     # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
-    pairs = pairs[:, ~(at_home[pairs[0]] & at_home[pairs[1]])]
+    both = at_home[pairs[0]] & at_home[pairs[1]]
+    idle_pairs = own[pairs[:, both]]
+    pairs = pairs[:, ~both]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
     touch = _touches_obstacle(plane, start, segments) & ~at_home
-    return found.where(~touch) if touch.any() else found
+    return replace(found.where(~touch) if touch.any() else found, idle_pairs=idle_pairs)
 
 
 def _pairs_where(pairs, keep, new):

@@ -12,6 +12,7 @@ from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
+from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._milp import Program
@@ -35,6 +36,9 @@ FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
 # Largest number of collisions of candidates: without time, per second of the time limit, and in all.
 PAIRS = (200_000, 350_000, 20_000_000)
+# Largest number of tests of two candidates for a collision: without time, and per second of the time limit. A
+# positioner has candidates for about MOST_TARGETS targets.
+TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 # Smallest time for the candidates in seconds, whatever the time limit.
 AT_LEAST = 0.1
 # Number of best targets of each positioner that are used if it takes too long to find all collisions.
@@ -75,6 +79,9 @@ def decide(
             values = _values(used, chosen)
         bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
     bounds = np.maximum(bounds, values)
+    if collide and everything.idle_pairs.size:
+        used, chosen = everything, _chosen_in(everything, used, chosen)
+        chosen = separate_idle_arms(everything, chosen, max(deadline, perf_counter() + AT_LEAST))
     target_of = used.options.target[chosen]
     levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
     return AllocationAnswer(target_of, elbow_names(used.side[chosen]), None, levels, meta)
@@ -88,8 +95,15 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
     if not collide:
         return find_candidates(problem, collide=False, squared_cost=squared_cost), True
     room = min(PAIRS[0] + PAIRS[1] * problem.time_limit, PAIRS[2])
+    count, pairs = (
+        np.bincount(problem.pairs.owner, minlength=problem.pairs.n_positioners),
+        problem.focal_plane.arrays.neighbors,
+    )
     for most in (None, *FEWER):
         last = most == FEWER[-1]
+        size = np.minimum(count, MOST_TARGETS if most is None else most)
+        if not last and (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit:
+            continue
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
         seconds = np.inf if last else max(FOR_CANDIDATES * left(deadline), AT_LEAST)
         try:
@@ -115,6 +129,14 @@ def _best_pairs(problem, most):
     order = np.argsort(target, kind="stable")
     indptr = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=len(problem.rank)))])
     return Reach(indptr, own[order], r2[order], n)
+
+
+def _chosen_in(everything, used, chosen):
+    """Return the indices of candidates in use among all candidates."""
+    if used is everything:
+        return chosen
+    found = pick(everything, used.options.target[chosen], used.side[chosen])
+    return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
 def _values(candidates, chosen):
