@@ -85,7 +85,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
 
 def point_closer_exactly(outline: Outline, i: int, core, point, limit: Fraction) -> bool:
-    """Return whether a point is inside the outline of positioner i with a given core, or closer to it than ``limit``."""
+    """Return whether a point is inside the outline of positioner i with a given core, or closer than ``limit``."""
     placed, spans = _placed_vertices(outline, i, core), pairwise(outline.start.tolist())
     point = [tuple(Fraction(v) for v in point)]
     return any(
