@@ -98,6 +98,8 @@ class ObservingConditions:
             raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
         if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar):
             raise InputTypeError(f"time must be one Time, got {short(self.time)}")
+        if self.time is not None and self.time.scale in ("ut1", "local"):
+            raise InputError(f"time must be in a scale such as UTC, got the scale {self.time.scale}; give UTC")
         if self.hour_angle is not None:
             angle = as_hour_angle(self.hour_angle)
             to_scalar(angle, u.deg, "hour_angle", low=-360, high=360)
