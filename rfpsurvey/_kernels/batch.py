@@ -72,7 +72,7 @@ def count(setup, workspace, counts, times):
         m = colliding_obstacles(
             workspace.segments,
             np.arange(workspace.assigned.size),
-            setup.limits.outline,
+            setup.limits,
             setup.obstacle_pairs,
             setup.obstacles,
             setup.clearance,

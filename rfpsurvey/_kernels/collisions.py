@@ -12,7 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.outlines import NO_OUTLINE, UNIT, Outline, gap_to_point, outlines_squared
+from rfpsurvey._kernels.outlines import (
+    NO_OUTLINE,
+    NO_POLYGONS,
+    UNIT,
+    Outline,
+    Polygons,
+    X,
+    Y,
+    gap_to_point,
+    gap_to_polygon,
+    outlines_squared,
+)
 
 # The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
@@ -41,9 +52,11 @@ class Limits(NamedTuple):
     """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
     outline: Outline
     """Outline of the arms; without parts if the segments themselves collide."""
+    polygons: Polygons
+    """Polygons of the focal plane that no arm may touch."""
 
 
-def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0):
+def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, polygons=NO_POLYGONS):
     """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
 
     With an outline, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding error
@@ -53,7 +66,7 @@ def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0):
     slack = REJECT_ERROR * (extent + size)
     error = 1.2 * DISTANCE_ERROR * size  # the factor 1.2 covers the rounding of separation^2 and of the comparison
     error += outline_error
-    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error), outline)
+    return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error), outline, polygons)
 
 
 @kernel
@@ -141,7 +154,7 @@ def outlined_squared(segments, a, b, limits, i, j):
 @kernel
 def outline_gaps(segments, pairs, limits, out):
     """Compute the distance between the outlines of each pair of positioners; it is 0 if they overlap."""
-    limits = Limits(math.inf, limits.slack, limits.near, limits.band, limits.outline)
+    limits = Limits(math.inf, limits.slack, limits.near, limits.band, limits.outline, limits.polygons)
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
         out[k] = max(math.sqrt(outlined_squared(segments, i, j, limits, i, j)) - limits.outline.offset, 0.0)
@@ -249,24 +262,49 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 
 @kernel
-def colliding_obstacles(segments, owner, outline, pairs, obstacles, clearance, slack, out, distance):
+def segment_to_polygon(polygons, k, x0, y0, x1, y1):
+    """Return the distance between a segment and polygon k, or a negative number if they overlap."""
+    v, start = polygons.table, polygons.start
+    squared, inside = math.inf, True
+    for e in range(start[k], start[k + 1]):
+        f = e + 1 if e + 1 < start[k + 1] else start[k]
+        squared = min(squared, segments_squared(x0, y0, x1, y1, v[X, e], v[Y, e], v[X, f], v[Y, f]))
+        inside &= orientation(v[X, e], v[Y, e], v[X, f], v[Y, f], x0, y0) > 0
+    return -1e-300 if inside or squared == 0.0 else math.sqrt(squared)
+
+
+@kernel
+def obstacle_distance(limits, obstacles, i, x0, y0, x1, y1, j):
+    """Return the distance from the arm of positioner i to the center of circle j or, beyond the circles, to a polygon.
+
+    The distance is negative if the center is inside an outline, or if the arm and the polygon overlap.
+    """
+    outlined, n = limits.outline.start.size > 1, obstacles.shape[0]
+    if j >= n:
+        if outlined:
+            return gap_to_polygon(limits.outline, limits.polygons, i, x0, y0, x1, y1, j - n)
+        return segment_to_polygon(limits.polygons, j - n, x0, y0, x1, y1)
+    x, y = obstacles[j, 0], obstacles[j, 1]
+    if outlined:
+        return gap_to_point(limits.outline, i, x0, y0, x1, y1, x, y)
+    return math.sqrt(point_segment_squared(x, y, x0, y0, x1, y1))
+
+
+@kernel
+def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, slack, out, distance):
     """List pairs (arm, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
 
-    Returns the number of pairs. The obstacles are circles; the distance from each arm to the center of the circle is
-    written to ``distance``. If the center is inside an outline, the distance is negative. ``owner`` contains the
-    positioner of each arm; it is only used for outlines.
+    Returns the number of pairs. ``obstacles`` are circles, which are followed by the polygons of the limits. The result
+    of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each arm; it is only used
+    for outlines.
     """
     n = 0
-    outlined = outline.start.size > 1
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        x0, y0, x1, y1 = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
-        x, y = obstacles[j, 0], obstacles[j, 1]
-        if outlined:
-            d = gap_to_point(outline, owner[i], x0, y0, x1, y1, x, y)
-        else:
-            d = math.sqrt(point_segment_squared(x, y, x0, y0, x1, y1))
-        if d < obstacles[j, 2] + clearance + slack:
+        ends = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
+        d = obstacle_distance(limits, obstacles, owner[i], *ends, j)
+        radius = obstacles[j, 2] if j < obstacles.shape[0] else 0.0
+        if d < radius + clearance + slack:
             out[n, 0], out[n, 1] = i, j
             distance[n] = d
             n += 1

@@ -87,6 +87,18 @@ NO_OUTLINE = Outline(
 """The value for arms that are segments."""
 
 
+class Polygons(NamedTuple):
+    """Convex polygons of the focal plane that no arm may touch."""
+
+    table: np.ndarray
+    """A column for each vertex, after the columns of the vertices of the outline of the arms; see X."""
+    start: np.ndarray
+    """Polygon k has the columns ``start[k]:start[k + 1]``; an array with one element means that there is no polygon."""
+
+
+NO_POLYGONS = Polygons(_nothing(5, 0), _nothing(1, dtype=np.int64))
+
+
 @kernel
 def frame(x, y, toward_x, toward_y):
     """Return the origin of a frame, and the cosine and sine of the direction from it to another point."""
@@ -260,6 +272,31 @@ def gap_to_point(outline, i, x0, y0, x1, y1, x, y):
             outside, squared = max(outside, across), min(squared, across * across + beyond * beyond)
         inside = (outside < 0.0) & (start[part + 1] - start[part] > 2)
         gap = min(gap, (outside if inside else math.sqrt(squared)) - v[RADIUS, m + part])
+    return gap
+
+
+@kernel
+def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
+    """Return the signed gap between polygon k and the outline of positioner i, whose core is given."""
+    v, start = polygons.table, outline.start
+    q, q_end = polygons.start[k], polygons.start[k + 1]
+    gap = math.inf
+    for part in range(start.size - 1):
+        if part < outline.n_eccentric:
+            own = frame(x0, y0, x1, y1)
+        else:
+            own = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
+        tx, ty, c, s, _ = frames_apart(own, (0.0, 0.0, 1.0, 0.0))
+        bx, by = -(c * tx + s * ty), s * tx - c * ty
+        p, p_end = start[part], start[part + 1]
+        apart = max(
+            separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, math.inf),
+            separation_along_normals(v, q, q_end, p, p_end, bx, by, c, -s, math.inf),
+        )
+        if apart >= 0.0:
+            squared = vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s)
+            apart = math.sqrt(min(squared, vertices_squared(v, q, q_end, p, p_end, bx, by, c, -s)))
+        gap = min(gap, apart - outline.table[RADIUS, outline.n_vertices + part])
     return gap
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
-from rfpsurvey._kernels.collisions import halve, keep_near, outlined_squared, pair_squared, point_segment_squared
-from rfpsurvey._kernels.outlines import gap_to_point
+from rfpsurvey._kernels.collisions import halve, keep_near, obstacle_distance, outlined_squared, pair_squared
 
 # Number of pairs of entries that are tested together.
 BATCH = 2048
@@ -160,13 +159,9 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
         pair_probability[p] = chance / total[i] / total[j]
     for k in range(obstacle_pairs.shape[0]):
         i, j = obstacle_pairs[k, 0], obstacle_pairs[k, 1]
-        x, y, touch = obstacles[j, 0], obstacles[j, 1], obstacles[j, 2] + clearance
+        touch = clearance + (obstacles[j, 2] if j < obstacles.shape[0] else 0.0)
         for a in range(entries.start[i], entries.stop[i]):
-            if outlined:
-                touches = gap_to_point(limits.outline, i, x0[a], y0[a], x1[a], y1[a], x, y) < touch
-            else:
-                touches = math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < touch
-            if touches:
+            if obstacle_distance(limits, obstacles, i, x0[a], y0[a], x1[a], y1[a], j) < touch:
                 free[a] = 0.0
     for i in range(probability.size):
         without = 0.0

@@ -221,8 +221,8 @@ def _on_processor(columns, setup, points, side):
 
 
 def _device(columns, setup):
-    if columns.plane.positioner.outline is not None:
-        raise InputError("the method for arms with an outline must be 'exact', got 'cuda'")
+    if columns.plane.positioner.outline is not None or columns.obstacle_polygons:
+        raise InputError("the method for outlines and polygons must be 'exact', got 'cuda'")
     from rfpsurvey.collision import _gpu
 
     return _gpu.make_scorer(columns, setup)

@@ -13,7 +13,7 @@ __all__ = [
     "closer_exactly",
     "distance_exactly",
     "outlines_closer_exactly",
-    "point_closer_exactly",
+    "touches_exactly",
 ]
 
 
@@ -84,14 +84,27 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     return False
 
 
-def point_closer_exactly(outline: Outline, i: int, core, point, limit: Fraction) -> bool:
-    """Return whether a point is inside the outline of positioner i with a given core, or closer than ``limit``."""
-    placed, spans = _placed_vertices(outline, i, core), pairwise(outline.start.tolist())
-    point = [tuple(Fraction(v) for v in point)]
-    return any(
-        _polygons_closer(_hull(placed[a:b]), point, limit + Fraction(radius))
-        for (a, b), radius in zip(spans, outline.parts[RADIUS].tolist(), strict=True)
-    )
+def touches_exactly(columns, i: int, segment, j: int) -> bool:
+    """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps it.
+
+    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). The circles come first, then
+    the polygons.
+    """
+    circles, outline = columns.obstacles, columns.limits.outline
+    if j < len(circles):
+        x, y, radius = (Fraction(v) for v in circles[j].tolist())
+        obstacle, limit = [(x, y)], radius + Fraction(columns.clearance)
+    else:
+        points = columns.obstacle_polygons[j - len(circles)].tolist()
+        obstacle, limit = _hull([(Fraction(x), Fraction(y)) for x, y in points]), Fraction(columns.clearance)
+    if outline.start.size == 1:
+        ends = [Fraction(v) for v in segment]
+        parts = [(sorted({(ends[0], ends[1]), (ends[2], ends[3])}), Fraction(0))]
+    else:
+        placed, spans = _placed_vertices(outline, i, segment), pairwise(outline.start.tolist())
+        radii = map(Fraction, outline.parts[RADIUS].tolist())
+        parts = [(_hull(placed[a:b]), radius) for (a, b), radius in zip(spans, radii, strict=True)]
+    return any(_polygons_closer(part, obstacle, limit + radius) for part, radius in parts)
 
 
 def _placed_vertices(outline, i, core):

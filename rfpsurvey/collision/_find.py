@@ -1,7 +1,5 @@
 """Find the arms of one configuration that are closer than the minimum separation."""
 
-from fractions import Fraction
-
 import astropy.units as u
 import numpy as np
 
@@ -18,7 +16,7 @@ from rfpsurvey.collision._arms import (
     to_sides,
     to_tips,
 )
-from rfpsurvey.collision._exact_arithmetic import closer_exactly, point_closer_exactly
+from rfpsurvey.collision._exact_arithmetic import touches_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
@@ -160,23 +158,17 @@ def touching(plane, segments, pairs, owner=None):
 
     ``owner`` contains the positioner of each segment; None if there is one segment for each positioner.
     """
-    circles, clearance = plane.arrays.obstacles, plane.arrays.clearance
+    circles, clearance, limits = plane.arrays.obstacles, plane.arrays.clearance, plane.arrays.limits
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
         return hits, distances, 0
-    slack = plane.arrays.obstacle_slack
-    outline, owner = plane.arrays.limits.outline, np.arange(segments.shape[1]) if owner is None else owner
-    n = collisions.colliding_obstacles(segments, owner, outline, pairs, circles, clearance, slack, hits, distances)
+    slack, owner = plane.arrays.obstacle_slack, np.arange(segments.shape[1]) if owner is None else owner
+    n = collisions.colliding_obstacles(segments, owner, limits, pairs, circles, clearance, slack, hits, distances)
     hits, distances = hits[:n], distances[:n]
-    radius = circles[hits[:, 1], 2]
+    radius = np.append(circles[:, 2], np.zeros(len(plane.arrays.obstacle_polygons)))[hits[:, 1]]
     edge = np.flatnonzero(distances >= radius + clearance - slack)
     keep = np.ones(n, dtype=bool)
     for k in edge:
         i, j = hits[k]
-        (x, y, r), core = circles[j].tolist(), segments[:, i].tolist()
-        limit = Fraction(r) + Fraction(clearance)
-        if outline.start.size > 1:
-            keep[k] = point_closer_exactly(outline, owner[i], core, (x, y), limit)
-        else:
-            keep[k] = closer_exactly(core, (x, y, x, y), limit)
+        keep[k] = touches_exactly(plane.arrays, owner[i], segments[:, i].tolist(), j)
     return hits[keep], np.maximum(distances - radius, 0.0)[keep], len(edge)

@@ -14,6 +14,7 @@ from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import joints_allow
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
+from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
 __all__ = ["FocalPlaneArrays"]
@@ -62,6 +63,8 @@ class FocalPlaneArrays:
         Whether each positioner cannot move.
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
+    obstacle_polygons : tuple of ndarray of float, shape (k, 2)
+        Vertices of the convex polygons that no arm may touch, mm, in counter-clockwise order.
     hidden : ndarray of float, shape (k, 3)
         Circles (x, y, radius) where fibers receive no light, mm.
     first_type : ndarray of str, shape (n,)
@@ -73,7 +76,7 @@ class FocalPlaneArrays:
     neighbors : ndarray of int, shape (k, 2)
         Pairs of positioners to test for collisions, including those that can collide only because of rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
-        Pairs of rows (positioner, obstacle) that can touch.
+        Pairs of rows (positioner, obstacle) that can touch; polygons follow the circles.
     n_sharing : ndarray of int, shape (n,)
         Largest number of other positioners that can share a target with each positioner.
     separation, clearance, length : float
@@ -167,6 +170,10 @@ class FocalPlaneArrays:
         return locked(np.empty((0, 3)) if plane.obstacles is None else to_mm(plane.obstacles, "obstacles"))
 
     @cached_property
+    def obstacle_polygons(self) -> tuple[np.ndarray, ...]:
+        return to_polygons(self.plane.obstacle_polygons)
+
+    @cached_property
     def hidden(self) -> np.ndarray:
         plane = self.plane
         return locked(np.empty((0, 3)) if plane.hidden is None else to_mm(plane.hidden, "hidden"))
@@ -245,12 +252,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def obstacle_pairs(self) -> np.ndarray:
-        circles = self.obstacles
-        if len(circles) == 0:
-            return locked(np.empty((0, 2), dtype=np.int64))
-        apart = np.hypot(*(self.xy[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
-        limit = self.arm_reach[:, None] + circles[None, :, 2] + self.clearance
-        return locked(np.ascontiguousarray(np.argwhere(apart < limit + self.touch_slack)))
+        return find_obstacle_pairs(self)
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the pairs of a positioner and a target that it reaches; ``points`` are the targets in mm."""

@@ -1,9 +1,13 @@
 """Checks of the columns of a focal plane."""
 
+from collections.abc import Sequence
+
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["check_columns"]
@@ -77,6 +81,14 @@ def check_columns(plane) -> None:
         strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]
         if len(strange):
             raise InputError(f"{what}, got {strange[0].tolist()} mm")
+    polygons = plane.obstacle_polygons
+    if polygons is not None:
+        if isinstance(polygons, u.Quantity) or not isinstance(polygons, Sequence):
+            raise InputTypeError(f"obstacle_polygons must be a list of polygons, got {short(polygons)}")
+        object.__setattr__(plane, "obstacle_polygons", tuple(polygons))
+        for k, one in enumerate(to_polygons(polygons)):
+            if len(one) < 3:
+                raise InputError(f"obstacle_polygons[{k}] must have at least three vertices, got {short(polygons[k])}")
 
 
 def _check_fibers(plane, n):

@@ -46,6 +46,9 @@ class FocalPlane:
         theta and phi of positioners that cannot move; NaN for the others.
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
+    obstacle_polygons : sequence of Quantity, shape (k, 2), optional
+        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides other
+        polygons.
     fiber_xy : Quantity, shape (n, 2), or dict of str to Quantity, optional
         Place of each fiber on the eccentric arm, in place of ``eccentric_arm``; a dict has one entry for each fiber
         type. The origin is the elbow, +x points along the mechanical axis of the arm, and +y to its left. NaN stands
@@ -100,6 +103,7 @@ class FocalPlane:
     theta_range: u.Quantity | None = None
     phi_range: u.Quantity | None = None
     hidden: u.Quantity | None = None
+    obstacle_polygons: tuple[u.Quantity, ...] | None = None
 
     def __post_init__(self):
         check_columns(self)
@@ -108,7 +112,8 @@ class FocalPlane:
         return len(self.id)
 
     def __repr__(self):
-        return f"<FocalPlane of {len(self)} positioners, {len(self.arrays.obstacles)} obstacles>"
+        n_obstacles = len(self.arrays.obstacles) + len(self.arrays.obstacle_polygons)
+        return f"<FocalPlane of {len(self)} positioners, {n_obstacles} obstacles>"
 
     def __getstate__(self):
         # the plain arrays are not copied to other processes, which compute them again

@@ -4,6 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._kernels.outlines import OUTLINE_ERROR
+from rfpsurvey.focal_plane._obstacles import find_polygons
 from rfpsurvey.positioner import make_outline
 
 __all__ = ["find_limits", "find_obstacle_slack"]
@@ -13,20 +14,22 @@ def find_limits(columns) -> collisions.Limits:
     """Return the limits of the collision kernels for the arrays of a focal plane."""
     extent = np.hypot(*columns.xy.T) + columns.arm_reach
     size = float(extent.max()) + columns.reach_slack + arms.EQUAL_ARMS
-    shape = columns.plane.positioner.outline
+    shape, polygons = columns.plane.positioner.outline, find_polygons(columns)
     if shape is None:
-        return collisions.limits(columns.separation, columns.longest, size)
+        return collisions.limits(columns.separation, columns.longest, size, polygons=polygons)
     outline = make_outline(shape, columns.xy, columns.central_arm)
     # no two points of a pair at the minimum separation are farther from each other than this
     arms_apart = columns.longest + outline.offset + float(columns.central_arm.max())
     largest = columns.separation + outline.offset + 2 * arms_apart
     error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
-    return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error)
+    return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error, polygons)
 
 
 def find_obstacle_slack(columns) -> float:
     """Return an upper limit of the rounding error of the distance between an arm and an obstacle that it touches."""
     size = float(columns.obstacles[:, 2].max(initial=0.0)) + columns.clearance + columns.longest
+    for polygon in columns.obstacle_polygons:  # their vertices can be far from the arms
+        size = max(size, 2 * float(np.hypot(*polygon.T).max()) + columns.longest)
     outline = columns.limits.outline
     if outline.start.size == 1:
         return 1.2 * collisions.DISTANCE_ERROR * size

@@ -20,6 +20,8 @@ JOINTS = {
 """Names of the columns with the zero points and the limits of joints."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 """Names of the columns with the radii of circles; each circle has its own row."""
+POLYGONS = "obstacle_polygons_mm"
+"""Key of the vertices of obstacles in the meta of a table."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -58,6 +60,8 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
             places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
     if places:
         columns["fiber_xy"] = places
+    if POLYGONS in table.meta:
+        columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
@@ -96,6 +100,8 @@ def to_table(plane) -> QTable:
             radius[rows] = getattr(plane.arrays, name)[:, 2]
             table[CIRCLES[name]] = radius * u.mm
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
+    if plane.obstacle_polygons:
+        table.meta[POLYGONS] = [one.tolist() for one in plane.arrays.obstacle_polygons]
     return table
 
 

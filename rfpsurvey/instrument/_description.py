@@ -1,5 +1,6 @@
 """Read descriptions of instruments, which are TOML files in which every value has a status and a source."""
 
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -77,6 +78,10 @@ def build(content: dict, folder: Path) -> dict:
     if full is not None:
         ArmOutline.from_dict(full["value"], u.Unit(full["unit"]))  # raises an error if it is not valid
     focal_plane = _layout(Positioner(**options), get, folder)
+    entry = values.get("layout.obstacle_polygons")
+    if entry is not None:
+        polygons = [one * u.Unit(entry["unit"]) for one in entry["value"]]
+        focal_plane = replace(focal_plane, obstacle_polygons=polygons)
     maps = {
         t: RadialMap(
             m["form"],

@@ -124,6 +124,11 @@ ENTRIES = {
     ),
     "positioner.outline": OUTLINE,
     "positioner.full_outline": OUTLINE,
+    "layout.obstacle_polygons": Kind(
+        "a list of polygons, which are lists of at least three points",
+        lambda value: _is_list(value, lambda one: _is_list(one, lambda p: _is_list(p, _is_number, 2)) and len(one) > 2),
+        u.mm,
+    ),
     "layout.table": TEXT,
     "layout.rings": _whole(0, 500),
     "layout.count": _whole(1, 1_000_000),

@@ -46,7 +46,7 @@ def find_facts(instrument) -> dict:
         "usable_positioners": int(arrays.usable.sum()),
         "fibers": _fibers(plane),
         "spectrographs": len(groups),
-        "obstacles": len(arrays.obstacles),
+        "obstacles": len(arrays.obstacles) + len(arrays.obstacle_polygons),
         "field_shape": _shape(arrays.xy, outline),
         "field_radius": instrument.field_radius,
         "focal_plane_radius": float(np.hypot(*outline.T).max()) * u.mm,

@@ -268,6 +268,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
             columns += [arrays.fibers.length, arrays.fibers.angle]
         if len(arrays.hidden):
             columns += [arrays.hidden]
+        columns += arrays.obstacle_polygons
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}

@@ -36,9 +36,14 @@ def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool
 
 
 def draw_obstacles(ax, scene: Scene) -> Iterator:
+    """Draw the circles and polygons that no arm may touch, and yield a legend entry."""
+    from matplotlib.collections import PolyCollection
 
     if len(scene.obstacles):
         add_circles(ax, scene.obstacles[:, :2], scene.obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
+    if scene.polygons:
+        ax.add_collection(PolyCollection(scene.polygons, facecolors=OBSTACLE, zorder=2))
+    if len(scene.obstacles) or scene.polygons:
         yield legend_line(color=OBSTACLE, marker="o", linestyle="none", label="obstacle")
 
 

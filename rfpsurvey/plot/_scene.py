@@ -35,6 +35,8 @@ class Scene:
     status: np.ndarray
     colliding: np.ndarray
     obstacles: np.ndarray
+    polygons: list
+    """Vertices of the polygons that no arm may touch."""
     groups: dict[str, np.ndarray]
 
     @property
@@ -76,6 +78,7 @@ def _of_tile(tile):
         np.asarray(table["status"]),
         np.asarray(table["in_collision"]),
         np.array(geometry["obstacles_mm"]).reshape(-1, 3),
+        [np.array(one) for one in geometry.get("obstacle_polygons_mm", [])],
         {name: np.asarray(table[name] if name in table.colnames else np.zeros(len(table), int)) for name in GROUPS},
     )
 
@@ -86,7 +89,7 @@ def _of_plane(thing):
         raise InputTypeError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {kind}")
     name, plane = named_plane(thing)
     name = f"{name}: " if name else ""
-    n, obstacles = len(plane), len(plane.arrays.obstacles)
+    n, obstacles = len(plane), len(plane.arrays.obstacles) + len(plane.arrays.obstacle_polygons)
     posed = place_arms(plane, np.full((n, 2), np.nan) * u.mm, parked_obstacles=False)
     status = np.where(plane.disabled, "disabled", "usable")
     status[plane.arrays.is_stuck] = "stuck"
@@ -104,6 +107,7 @@ def _of_plane(thing):
         status,
         np.zeros(n, bool),
         plane.arrays.obstacles,
+        list(plane.arrays.obstacle_polygons),
         {"spectrograph": spectrograph, "fiber_type": plane.fiber_type},
     )
 

@@ -2,7 +2,7 @@
 
 from rfpsurvey.positioner._division import divide_polygon
 from rfpsurvey.positioner._numbers import PositionerNumbers
-from rfpsurvey.positioner._outline import ArmOutline, make_outline
+from rfpsurvey.positioner._outline import ArmOutline, convex_polygon, make_outline, with_normals
 from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner
 
 __all__ = [
@@ -11,6 +11,8 @@ __all__ = [
     "ArmOutline",
     "Positioner",
     "PositionerNumbers",
+    "convex_polygon",
     "divide_polygon",
     "make_outline",
+    "with_normals",
 ]

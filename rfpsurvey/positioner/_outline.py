@@ -12,7 +12,7 @@ from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
 from rfpsurvey._units import locked, to_points_mm, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 
-__all__ = ["ArmOutline", "make_outline"]
+__all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
 
 MOST = 1e6
 """Largest coordinate and radius, mm."""
@@ -170,7 +170,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
         return NO_OUTLINE
-    vertices = np.hstack([_with_normals(vertices) for vertices, _ in parts])
+    vertices = np.hstack([with_normals(vertices) for vertices, _ in parts])
     circles = np.column_stack([*(_circle(vertices, radius) for vertices, radius in parts), np.zeros(4)])
     table = np.hstack([vertices, np.vstack([circles, start])])
     length, n = float(outline.length.value), outline.n_eccentric
@@ -202,7 +202,12 @@ def _from_core(vertices, low, high):
     return float(np.hypot(x - np.clip(x, low, high), y).max())
 
 
-def _with_normals(vertices):
+def convex_polygon(points: u.Quantity, name: str) -> np.ndarray:
+    """Return the vertices of a convex polygon (mm) in counter-clockwise order, for arguments with a given name."""
+    return _to_part(points, name)[0]
+
+
+def with_normals(vertices):
     """Return the rows x, y, normal x, normal y and length of the edges that start at the vertices."""
     dx, dy = (np.roll(vertices, -1, axis=0) - vertices).T
     length = np.hypot(dx, dy)
@@ -266,7 +271,7 @@ def _closed_length(points):
 
 def _on_outline(points, hull):
     """Return whether all points are close to an edge of a convex polygon."""
-    x, y, nx, ny, length = _with_normals(hull)
+    x, y, nx, ny, length = with_normals(hull)
     dx, dy = points[:, :1] - x, points[:, 1:] - y
     along = dy * nx - dx * ny
     distance = np.hypot(dx * nx + dy * ny, along - np.clip(along, 0.0, length))

@@ -33,6 +33,11 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that
     # its kind is different after each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
+    # the few positioners near polygons are separate kinds
+    touched = np.zeros(n, dtype=bool)
+    pairs = plane.arrays.obstacle_pairs
+    touched[pairs[pairs[:, 1] >= len(plane.arrays.obstacles), 0]] = True
+    kinds = np.where(touched, n + np.arange(n), kinds)
     away, what = xy[j] - xy[i], kinds[j]
     circles = plane.arrays.obstacles
     if len(circles):

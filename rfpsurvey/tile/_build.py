@@ -111,6 +111,7 @@ def build_tile(
             "min_separation_mm": float(plane.positioner.numbers.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
+            "obstacle_polygons_mm": [one.tolist() for one in plane.arrays.obstacle_polygons],
             **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }

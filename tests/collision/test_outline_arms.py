@@ -8,23 +8,13 @@ import pytest
 import shapely
 from astropy.coordinates import SkyCoord
 from matplotlib.figure import Figure
+from outlined import DESI_LIKE, placed
 
 import rfpsurvey as rs
 from rfpsurvey.collision import nearest_distance, place_arms
 
 CAPSULE = rs.Positioner(
     7.4 * u.mm, 15 * u.mm, 2 * u.mm, arm_model="capsule", arm_length=14.7 * u.mm, arm_angle=-1.4 * u.deg
-)
-WEDGE = [[0, -0.9], [3.2, -0.8], [3.4, 0.0], [3.2, 0.8], [0, 0.9]] * u.mm
-HEEL = ([[0.1, -1.0], [0.1, -2.0], [1.0, -1.7]] * u.mm, 0.05 * u.mm)
-BODY = [[5.0, -0.5], [4.4, -2.5], [1.8, -2.8], [0.9, -0.4]] * u.mm
-DISC = ([[3.0, 0.0]] * u.mm, 2.1 * u.mm)
-DESI_LIKE = rs.Positioner(
-    3 * u.mm,
-    3 * u.mm,
-    0.1 * u.mm,
-    arm_model="outline",
-    outline=rs.ArmOutline(eccentric=(WEDGE, HEEL), central=(BODY, DISC)),
 )
 
 
@@ -85,21 +75,6 @@ def test_capsule_as_outline_gives_the_same_probability(options):
     )
     assert found.value == pytest.approx(expected.value, rel=1e-12)
     assert expected.value > 0.01
-
-
-def placed(unit: rs.Positioner, center, elbow, tip) -> tuple[shapely.Geometry, shapely.Geometry]:
-    """Return the eccentric and the central arm as shapes of shapely."""
-    shapes = []
-    for parts, origin, end in ((unit.outline.eccentric, elbow, tip), (unit.outline.central, center, elbow)):
-        ux, uy = (end - origin) / np.hypot(*(end - origin))
-        found = []
-        for part in parts:
-            vertices, radius = part if isinstance(part, tuple) else (part, 0 * u.mm)
-            points = vertices.to_value(u.mm) @ np.array([[ux, uy], [-uy, ux]]) + origin
-            core = shapely.Point(points[0]) if len(points) == 1 else shapely.MultiPoint(points).convex_hull
-            found.append((core, radius.to_value(u.mm)))
-        shapes.append(found)
-    return tuple(shapes)
 
 
 def gap_of(first, second) -> float:
@@ -166,6 +141,7 @@ unit = "cm"
 value.eccentric = [{ vertices = [[0.0, -0.1], [0.3, -0.1], [0.3, 0.1], [0.0, 0.1]], radius = 0.01 }]
 value.central = [{ vertices = [[0.3, 0.0]], radius = 0.2 }]
 [layout]
+obstacle_polygons = { value = [[[0, 3], [1, 3], [1, 4]], [[9, 9], [9.5, 9], [9.5, 9.5], [9, 9.5]]], unit = "cm" }
 pitch = { value = 9.5, unit = "mm" }
 rings = { value = 2 }
 [optics]
@@ -173,7 +149,9 @@ plate_scale = { value = 60.0, unit = "um/arcsec" }
 """
     file = tmp_path / "mine.toml"
     file.write_text(text)
-    outline = rs.Instrument.read(file).focal_plane.positioner.outline
+    plane = rs.Instrument.read(file).focal_plane
+    assert [one.max() for one in plane.arrays.obstacle_polygons] == [40, 95]
+    outline = plane.positioner.outline
     assert outline.to_dict() == {
         "eccentric": [{"vertices": [[0.0, -1.0], [3.0, -1.0], [3.0, 1.0], [0.0, 1.0]], "radius": 0.1}],
         "central": [{"vertices": [[3.0, 0.0]], "radius": 2.0}],

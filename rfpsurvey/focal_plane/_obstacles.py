@@ -1,0 +1,41 @@
+"""Fixed obstacles of a focal plane, which no arm may touch: circles and convex polygons."""
+
+import numpy as np
+
+from rfpsurvey._kernels.outlines import NO_POLYGONS, Polygons
+from rfpsurvey._units import locked
+from rfpsurvey.positioner import convex_polygon, make_outline, with_normals
+
+__all__ = ["find_obstacle_pairs", "find_polygons", "to_polygons"]
+
+
+def to_polygons(given) -> tuple[np.ndarray, ...]:
+    """Return the vertices of each polygon, mm, in counter-clockwise order."""
+    return tuple(locked(convex_polygon(one, f"obstacle_polygons[{k}]")) for k, one in enumerate(given or ()))
+
+
+def find_polygons(columns) -> Polygons:
+    """Return the polygons for the kernels."""
+    polygons, shape = columns.obstacle_polygons, columns.plane.positioner.outline
+    if not polygons:
+        return NO_POLYGONS
+    first = np.empty((5, 0))
+    if shape is not None:
+        outline = make_outline(shape, columns.xy, columns.central_arm)
+        first = outline.table[:, : outline.n_vertices]
+    start = first.shape[1] + np.cumsum([0, *map(len, polygons)]).astype(np.int64)
+    table = np.hstack([first, *(with_normals(one) for one in polygons)])
+    return Polygons(locked(np.ascontiguousarray(table)), locked(start))
+
+
+def find_obstacle_pairs(columns) -> np.ndarray:
+    """Return the pairs of rows (positioner, obstacle) that can touch; polygons follow the circles."""
+    circles = columns.obstacles
+    if columns.obstacle_polygons:
+        around = [(*one.mean(axis=0), np.hypot(*(one - one.mean(axis=0)).T).max()) for one in columns.obstacle_polygons]
+        circles = np.vstack([circles, around])
+    if len(circles) == 0:
+        return locked(np.empty((0, 2), dtype=np.int64))
+    apart = np.hypot(*(columns.xy[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
+    limit = columns.arm_reach[:, None] + circles[None, :, 2] + columns.clearance
+    return locked(np.ascontiguousarray(np.argwhere(apart < limit * (1 + 1e-12) + columns.touch_slack)))
