@@ -10,7 +10,7 @@ from rfpsurvey.projection import FieldProjection, RadialMap
 __all__ = ["ObservedField"]
 
 # Half the distance of the points whose images define the orientation, radians; steps of the inverse.
-STEP, MOST_STEPS = 1e-4, 60
+STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
 
 
 class ObservedField:
@@ -83,12 +83,15 @@ class ObservedField:
         """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN for points outside the radial map."""
         seen = self._optics.unproject(points, fiber_type)
         vectors = seen @ self.basis
+        last = np.inf
         for _ in range(MOST_STEPS):
             change = (seen - self._observe(vectors, fiber_type)) @ self.basis
             vectors = vectors + change
             vectors /= np.linalg.norm(vectors, axis=1)[:, None]
-            if not np.nanmax(np.abs(change), initial=0.0) > 4e-16:
+            largest = np.nanmax(np.abs(change), initial=0.0)
+            if largest <= ROUNDING and largest > last / 2:  # rounding errors prevent further improvement
                 break
+            last = largest
         return vectors
 
     def wavelength_groups(self, fiber_type: str | np.ndarray | None, n: int) -> list[tuple[object, float]]:

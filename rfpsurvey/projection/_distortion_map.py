@@ -17,7 +17,7 @@ __all__ = ["DistortionMap"]
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
 # Directions slightly outside of the traced ones are extrapolated.
 MARGIN = 1.04
-MOST_STEPS, N_AZIMUTHS = 30, 72
+MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 
 
 @check_keywords
@@ -255,7 +255,7 @@ class DistortionMap:
             tangents = np.where(np.hypot(*tangents.T)[:, None] <= 1.5 * unit, tangents, np.nan)
             change = np.linalg.solve(self._jacobian(tangents), (points - self._image(tangents))[..., None])[..., 0]
             tangents = tangents + change
-            if not np.nanmax(np.abs(change), initial=0.0) > 4e-16:
+            if not np.nanmax(np.abs(change), initial=0.0) > ENOUGH:  # the next step would be its square
                 break
         return np.where(np.hypot(*tangents.T)[:, None] <= unit * (1 + 1e-9), tangents, np.nan)
 

@@ -306,3 +306,12 @@ def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):
     code, _, err = run("plan", "example:anticenter", "--epoch", "2026", *options)
     assert code == 2
     assert text in err
+
+
+def test_the_sentence_states_the_drift_only_for_exposures(presets):
+    for time, stated in ((0 * u.s, False), (15 * u.min, True)):
+        result = rs.compare_projections(
+            presets["pfs"], CENTER, conditions_at(wavelength=0.6 * u.um, exposure_time=time)
+        )
+        assert ("during the exposure" in str(result)) == stated
+        assert (result.drift > 0 * u.mm) == stated

@@ -238,6 +238,28 @@ def test_the_plane_states_altitude_azimuth_and_rotation():
     assert back.separation(SkyCoord("14h +52.5d"))[0] < 1e-9 * u.deg
 
 
+def test_the_inverse_needs_few_steps(presets):
+    """Regression: the steps continued as long as rounding errors were not exactly 0."""
+    conditions = rs.ObservingConditions("xinglong", hour_angle=2 * u.hourangle, exposure_time=15 * u.min)
+    field = presets["lamost"].projection(SkyCoord("6h20m +23d"), conditions=conditions).plain
+    calls, original = [], field._observe
+    field._observe = lambda *arguments: calls.append(1) or original(*arguments)
+    field.unproject(presets["lamost"].focal_plane.arrays.xy)
+    assert 3 < len(calls) < 12
+
+
+def test_the_radius_of_a_plane_is_0_by_default():
+    """A field whose center is just above the horizon is allowed if its radius is unknown."""
+    center, plate = SkyCoord(0 * u.deg, 0 * u.deg), {"plate_scale": 1 * u.mm / u.deg}
+    conditions = rs.ObservingConditions("paranal", hour_angle=89.6 * u.deg)
+    assert 0 * u.deg < ObservedPlane(center, **plate, conditions=conditions).altitude < 1 * u.deg
+    with pytest.raises(rs.InputError, match="above the horizon"):
+        ObservedPlane(center, **plate, conditions=conditions, field_radius=1 * u.deg)
+    for radius in (-1 * u.deg, 91 * u.deg):
+        with pytest.raises(rs.InputError, match="field_radius must be"):
+            ObservedPlane(center, **plate, conditions=conditions, field_radius=radius)
+
+
 def similarity(xy, other):
     """Return the distances that remain after the best shift, rotation and scale, and the scale and the angle."""
     a, b = xy @ [1, 1j], other @ [1, 1j]

@@ -87,6 +87,13 @@ def test_the_round_trip_is_exact_and_the_outside_is_nan(traced, adc):
     assert found.plate_scale.to_value(u.mm / u.rad) == pytest.approx(np.sqrt(np.prod(scales)), rel=1e-6)
 
 
+def test_the_inverse_needs_few_steps(traced, monkeypatch):
+    found, solve, calls = rs.DistortionMap.from_ray_trace(traced), np.linalg.solve, []
+    monkeypatch.setattr(np.linalg, "solve", lambda *arguments: calls.append(1) or solve(*arguments))
+    found.unproject(found.project(targets()))
+    assert 1 < len(calls) < 7
+
+
 def test_fields_are_projected_and_planned(traced, presets):
     found = rs.DistortionMap.from_ray_trace(traced).at([-60, 60] * u.deg)
     desi = replace(presets["desi"], plate_scale=None, distortion=found)
