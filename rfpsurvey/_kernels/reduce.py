@@ -4,7 +4,6 @@ A candidate is a positioner with one target and one elbow position, or a positio
 excludes all candidates with which its arm would collide, and all candidates of the same target.
 """
 
-
 from rfpsurvey._jit import kernel
 
 

@@ -13,6 +13,7 @@ import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
+from rfpsurvey.allocation import _search
 
 # pitch, central and eccentric arm, minimum separation (mm)
 ARMS = {"LAMOST": (25.6, 8.25, 8.25, 4.5), "SDSS-V": (22.4, 7.4, 15, 5.0782)}
@@ -100,8 +101,10 @@ def main():
     parser.add_argument("--only", choices=["large", "sizes", "clock", "quality"])
     parser.add_argument("--scenes", type=int, default=200)
     given = parser.parse_args()
-    solve(*hexagon(ARMS["SDSS-V"], 8, 1, 0), 5)  # compiles
-    solve(*hexagon((10.0, 10, 15, 3.0), 6, 2, 0), 1)
+    largest, _search.LARGEST = _search.LARGEST, 0  # compiles all kernels
+    solve(*hexagon(ARMS["SDSS-V"], 8, 1, 0), 5)
+    solve(*hexagon((10.0, 10, 15, 3.0), 3, 50, 0), 5)
+    _search.LARGEST = largest
     for part in (large, sizes, quality):
         if given.only in (None, part.__name__):
             part()

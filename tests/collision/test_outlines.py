@@ -58,6 +58,13 @@ def test_polygons_at_the_minimum_separation_do_not_collide():
     assert two([square], separation=np.nextafter(0.5, 1), distance=2.5)[1]
 
 
+@pytest.mark.parametrize("distance", [5.0, -1.0])
+def test_the_gap_of_points_is_their_distance(distance):
+    gap, collide = two([[[1, 0]]], separation=3.5, distance=distance, turned=True)
+    assert gap == pytest.approx(3, abs=1e-12)
+    assert collide
+
+
 def test_crossing_lines_without_a_radius_overlap():
     """Crossing lines overlap, as thin polygons do; parallel lines only touch."""
     cross = np.array([[[0, -2], [4, 2]]])
