@@ -1,6 +1,6 @@
 """Residuals of maps of the focal plane of DESI against its ray trace, by setting of the dispersion compensator.
 
-Run ``RFPSURVEY_TEST_DATA=... python tests/benchmarks/observing_desi.py``, which takes some seconds. It prints the
+Run ``RFPSURVEY_TEST_DATA=... python tests/benchmarks/observing_desi.py``, which takes half a minute. It prints the
 numbers on the page on observing conditions.
 """
 
@@ -77,9 +77,7 @@ def settings(table, trace, half, preset):
 
 def complexity(path):
     """Print the residuals by degree and order."""
-    print(
-        "\nlargest residual (mm) by degree (rows) and order of the Fourier series (columns), and number of coefficients"
-    )
+    print("\nlargest residual (mm), and number of coefficients, by degree (rows) and order of the Fourier series")
     print(" " * 6 + "".join(f"{order:>16}" for order in HARMONICS))
     for degree in DEGREES:
         found = [rs.DistortionMap.from_ray_trace(path, degree=degree, harmonics=order) for order in HARMONICS]

@@ -296,7 +296,12 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
 
         assert left.max() < bound
         assert abs(factor - 1) < 3e-4
-        assert abs(angle) < np.deg2rad(0.2)
+        # position angles of the file are measured at the refracted place, from the pole of date without refraction
+        plane = instrument.projection(center, conditions=conditions)
+        hour, dec = erfa.ae2hd(plane.azimuth.rad, plane.altitude.rad, site.lat.rad)
+        expected = plane.parallactic_angle.rad - erfa.hd2pa(hour, dec, site.lat.rad)
+        assert angle == pytest.approx(expected, abs=np.deg2rad(1e-3))
+        assert angle == pytest.approx(np.deg2rad(0.0916), abs=np.deg2rad(0.02))
         if kind == "BOSS":
             static = instrument.projection(center).to_focal_plane(targets, kind)
             assert np.median(similarity(static.value, wok)[0]) == pytest.approx(0.042, abs=1e-3)
@@ -410,6 +415,38 @@ def test_sites_are_near_their_published_places():
         assert abs(conditions.hour_angle - 45 * u.deg) < 1e-9 * u.deg
         assert name in repr(conditions).lower()
         assert conditions.record["height_m"] > 900
+
+
+def test_a_sdssv_configuration_is_scored_from_its_positions_on_the_sky(real_data):
+    from rfpsurvey.plans import read_plan
+
+    folder = real_data("sdssv_apo_2024")
+    plan = read_plan(folder / "confSummary-test.par.gz")
+    plan = plan[np.asarray(plan["on_target"]) == 1]
+    instrument = rs.Instrument.from_sdssv(folder)
+    conditions = rs.ObservingConditions(
+        EarthLocation.from_geodetic(-105.820278 * u.deg, 32.7802778 * u.deg, 2788 * u.m),
+        time=Time(2460427.0, format="jd", scale="tai"),
+        wavelength={"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um},
+        guide_wavelength=0.6231 * u.um,
+        pressure=720 * u.hPa,
+        temperature=5 * u.deg_C,
+    )
+    place = {"positions": "sky", "position_angle": 0.0916 * u.deg}
+    place |= {"columns": {"ra": "ra_fiber", "dec": "dec_fiber"}, "units": {"ra": "deg", "dec": "deg"}}
+    given = rs.score_tile(plan, instrument)
+    rows = {name: row for row, name in enumerate(given["id"].astype(str))}
+    rows = [rows[name] for name in plan["positioner"].astype(str)]
+    wok = np.column_stack([given["tip_x"].value, given["tip_y"].value])[rows]
+    left = {}
+    for name, seen in (("static", None), ("observed", conditions)):
+        tile = rs.score_tile(plan, instrument, conditions=seen, **place)
+        left[name], *_ = similarity(np.column_stack([tile["tip_x"].value, tile["tip_y"].value])[rows], wok)
+    assert len(rows) == 490
+    assert left["observed"].max() < 0.001
+    assert np.median(left["static"]) == pytest.approx(0.042, abs=1e-3)
+    for name in ("n_assigned", "n_out_of_reach", "n_colliding_pairs"):
+        assert tile.summary[name] == given.summary[name]
 
 
 def test_conditions_at_other_times():
