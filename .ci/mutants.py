@@ -62,6 +62,9 @@ TESTS = {
     "rfpsurvey/_kernels/repair.py": (
         "allocation/repair allocation/quotas allocation/random_quotas allocation/sky allocation/allocate"
     ),
+    "rfpsurvey/observing/*": "observing/observing observing/models",
+    "rfpsurvey/instrument/_compare_projections.py": "observing/models",
+    "rfpsurvey/projection/_distortion_map.py": "projection/distortion_map",
     "rfpsurvey/_kernels/simulate.py": "probability/targets probability/hard_cases probability/collision_probability",
 }
 # These modules, which rfpsurvey and its tests import, are imported only once, not for each mutant.

@@ -9,6 +9,7 @@ from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.observing import SITES, location
+from rfpsurvey.tiling import when_of
 
 __all__ = [
     "ConditionsOption",
@@ -16,10 +17,12 @@ __all__ = [
     "HourAngleOption",
     "ProjectionOption",
     "SiteOption",
-    "TilesConditionsOption",
+    "TilesHourAngleOption",
+    "TilesTimeOption",
     "TimeOption",
     "WavelengthOption",
     "conditions_of",
+    "tiles_under",
 ]
 
 ConditionsOption = Annotated[
@@ -27,13 +30,6 @@ ConditionsOption = Annotated[
     typer.Option(
         help="TOML file with observing conditions: site, time or hour_angle, wavelength, guide_wavelength, pressure, "
         "temperature, humidity, exposure_time, tolerance. The options below take precedence."
-    ),
-]
-TilesConditionsOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="TOML file with observing conditions, as of rfpsurvey plan. A column hour_angle (hours) or time of the "
-        "tiles replaces its time or hour angle."
     ),
 ]
 SiteOption = Annotated[
@@ -46,6 +42,20 @@ SiteOption = Annotated[
 TimeOption = Annotated[str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00.")]
 HourAngleOption = Annotated[
     float | None, typer.Option(help="Hour angle of the field center (hours), positive west, in place of --time.")
+]
+TilesTimeOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Midpoint of the exposure (UTC) of all tiles, such as 2026-07-01T06:30:00. A column time or hour_angle of "
+        "the tiles replaces it."
+    ),
+]
+TilesHourAngleOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Hour angle of all tiles (hours), in place of --time. A column hour_angle (hours, or with a unit) or time "
+        "of the tiles replaces it."
+    ),
 ]
 WavelengthOption = Annotated[
     list[str] | None,
@@ -93,6 +103,23 @@ def conditions_of(
     if "site" not in given:
         raise rs.InputError(f"--site must be given for refraction: LONGITUDE,LATITUDE,HEIGHT or {', '.join(SITES)}")
     return rs.ObservingConditions(**given)
+
+
+def tiles_under(
+    tiling: "rs.Tiling",
+    path: Path | None,
+    site: str | None,
+    time: str | None,
+    hour_angle: float | None,
+    wavelength: list[str] | None,
+    exposure_time: float | None,
+) -> "rs.Tiling":
+    """Return a tiling under the conditions of a file and of options; without them, return the tiling unchanged."""
+    given = any(value is not None for value in (path, site, time, hour_angle, exposure_time)) or wavelength
+    if given and time is None and hour_angle is None and when_of(tiling.table) is not None:
+        hour_angle = 0.0  # every tile has a time or hour angle of its own
+    seen = conditions_of(path, site, time, hour_angle, wavelength, exposure_time)
+    return tiling if seen is None else tiling.with_conditions(seen)
 
 
 def _wavelengths(texts: list[str]):

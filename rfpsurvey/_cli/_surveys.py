@@ -16,7 +16,7 @@ from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["run", "targets_of", "workers"]
+__all__ = ["run", "targets_of", "tiles_of", "workers"]
 
 MANY = 0.05  # the collision rate above which a hint is printed
 
@@ -31,7 +31,7 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
     return _app.read_catalog(path, column, unit, frame, fill, keep)
 
 
-def _read_tiles(path: Path | None, targets, model: "rs.Instrument"):
+def tiles_of(path: Path | None, targets, model: "rs.Instrument"):
     """Return the tiles in a file; if no file is given, return tiles that cover the catalog twice."""
     if path is not None:
         tiling = rs.Tiling.read(path)
@@ -91,19 +91,15 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
 
 def run(
     targets,
-    tiles: Path | None,
+    tiling: "rs.Tiling",
     model: "rs.Instrument",
     executor,
     options: dict,
     plot: Path | None,
     quality: Path | None,
     report: Path | None,
-    conditions: Path | None = None,
 ) -> None:
     """Plan a survey, print its summary, and plot it if requested."""
-    tiling = _read_tiles(tiles, targets, model)
-    if conditions is not None:
-        tiling = tiling.with_conditions(rs.ObservingConditions.read(conditions))
     begin = perf_counter()
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)

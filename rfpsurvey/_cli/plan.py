@@ -6,6 +6,7 @@ import astropy.units as u
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _conditions, _options
+from rfpsurvey.allocation import end_on_interrupt
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tile import north_of_date
 
@@ -66,16 +67,20 @@ def plan(
         keep_out=keep_out,
     )
     _app.check_text(sky, model, field, output)
-    tile = rs.plan_tile(
-        sky,
-        model,
-        north_of_date(field, equinox),
-        position_angle=pa * u.deg,
-        epoch=epoch,
-        allocator=options,
-        conditions=seen,
-        projection=projection,
-        progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
-        rng=seed,
-    )
+    with end_on_interrupt() as interrupted:
+        tile = rs.plan_tile(
+            sky,
+            model,
+            north_of_date(field, equinox),
+            position_angle=pa * u.deg,
+            epoch=epoch,
+            allocator=options,
+            conditions=seen,
+            projection=projection,
+            progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
+            rng=seed,
+        )
+        ended_early = interrupted.is_set()
+    if ended_early:
+        print("rfpsurvey: interrupted; this is the best plan found so far", file=sys.stderr)
     _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

@@ -13,7 +13,12 @@ def survey(
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
     epoch: _options.EpochOption = None,
-    conditions: _conditions.TilesConditionsOption = None,
+    conditions: _conditions.ConditionsOption = None,
+    site: _conditions.SiteOption = None,
+    time: _conditions.TilesTimeOption = None,
+    hour_angle: _conditions.TilesHourAngleOption = None,
+    wavelength: _conditions.WavelengthOption = None,
+    exposure_time: _conditions.ExposureOption = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
     keep_out: _options.KeepOutOption = None,
@@ -55,5 +60,7 @@ def survey(
         "resume": resume,
         "rng": seed,
     }
+    tiling = _surveys.tiles_of(tiles, targets, model)
+    tiling = _conditions.tiles_under(tiling, conditions, site, time, hour_angle, wavelength, exposure_time)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiles, model, executor, options, plot, quality, report, conditions)
+        _surveys.run(targets, tiling, model, executor, options, plot, quality, report)

@@ -120,6 +120,33 @@ def adjacency(first, second, indptr, other):
 
 
 @kernel
+def keep_pairs(pairs, keep, new, out):
+    """Write the pairs of which both ends are kept, with their new indices, to ``out``, and return their number."""
+    n = 0
+    for k in range(pairs.shape[1]):
+        a, b = pairs[0, k], pairs[1, k]
+        out[0, n], out[1, n] = new[a], new[b]
+        n += keep[a] and keep[b]
+    return n
+
+
+@kernel
+def join(first, second, label):
+    """Give the same label to elements that pairs connect, directly or not; ``label`` contains 0, 1, ... at first."""
+    for k in range(first.size):
+        a, b = first[k], second[k]
+        while label[a] != a:
+            label[a] = label[label[a]]
+            a = label[a]
+        while label[b] != b:
+            label[b] = label[label[b]]
+            b = label[b]
+        label[max(a, b)] = min(a, b)
+    for a in range(label.size):
+        label[a] = label[label[a]]
+
+
+@kernel
 def clique_rows(edges, n_pairs, pair_start, row_start, column):
     """Cover the conflicts of each pair of positioners with cliques; at most one candidate of a clique can be in use.
 

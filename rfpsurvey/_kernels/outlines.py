@@ -18,7 +18,7 @@ from rfpsurvey._jit import inlined_kernel, kernel
 
 UNIT = 2.0**-53
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
-OUTLINE_ERROR = 1024.0 * UNIT
+OUTLINE_ERROR = 1280.0 * UNIT
 # The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
 # two frames plus twice the largest distance of a vertex from the origin of its frame.
 AXIS_ERROR = 64.0 * UNIT
@@ -57,7 +57,7 @@ class Outline(NamedTuple):
     central_box: tuple[float, float, float, float]
     """The same for the central parts."""
     centers: np.ndarray
-    """Centers of all positioners, and the inverse length of the central arm, shape (3, n)."""
+    """Centers of all positioners, and the inverse length of the central arm, shape (n, 3)."""
 
     @property
     def parts(self) -> np.ndarray:
@@ -82,7 +82,7 @@ NO_OUTLINE = Outline(
     0.0,
     (0.0,) * 4,
     (0.0,) * 4,
-    _nothing(3, 0),
+    _nothing(0, 3),
 )
 """The value for arms that are segments."""
 
@@ -209,8 +209,8 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     of the arms i and j follow; their length is that of the outline.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
-    cx, cy, shorter = outline.centers[0, i], outline.centers[1, i], outline.centers[2, i]
-    dx, dy, other = outline.centers[0, j], outline.centers[1, j], outline.centers[2, j]
+    cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
+    dx, dy, other = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
     ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
@@ -246,7 +246,7 @@ def place_outline(outline, i, x0, y0, x1, y1, placed):
     """
     v, start = outline.table, outline.start
     eccentric = frame(x0, y0, x1, y1)
-    central = frame(outline.centers[0, i], outline.centers[1, i], x0, y0)
+    central = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
     for k in range(outline.n_vertices):
         x, y, c, s = eccentric if k < start[outline.n_eccentric] else central
         placed[0, k], placed[1, k] = x, y

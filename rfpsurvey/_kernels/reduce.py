@@ -4,8 +4,6 @@ A candidate is a positioner with one target and one elbow position, or a positio
 excludes all candidates with which its arm would collide, and all candidates of the same target.
 """
 
-import numpy as np
-
 from rfpsurvey._jit import kernel
 
 
@@ -36,23 +34,24 @@ def enqueue(i, waiting, queue, tail):
 
 
 @kernel
-def reduce_candidates(options, alive):
+def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
     """Set ``alive`` to False for the candidates that an optimal plan does not need.
 
     A candidate b is not needed if another candidate a of its positioner is at least as good, and if b excludes all
     candidates that a excludes. If only one candidate of a positioner is left, it is in use, and all candidates that it
     excludes are removed.
+
+    ``queue`` is a ring buffer of the positioners that ``waiting`` marks; it begins and ends at the numbers ``ends``.
+    ``mark`` (-1 for each candidate at first) and ``removed`` are scratch arrays. The work ends after about
+    ``most_work`` comparisons, and can be continued; ``alive`` is valid at any time.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
     indptr, other = options.indptr, options.other
     n = start.size - 1
-    waiting = np.ones(n, np.bool_)
-    queue = np.arange(n)
-    head, tail = 0, n
-    mark = np.full(own.size, -1, np.int64)
-    removed = np.empty(own.size, np.int64)
-    while head < tail:
+    head, tail = ends[0], ends[1]
+    work = 0
+    while head < tail and work < most_work:
         i = queue[head % n]
         head += 1
         waiting[i] = False
@@ -61,6 +60,7 @@ def reduce_candidates(options, alive):
         for b in range(start[i], start[i + 1]):
             if not alive[b]:
                 continue
+            work += indptr[b + 1] - indptr[b]
             for k in range(indptr[b], indptr[b + 1]):
                 mark[other[k]] = b
             for a in range(start[i], start[i + 1]):
@@ -68,6 +68,7 @@ def reduce_candidates(options, alive):
                     continue
                 if rank[a] == rank[b] and cost[a] > cost[b]:
                     continue
+                work += 4 + (indptr[a + 1] - indptr[a]) // 4
                 if dominates(a, b, i, alive, options, mark):
                     alive[b] = False
                     removed[n_removed] = b
@@ -98,3 +99,4 @@ def reduce_candidates(options, alive):
             if target[c] >= 0:
                 for k in range(t_indptr[target[c]], t_indptr[target[c] + 1]):
                     tail = enqueue(own[t_candidate[k]], waiting, queue, tail)
+    ends[0], ends[1] = head, tail

@@ -3,6 +3,8 @@
 A candidate is an assignment that a plan may use: a positioner with a target and an elbow, or with its idle arm.
 """
 
+import heapq
+
 import numpy as np
 
 from rfpsurvey._jit import kernel
@@ -140,18 +142,14 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 
 @kernel
-def repair(options, order, chosen, blocked, holder, most_rounds):
-    """Remove the collisions of a plan, in place; then assign better targets to positioners, also to idle positioners.
+def settle(options, order, fixed, chosen, blocked, holder):
+    """Move positioners whose arms collide, in place, to candidates as good as before; return how many were moved.
 
-    ``order`` lists the positioners in the order in which they are moved. Returns the number of positioners that
-    received a candidate as good as the previous one, and the number of positioners that lost their target.
+    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for those with one candidate.
     """
-    start, rank = options.start, options.rank
-    n = order.size
-    fixed = np.zeros(n, np.bool_)
-    moved = dropped = 0
+    moved = 0
     for i in order:
-        fixed[i] = start[i + 1] - start[i] == 1
+        fixed[i] = options.start[i + 1] - options.start[i] == 1
         if fixed[i] or blocked[chosen[i]] == 0:
             continue
         c = best_free(i, chosen[i], options, chosen, blocked, holder)
@@ -160,27 +158,56 @@ def repair(options, order, chosen, blocked, holder, most_rounds):
             moved += 1
         elif displace(i, chosen[i], 0, options, chosen, blocked, holder):
             moved += 1
+    return moved
+
+
+@kernel
+def drop(options, order, fixed, chosen, blocked, holder):
+    """Give up targets, in place, until no arms collide; return the number of positioners that lost their target.
+
+    The positioner that collides with the largest number of other arms is first, and then the first one in ``order``.
+    """
+    place = np.empty(order.size, np.int64)
+    heap = [(np.int64(0), np.int64(0))]
+    for k in range(order.size):
+        i = order[k]
+        place[i] = k
+        if not fixed[i] and blocked[chosen[i]] > 0:
+            heap.append((-blocked[chosen[i]], np.int64(k)))
+    heapq.heapify(heap)
+    dropped = 0
     while True:
-        # Begin with the positioner that collides with the largest number of other arms.
-        worst = -1
-        for i in order:
-            if not fixed[i] and blocked[chosen[i]] > 0 and (worst < 0 or blocked[chosen[i]] > blocked[chosen[worst]]):
-                worst = i
-        if worst < 0:
+        less, k = heapq.heappop(heap)
+        if less == 0:
             break
-        dropped += options.target[chosen[worst]] >= 0
-        give_up_target(worst, options, chosen, blocked, holder, fixed)
-    for _ in range(most_rounds):
-        changed = False
-        for i in order[::-1]:
-            if start[i + 1] - start[i] == 1 or blocked[chosen[i]] > 0:
-                continue
-            c = best_free(i, chosen[i], options, chosen, blocked, holder)
-            if c >= 0 and rank[c] < rank[chosen[i]]:
-                put(i, c, options, chosen, blocked, holder)
-                changed = True
-            elif displace(i, chosen[i], 1, options, chosen, blocked, holder):
-                changed = True
-        if not changed:
-            break
-    return moved, dropped
+        i = order[k]
+        now = blocked[chosen[i]]
+        if fixed[i] or now == 0:
+            continue
+        if now != -less:  # the number has changed since the entry was added
+            heapq.heappush(heap, (-now, k))
+            continue
+        dropped += options.target[chosen[i]] >= 0
+        give_up_target(i, options, chosen, blocked, holder, fixed)
+        for m in range(options.indptr[chosen[i]], options.indptr[chosen[i] + 1]):
+            j = options.own[options.other[m]]
+            if chosen[j] == options.other[m] and not fixed[j]:
+                heapq.heappush(heap, (-blocked[chosen[j]], place[j]))
+    return dropped
+
+
+@kernel
+def gain(options, order, chosen, blocked, holder):
+    """Assign better targets to positioners in the given order, in place; return whether any positioner was moved."""
+    start, rank = options.start, options.rank
+    changed = False
+    for i in order:
+        if start[i + 1] - start[i] == 1 or blocked[chosen[i]] > 0:
+            continue
+        c = best_free(i, chosen[i], options, chosen, blocked, holder)
+        if c >= 0 and rank[c] < rank[chosen[i]]:
+            put(i, c, options, chosen, blocked, holder)
+            changed = True
+        elif displace(i, chosen[i], 1, options, chosen, blocked, holder):
+            changed = True
+    return changed

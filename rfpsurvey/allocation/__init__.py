@@ -2,6 +2,7 @@
 
 from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import brief
 from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
@@ -24,6 +25,7 @@ __all__ = [
     "as_requirements",
     "assign",
     "brief",
+    "end_on_interrupt",
     "hint_of_name",
     "packages",
     "sentences",

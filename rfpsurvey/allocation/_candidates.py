@@ -1,13 +1,14 @@
 """Candidates, which are the possible targets and elbows of each positioner, and pairs of candidates that collide."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
 from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
-from rfpsurvey.allocation._clock import OutOfTimeError, left
+from rfpsurvey.allocation._clock import OutOfTimeError
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
@@ -15,8 +16,6 @@ from rfpsurvey.collision import arms_closer_exactly, touching
 __all__ = ["Candidates", "find_candidates"]
 
 ROOM = 1 << 18
-# Largest number of collisions for which the memory is sufficient.
-MOST_PAIRS = 25_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +32,8 @@ class Candidates:
     """Whether each requirement counts each candidate, shape (n_groups, n)."""
     preselection: Preselection
     """Reachable pairs from which the candidates were made; some pairs may have been left out."""
+    idle_pairs: np.ndarray | None = None
+    """Pairs of positioners whose idle arms collide, shape (2, m); None for a part of the candidates."""
 
     def __len__(self):
         return len(self.side)
@@ -41,7 +42,7 @@ class Candidates:
         """Return the candidates that ``keep`` marks."""
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
-        pairs = new[self.pairs[:, keep[self.pairs].all(axis=0)]]
+        pairs = _pairs_where(self.pairs, keep, new)
         columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
         return _assemble(self.problem, self.preselection, *columns)
 
@@ -54,7 +55,7 @@ class Candidates:
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
         free = replaceable(self.preselection, o.own, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
-        pairs = self.pairs[:, ~free[self.pairs].any(axis=0)]
+        pairs = _pairs_where(self.pairs, ~free, np.arange(len(free)))
         return _assemble(self.problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, pairs)
 
 
@@ -64,13 +65,14 @@ def find_candidates(
     collide: bool = True,
     squared_cost: bool = False,
     keep_target: np.ndarray | None = None,
-    deadline: float = np.inf,
+    seconds: float = np.inf,
+    most_pairs: float = np.inf,
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
     Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains one target for
-    each positioner; this target is always kept. If the deadline passes or there are too many collisions,
-    `OutOfTimeError` is raised.
+    each positioner; this target is always kept. If it takes longer than ``seconds`` to find the
+    collisions, or if there are more than ``most_pairs`` collisions, `OutOfTimeError` is raised.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -83,12 +85,20 @@ def find_candidates(
     at_home = np.zeros(len(own), dtype=bool)
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
-    pairs = _conflicts(plane, start, segments, deadline)
+    pairs = _conflicts(plane, start, segments, seconds, most_pairs)
     # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
-    pairs = pairs[:, ~at_home[pairs].all(axis=0)]
+    both = at_home[pairs[0]] & at_home[pairs[1]]
+    idle_pairs = own[pairs[:, both]]
+    pairs = pairs[:, ~both]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
     touch = _touches_obstacle(plane, start, segments) & ~at_home
-    return found.where(~touch) if touch.any() else found
+    return replace(found.where(~touch) if touch.any() else found, idle_pairs=idle_pairs)
+
+
+def _pairs_where(pairs, keep, new):
+    """Return the pairs of which both ends are kept, with the new indices of their ends."""
+    out = np.empty((2, pairs.shape[1] + 1), dtype=np.int64)
+    return np.ascontiguousarray(out[:, : conflicts.keep_pairs(pairs, keep, new, out)])
 
 
 def _assemble(problem, preselection, start, own, target, side, cost, pairs):
@@ -135,7 +145,7 @@ def _touches_obstacle(plane, start, segments):
     return mark
 
 
-def _conflicts(plane, start, segments, deadline):
+def _conflicts(plane, start, segments, seconds, most_pairs):
     """Return pairs of candidates that collide, shape (2, m); borderline pairs are decided in exact arithmetic."""
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
@@ -144,13 +154,15 @@ def _conflicts(plane, start, segments, deadline):
     room = int(max(ROOM, (size[pairs[:, 0]] * size[pairs[:, 1]]).max(initial=0)))
     first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     borderline = np.empty(room, dtype=bool)
-    p, found, total = 0, [], 0
+    p, found, total, begin = 0, [], 0, np.inf
     while p < len(pairs):
-        if (left(deadline) == 0 or total > MOST_PAIRS) and deadline < np.inf:
+        if perf_counter() - begin > seconds or total > most_pairs:
             raise OutOfTimeError
         n, p = conflicts.list_conflicts(
             pairs, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
         )
+        if not found:
+            begin = perf_counter()  # the first call may compile the kernel
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])
         if len(edge):

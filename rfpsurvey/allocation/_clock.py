@@ -1,12 +1,16 @@
-"""The time that is left for a search."""
+"""The time that is left for a search, and the end of a search by the user."""
 
-from threading import Event
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event, current_thread, main_thread
 from time import perf_counter
 
-__all__ = ["OutOfTimeError", "left", "share", "stop"]
+__all__ = ["OutOfTimeError", "end_on_interrupt", "left", "searching", "share", "stop"]
 
 stop = Event()
-"""Set it to end all searches early; they then return the best plans found so far."""
+"""It is set to end all searches early; they then return the best plans found so far."""
+_active = Event()
 
 
 class OutOfTimeError(Exception):
@@ -21,3 +25,41 @@ def left(deadline: float) -> float:
 def share(deadline: float, fraction: float) -> float:
     """Return the time at which a fraction of the remaining time will have passed."""
     return perf_counter() + fraction * left(deadline)
+
+
+@contextmanager
+def searching() -> Iterator[None]:
+    """Mark the time during which an interrupt may end a search early."""
+    _active.set()
+    try:
+        yield
+    finally:
+        _active.clear()
+
+
+@contextmanager
+def end_on_interrupt() -> Iterator[Event]:
+    """Let the first interrupt during a search end the search early, such that the best plan so far is returned.
+
+    All other interrupts raise KeyboardInterrupt as usual. In threads other than the main thread, nothing changes.
+
+    Yields
+    ------
+    Event
+        It is set if a search was ended early.
+    """
+
+    def handle(*_):
+        if stop.is_set() or not _active.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    if current_thread() is not main_thread():  # only the main thread receives interrupts
+        yield Event()
+        return
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
+        stop.clear()

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
+from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels import prices as kernels
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
@@ -13,7 +14,7 @@ from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
 from rfpsurvey.allocation._solver import maximize
 
-__all__ = ["bound_by_clusters", "improve_by_clusters"]
+__all__ = ["bound_by_clusters", "edges_within", "improve_by_clusters"]
 
 # Number of variables of the program of a cluster: at first, at least, and at most.
 SIZE, SMALLEST, LARGEST = 2000, 100, 8000
@@ -169,7 +170,7 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline):
     limit = share(deadline, FOR_ONE)
     try:
         others = now[now >= 0] if problem.groups else np.empty(0, dtype=np.int64)
-        program = Program(candidates, rows, others, _edges_within(options, rows), limit)
+        program = Program(candidates, rows, others, edges_within(options, rows), limit)
         found = pursue(program, before, limit, None, integral=True, squared_cost=False)
     except OutOfTimeError:
         pass
@@ -184,8 +185,21 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline):
     return better, found is not None and bool((found.values >= found.bounds).all())
 
 
-def _edges_within(options, rows):
-    """Return the collisions between some candidates, shape (2, m)."""
+def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
+    """Return the collisions between some candidates.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    rows : ndarray of int, shape (n,)
+        Some candidates.
+
+    Returns
+    -------
+    ndarray of int, shape (2, m)
+        The collisions.
+    """
     size = options.indptr[rows + 1] - options.indptr[rows]
     begin = np.cumsum(size) - size
     first = np.repeat(rows, size)

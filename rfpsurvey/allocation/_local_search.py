@@ -5,11 +5,14 @@ import numpy as np
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["improve", "match", "pick", "repair_collisions", "stand", "trim"]
 
 ROUNDS = 10
+# Number of collisions of the candidates that are looked at before the clock is read again.
+BATCH = 2_000_000
 
 
 def match(candidates: Candidates) -> np.ndarray:
@@ -56,7 +59,9 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     return target_of
 
 
-def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.ndarray, int, int]:
+def repair_collisions(
+    candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf
+) -> tuple[np.ndarray, int, int]:
     """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
 
     A moved positioner has a new candidate that is as good as its previous one. If a positioner has no such candidate,
@@ -73,7 +78,7 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
         """Return the order of moves: first positioners that no requirement counts, then low-priority targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
-    moved, dropped = moves.repair(options, order(), now, *state, ROUNDS)
+    moved, dropped = _repair(options, order(), now, *state, deadline)
     for g, group in enumerate(groups):
         count = held[:, now].sum(axis=1)
         first = order()
@@ -83,12 +88,42 @@ def repair_collisions(candidates: Candidates, chosen: np.ndarray) -> tuple[np.nd
     return now, int(moved), int(dropped)
 
 
-def improve(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
+def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf) -> np.ndarray:
     """Return a plan without collisions, improved by local moves that give positioners more important targets."""
     now, *state = stand(candidates, chosen)
     order = np.argsort(-candidates.options.rank[now], kind="stable")
-    moves.repair(candidates.options, order, now, *state, ROUNDS)
+    _repair(candidates.options, order, now, *state, deadline)
     return now
+
+
+def _repair(options, order, now, blocked, holder, deadline):
+    """Remove collisions and assign better targets, in place; return the numbers of moved and of lost targets.
+
+    The search for better targets, and for equally good targets in place of those with collisions, ends at the deadline.
+    """
+    moved, fixed = 0, np.diff(options.start) == 1
+    for some in _batches(options, order):
+        if left(deadline) == 0:
+            break
+        moved += moves.settle(options, some, fixed, now, blocked, holder)
+    dropped = moves.drop(options, order, fixed, now, blocked, holder)
+    parts = _batches(options, order[::-1])
+    for _ in range(ROUNDS):
+        changed = False
+        for some in parts:
+            if left(deadline) == 0:
+                return moved, dropped
+            changed |= moves.gain(options, some, now, blocked, holder)
+        if not changed:
+            break
+    return moved, dropped
+
+
+def _batches(options, order):
+    """Divide positioners into batches whose candidates have about ``BATCH`` collisions."""
+    ends = options.indptr[options.start]
+    work = np.cumsum((np.diff(ends) + np.diff(options.start))[order])
+    return np.split(order, np.flatnonzero(np.diff(work // BATCH)) + 1) if len(order) else []
 
 
 def stand(candidates, chosen):

@@ -4,6 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
 from rfpsurvey.allocation._search import decide
@@ -51,12 +52,14 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances."""
-    return decide(problem, collide=False, integral=False, squared_cost=True)
+    with searching():
+        return decide(problem, collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, such that no arms collide."""
-    return decide(problem, collide=True)
+    with searching():
+        return decide(problem, collide=True)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:

@@ -6,18 +6,19 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from rfpsurvey._kernels import allocation as rules
-from rfpsurvey._kernels import reduce
+from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
-from rfpsurvey.allocation._clock import OutOfTimeError, share
+from rfpsurvey.allocation._clock import OutOfTimeError, left, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
+from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.focal_plane import Reach, elbow_names
 
 __all__ = ["decide"]
@@ -31,10 +32,17 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # Fractions of the remaining time for the candidates and their collisions, for prices of one objective, and for the
 # integer programs of the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
+# Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
+FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
+# Largest number of collisions of candidates: without time, per second of the time limit, and in all.
+PAIRS = (200_000, 350_000, 20_000_000)
+# Largest number of tests of two candidates for a collision: without time, and per second of the time limit. A
+# positioner has candidates for about MOST_TARGETS targets.
+TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 # Smallest time for the candidates in seconds, whatever the time limit.
 AT_LEAST = 0.1
 # Number of best targets of each positioner that are used if it takes too long to find all collisions.
-FEWER = (16, 4, 1)
+FEWER = (32, 8, 2, 1)
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
 # The bounds of whole numbers are rounded down, unless they are this close to the next whole number.
@@ -71,6 +79,9 @@ def decide(
             values = _values(used, chosen)
         bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
     bounds = np.maximum(bounds, values)
+    if collide and everything.idle_pairs.size:
+        used, chosen = everything, _chosen_in(everything, used, chosen)
+        chosen = separate_idle_arms(everything, chosen, max(deadline, perf_counter() + AT_LEAST))
     target_of = used.options.target[chosen]
     levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
     return AllocationAnswer(target_of, elbow_names(used.side[chosen]), None, levels, meta)
@@ -83,12 +94,22 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
     """
     if not collide:
         return find_candidates(problem, collide=False, squared_cost=squared_cost), True
+    room = min(PAIRS[0] + PAIRS[1] * problem.time_limit, PAIRS[2])
+    count, pairs = (
+        np.bincount(problem.pairs.owner, minlength=problem.pairs.n_positioners),
+        problem.focal_plane.arrays.neighbors,
+    )
     for most in (None, *FEWER):
         last = most == FEWER[-1]
+        size = np.minimum(count, MOST_TARGETS if most is None else most)
+        if not last and (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit:
+            continue
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
-        limit = np.inf if last else max(share(deadline, FOR_CANDIDATES), perf_counter() + AT_LEAST)
+        seconds = np.inf if last else max(FOR_CANDIDATES * left(deadline), AT_LEAST)
         try:
-            found = find_candidates(some, squared_cost=squared_cost, deadline=limit)
+            found = find_candidates(
+                some, squared_cost=squared_cost, seconds=seconds, most_pairs=np.inf if last else room
+            )
         except OutOfTimeError:
             continue
         return found, most is None
@@ -108,6 +129,14 @@ def _best_pairs(problem, most):
     order = np.argsort(target, kind="stable")
     indptr = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=len(problem.rank)))])
     return Reach(indptr, own[order], r2[order], n)
+
+
+def _chosen_in(everything, used, chosen):
+    """Return the indices of candidates in use among all candidates."""
+    if used is everything:
+        return chosen
+    found = pick(everything, used.options.target[chosen], used.side[chosen])
+    return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
 def _values(candidates, chosen):
@@ -143,7 +172,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
                 bound, plan = bound_by_clusters(bounding, prices, weights[k], share(deadline, FOR_FIRST))
                 limits[k] = min(limits[k], _whole(bound))
                 if bounding is used and len(names) == 1:
-                    chosen = better(repair_collisions(used, plan)[0])
+                    chosen = better(repair_collisions(used, plan, deadline)[0])
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
@@ -204,25 +233,23 @@ def _conditional(problem, names, values, limits, first):
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
     """Return the candidates that the search used, and the best plan that it found."""
     problem = everything.problem
-    alive = np.ones(len(everything), dtype=bool)
-    reduce.reduce_candidates(everything.options, alive)
-    used = everything.where(alive)
+    used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # If the idle arm of a positioner is not among the candidates, this is not always a valid plan.
-    start = _plan(used, blind, collide)
+    start = _plan(used, blind, collide, share(deadline, FOR_REPAIR))
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
-        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide)
+        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
-        return used, found._replace(chosen=improve(used, found.chosen))
+        return used, found._replace(chosen=improve(used, found.chosen, deadline))
     return used, found
 
 
-def _plan(candidates, chosen, collide):
+def _plan(candidates, chosen, collide, deadline):
     """Return an initial plan, which has no collisions if ``collide`` is true; positioners without a target are idle."""
     if collide:
-        return repair_collisions(candidates, chosen)[0]
+        return repair_collisions(candidates, chosen, deadline)[0]
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
@@ -309,30 +336,29 @@ def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
 
 def _parts(candidates, rows):
     """Split undecided candidates into independent parts, and return the candidates and the collisions of each part."""
-    from scipy.sparse.csgraph import connected_components
-
     options, problem = candidates.options, candidates.problem
     if len(rows) == 0:
         return
-    undecided = np.zeros(len(candidates), dtype=bool)
-    undecided[rows] = True
-    edges = candidates.pairs[:, undecided[candidates.pairs].all(axis=0)]
+    edges = candidates.pairs
+    if len(rows) < len(candidates):
+        undecided = np.zeros(len(candidates), dtype=bool)
+        undecided[rows] = True
+        edges = edges[:, undecided[edges[0]] & undecided[edges[1]]]
     if problem.groups:
         yield rows, edges
         return
     real = rows[options.target[rows] >= 0]
     real = real[np.argsort(options.target[real], kind="stable")]
-    same = np.array([real[:-1], real[1:]])
-    same = same[:, options.target[same[0]] == options.target[same[1]]]
-    first, second = options.own[np.concatenate([edges, same], axis=1)]
-    n = len(options.start) - 1
-    ends = first.astype(np.int32), second.astype(np.int32)  # older versions of SciPy only accept 32-bit integers
-    _, label = connected_components(coo_array((np.ones(len(first)), ends), shape=(n, n)), directed=False)
+    same = np.flatnonzero(options.target[real[:-1]] == options.target[real[1:]])
+    label = np.arange(len(options.start) - 1)
+    for first, second in (edges, (real[same], real[same + 1])):
+        conflicts.join(options.own[first], options.own[second], label)
     # Small parts are combined in the order of their labels.
     members = np.unique(options.own[rows])
     names, size = np.unique(label[members], return_counts=True)
-    batch = np.zeros(n, dtype=np.int64)
+    batch = np.zeros(len(label), dtype=np.int64)
     batch[names] = np.concatenate([[0], np.cumsum(size)[:-1]]) // SMALLEST
     of_row, of_edge = batch[label[options.own[rows]]], batch[label[options.own[edges[0]]]]
-    for b in np.unique(of_row):
-        yield rows[of_row == b], edges[:, of_edge == b]
+    used = np.unique(of_row)
+    for b in used:
+        yield rows[of_row == b], edges[:, of_edge == b] if len(used) > 1 else edges

@@ -91,12 +91,10 @@ def _run(solver, deadline: float) -> bool:
     solver.HandleUserInterrupt = True
     thread.start()
     try:
-        while thread.is_alive():
-            seconds = deadline + GRACE - perf_counter()
-            if seconds <= 0 or stop.is_set():
-                return False
-            thread.join(min(seconds, INTERVAL))
-        return True
+        while thread.is_alive() and perf_counter() < deadline + GRACE and not stop.is_set():
+            thread.join(min(max(deadline + GRACE - perf_counter(), 0.0), INTERVAL))
     finally:
         if thread.is_alive():
             solver.cancelSolve()
+    thread.join(GRACE)
+    return not thread.is_alive()

@@ -1,7 +1,7 @@
 """The test of a pair of arms in exact arithmetic, for distances at which rounding errors could change the result."""
 
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
 from math import lcm, sqrt
 
 import numpy as np
@@ -63,21 +63,26 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     its vertices, whose positions relative to the elbow or center are rounded to double precision. Polygons without
     radii and with a separation of 0 collide if and only if no line separates them; they may touch.
     """
-    hulls = [_placed_hulls(outline, k, core) for k, core in ((i, first), (j, second))]
-    radii = [Fraction(float(radius)) for radius in outline.parts[RADIUS]]
+    placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
+    radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]
+    numbers = [Fraction(separation), *radii, *(v for points in placed for point in points for v in point)]
+    common = lcm(*(v.denominator for v in numbers))  # so that all arithmetic uses integers
+    spans = list(pairwise(outline.start.tolist()))
+    whole = [[(int(x * common), int(y * common)) for x, y in points] for points in placed]
+    hulls = [[_hull(points[a:b]) for a, b in spans] for points in whole]
     n = outline.n_eccentric
     for p, q in product(range(len(radii)), repeat=2):
-        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], Fraction(separation) + radii[p] + radii[q]):
+        limit = int((Fraction(separation) + radii[p] + radii[q]) * common)
+        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], limit):
             return True
     return False
 
 
-def _placed_hulls(outline, i, core):
-    """Return the convex hulls of all parts of a positioner, as lists of points with rational coordinates."""
+def _placed_vertices(outline, i, core):
+    """Return the vertices of all parts of a positioner, as points with rational coordinates."""
     placed = np.empty((4, outline.n_vertices))
     place_outline(outline, i, *map(float, core), placed)
-    points = [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
-    return [_hull(points[a:b]) for a, b in zip(outline.start[:-1], outline.start[1:], strict=True)]
+    return [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
 
 
 def _hull(points):

@@ -105,8 +105,10 @@ def explore_designs(
         lost to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per positioner);
         ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven``
         (number of searches that the time limit ended; if it is not 0, the loss is too large and depends on the speed of
-        the machine); ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good
-        in both objectives and better in one). The ``meta`` of the table contains the arguments of the scan.
+        the machine); ``loss_gap`` (fraction of the fibers of the simulated lattice that better plans could assign at
+        most, by the upper bounds of these searches; NaN for ``repair``, which has no bounds); ``reason`` (why a design
+        has no values); ``pareto`` (whether no other design is at least as good in both objectives and better in one).
+        The ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------
@@ -216,5 +218,8 @@ def _warn(table):
         warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
-        text = f"the time limit ended searches for {cut} of {len(table)} designs: their true loss can be smaller"
+        text = (
+            f"the time limit ended searches for {cut} of {len(table)} designs: their true loss can be smaller, by at "
+            f"most about {np.nanmax(table['loss_gap']):.2g}"
+        )
         warn(text)

@@ -39,6 +39,8 @@ class Loss(NamedTuple):
     error: float
     n_unproven: int = 0
     """Number of searches that the time limit ended."""
+    gap: float = 0.0
+    """Upper limit of the fraction by which these searches overestimate the loss; NaN if there is no limit."""
 
 
 class Skies(NamedTuple):
@@ -71,9 +73,9 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
     def look(points, plane, core):
         assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
         if not assigned.any():
-            return 0, 0, 0
+            return 0, 0, 0, 0
         probability = collision_probability(plane, targets=points, method="conditional").per_positioner
-        return assigned.sum(), probability[assigned].sum(), 0
+        return assigned.sum(), probability[assigned].sum(), 0, 0
 
     return _over_skies(lattice, skies, look)
 
@@ -127,9 +129,16 @@ def _compare(lattice, skies, method):
         options = {name: AllocationOptions(name, time_limit=limit) for name in ("sdss", method)}
         plans = {name: allocate(plane, points, allocator=one) for name, one in options.items()}
         blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
-        return blind, blind - found, any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
+        unproven = any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
+        return blind, blind - found, unproven, _gap(plans["sdss"], plans[method]) if method == "optimal" else np.nan
 
     return _over_skies(lattice, skies, look, whole=True)
+
+
+def _gap(blind, plan):
+    """Return the proven limit of the fraction of fibers that a better plan could assign, for a whole patch."""
+    most = min(blind.levels[0].bound, plan.levels[0].bound)
+    return max(most - plan.levels[0].value, 0.0) / max(blind.levels[0].value, 1.0)
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
@@ -144,8 +153,8 @@ def _over_skies(lattice, skies, look, *, whole=False):
     found = []
     for _ in range(skies.number):
         points = source.draw(skies.rng)
-        found.append(look(points * u.mm, plane, core) if len(points) else (0, 0, 0))
-    assigned, lost, unproven = np.array(found, dtype=float).T
+        found.append(look(points * u.mm, plane, core) if len(points) else (0, 0, 0, 0))
+    assigned, lost, unproven, gaps = np.array(found, dtype=float).T
     total, n = assigned.sum(), skies.number
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
@@ -153,7 +162,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1 and (whole or loss == 0):
         error = max(error, 1 / total)
-    return Loss(float(total / (n * core.sum())), float(loss), float(error), int(unproven.sum()))
+    return Loss(float(total / (n * core.sum())), float(loss), float(error), int(unproven.sum()), float(gaps.mean()))
 
 
 def _patch(lattice, each):

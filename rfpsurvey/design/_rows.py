@@ -34,7 +34,7 @@ FORMATS = {
     **dict.fromkeys(("value", "best", "other"), ".5g"),
     "share": ".3f",
     "slope": ".2f",
-    **dict.fromkeys(("loss_error", "empty", "change"), ".2g"),
+    **dict.fromkeys(("loss_error", "loss_gap", "empty", "change"), ".2g"),
     **dict.fromkeys(("multiplicity", "targets", "positioners_per_area", "usable_per_area"), ".4g"),
 }
 """Formats of printed tables of designs; values are not rounded."""
@@ -46,6 +46,7 @@ ROW = np.dtype(
         ("estimand", "U16"),
         ("method", "U16"),
         ("n_unproven", np.int64),
+        ("loss_gap", float),
         ("reason", "U80"),
     ]
 )
@@ -54,7 +55,7 @@ ROW = np.dtype(
 def blank(designs: np.ndarray, estimand: str) -> np.ndarray:
     """Return records of designs (central_arm, ratio, pitch, clearance) whose results are not yet computed."""
     rows = np.zeros(len(designs), ROW)
-    for name in ("min_separation", *FIGURES):
+    for name in ("min_separation", *FIGURES, "loss_gap"):
         rows[name] = np.nan
     for name, values in zip(AXES, designs.T, strict=True):
         rows[name] = values

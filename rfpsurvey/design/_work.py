@@ -55,7 +55,8 @@ class Task:
             row["reason"] = "outside the range of the surrogate"
             return
         found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
-        row["method"], row["assigned"], row["loss"], row["loss_error"], row["n_unproven"] = method, *found
+        row["method"] = method
+        row["assigned"], row["loss"], row["loss_error"], row["n_unproven"], row["loss_gap"] = found
         row["usable"] = found.assigned * (1 - found.loss)
         row["usable_per_area"] = row["usable"] * row["positioners_per_area"]
         if np.isnan(found.loss):

@@ -8,13 +8,14 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._units import to_center, to_scalar, to_unit
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
+from rfpsurvey.errors import InputError, check_keywords
 from rfpsurvey.instrument._instrument import Instrument, as_instrument
 from rfpsurvey.observing import (
     MODELS,
     ObservedField,
     ObservingConditions,
     as_hour_angle,
+    check_conditions,
     displacements,
     drifts,
     field_of_model,
@@ -28,6 +29,7 @@ __all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
 FRACTION = 0.1
 # Numbers of fibers for which displacements are computed: at all distances from the field center, and at the edge.
 N_FIBERS, N_EDGE = 240, 60
+ROUNDING = 1e-9 * u.mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +149,7 @@ def compare_projections(
     'refraction'
     """
     instrument = as_instrument(instrument)
-    _check_conditions(conditions)
+    check_conditions(conditions)
     if tolerance is not None:
         to_scalar(tolerance, u.mm, "tolerance", low=0)
     plane = instrument.projection(to_center(center), position_angle)
@@ -167,8 +169,7 @@ def choose_projection(
 
     The model ``auto`` is the cheapest one that suffices.
     """
-    if conditions is not None:
-        _check_conditions(conditions)
+    check_conditions(conditions, optional=True)
     compared = None if conditions is None else _compare(instrument, plane, [conditions])
     if model == "auto":
         if compared is None:
@@ -183,11 +184,6 @@ def choose_projection(
     model = model_of(model, conditions)
     record = {"model": model, **({} if compared is None else compared.record)}
     return field_of_model(model, *_field(instrument, plane, conditions)), record
-
-
-def _check_conditions(conditions):
-    if not isinstance(conditions, ObservingConditions):
-        raise InputTypeError(f"conditions must be ObservingConditions, got {short(conditions)}")
 
 
 def _field(instrument, plane, conditions):
@@ -211,6 +207,8 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     kinds = instrument.focal_plane.fiber_types if _by_type(instrument, cases[0]) else [None]
     found = [displacements(xy[rows], kinds, *_field(instrument, plane, case)) for case in cases]
     moved = {name: np.concatenate([one[name].reshape(-1, len(rows)) for one in found]) * u.mm for name in MODELS}
+    # the round trip of the full model is exact to rounding
+    moved = {name: np.where(values > ROUNDING, values, 0 * u.mm) for name, values in moved.items()}
     drift = max(drifts(xy[rows], kinds, *_field(instrument, plane, case)).max() for case in cases) * u.mm
     largest = u.Quantity([np.max(values) for values in moved.values()])
     table = QTable(
@@ -224,6 +222,8 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
             "sufficient": np.zeros(len(MODELS), dtype=bool) if tolerance is None else largest <= tolerance,
         }
     )
+    for name in ("median", "p95", "max", "max_on_sky"):
+        table[name].info.format = ".3g"
     return ProjectionComparison(table, tolerance, drift)
 
 

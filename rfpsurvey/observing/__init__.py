@@ -1,6 +1,6 @@
 """Observing conditions: refraction, dispersion and field rotation in the projection of a field."""
 
-from rfpsurvey.observing._conditions import ObservingConditions, as_hour_angle
+from rfpsurvey.observing._conditions import ObservingConditions, as_hour_angle, check_conditions
 from rfpsurvey.observing._field import ObservedField
 from rfpsurvey.observing._models import MODELS, displacements, drifts, field_of_model, model_of
 from rfpsurvey.observing._plane import ObservedPlane
@@ -13,6 +13,7 @@ __all__ = [
     "ObservedPlane",
     "ObservingConditions",
     "as_hour_angle",
+    "check_conditions",
     "displacements",
     "drifts",
     "field_of_model",

@@ -15,7 +15,7 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.observing._sites import as_site, location
 
-__all__ = ["RATE", "ObservingConditions", "as_hour_angle"]
+__all__ = ["RATE", "ObservingConditions", "as_hour_angle", "check_conditions"]
 
 LONGEST_DAYS = 0.5
 # Angle by which the Earth rotates in a second of time (UT1), radians.
@@ -98,6 +98,8 @@ class ObservingConditions:
             raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
         if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar):
             raise InputTypeError(f"time must be one Time, got {short(self.time)}")
+        if self.time is not None and self.time.scale in ("ut1", "local"):
+            raise InputError(f"time must be in a scale such as UTC, got the scale {self.time.scale}; give UTC")
         if self.hour_angle is not None:
             angle = as_hour_angle(self.hour_angle)
             to_scalar(angle, u.deg, "hour_angle", low=-360, high=360)
@@ -285,6 +287,13 @@ class ObservingConditions:
         when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
         site = self._name or f"{self.site.lon.deg:.3f}, {self.site.lat.deg:.3f} deg"
         return f"<ObservingConditions at {site}, {when}, {self.pressure.to(u.hPa):.4g}>"
+
+
+def check_conditions(conditions: object, *, optional: bool = False) -> None:
+    """Raise an error for an object that is not observing conditions; None is accepted if it is optional."""
+    if not isinstance(conditions, ObservingConditions) and not (optional and conditions is None):
+        words = " or None" if optional else ""
+        raise InputTypeError(f"conditions must be ObservingConditions{words}, got {short(conditions)}")
 
 
 def as_hour_angle(value: u.Quantity) -> u.Quantity:

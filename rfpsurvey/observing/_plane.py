@@ -8,8 +8,8 @@ import numpy as np
 from astropy.coordinates import Angle, Latitude, Longitude
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputTypeError, check_keywords, short
-from rfpsurvey.observing._conditions import ObservingConditions
+from rfpsurvey.errors import check_keywords
+from rfpsurvey.observing._conditions import ObservingConditions, check_conditions
 from rfpsurvey.observing._field import ObservedField
 from rfpsurvey.projection import TangentPlane
 
@@ -56,8 +56,7 @@ class ObservedPlane(TangentPlane):
 
     def __post_init__(self):
         super().__post_init__()
-        if not isinstance(self.conditions, ObservingConditions):
-            raise InputTypeError(f"conditions must be ObservingConditions, got {short(self.conditions)}")
+        check_conditions(self.conditions)
         to_scalar(self.field_radius, u.deg, "field_radius", low=0, high=90, closed=True)
         _ = self.plain  # raises an error if the field is below the horizon
 

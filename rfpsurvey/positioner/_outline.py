@@ -165,7 +165,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
         Read-only arrays.
     """
     parts = () if outline is None else outline.parts
-    centers = locked(np.array([*np.asarray(centers, dtype=float).T, 1.0 / central_arm]))
+    centers = locked(np.column_stack([np.asarray(centers, dtype=float), 1.0 / central_arm]))
     start = np.zeros(len(parts) + 1, dtype=np.int64)
     start[1:] = np.cumsum([len(vertices) for vertices, _ in parts])
     if not parts:
@@ -213,7 +213,7 @@ def _with_normals(vertices):
 
 def _circle(vertices, radius):
     """Return the radius of a part, and a circle that contains it."""
-    middle = vertices.mean(axis=0)  # the kernel requires a point of the polygon
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
 

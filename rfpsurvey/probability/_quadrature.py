@@ -148,7 +148,7 @@ def _limits_of(limits, own):
     outline = limits.outline
     if outline.start.size == 1:
         return limits
-    centers = locked(np.ascontiguousarray(outline.centers[:, own]))
+    centers = locked(np.ascontiguousarray(outline.centers[own]))
     return limits._replace(outline=outline._replace(centers=centers))
 
 

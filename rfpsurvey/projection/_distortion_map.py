@@ -46,7 +46,7 @@ class DistortionMap:
     mirrored : bool, optional
         Whether x of the polynomials is reversed, because +x is west in the tables of DESI.
     residuals : QTable, optional
-        Residuals of the fit by setting: ``adc1``, ``adc2``, ``n``, ``rms``, ``max``.
+        Residuals of the fit by setting: ``adc1``, ``adc2``, ``n``, ``median``, ``rms``, ``max``.
 
     Raises
     ------
@@ -152,8 +152,8 @@ class DistortionMap:
         ]
         residuals = QTable(
             rows=rows,
-            names=["adc1", "adc2", "n", "rms", "max"],
-            units={"adc1": u.deg, "adc2": u.deg, "rms": u.mm, "max": u.mm},
+            names=["adc1", "adc2", "n", "median", "rms", "max"],
+            units={"adc1": u.deg, "adc2": u.deg, "median": u.mm, "rms": u.mm, "max": u.mm},
         )
         limit = np.arctan(unit) * u.rad
         return cls(tuple(np.concatenate(found)), degree, harmonics, limit.to(u.deg), residuals=residuals)
@@ -305,6 +305,6 @@ def _tables(values, degree, harmonics, strength) -> np.ndarray:
     return out
 
 
-def _scatter(distance: np.ndarray) -> tuple[int, float, float]:
-    """Return number, root mean square and largest of some residuals."""
-    return len(distance), float(np.sqrt(np.mean(distance**2))), float(distance.max())
+def _scatter(distance: np.ndarray) -> tuple[int, float, float, float]:
+    """Return number, median, root mean square and largest of some residuals."""
+    return len(distance), float(np.median(distance)), float(np.sqrt(np.mean(distance**2))), float(distance.max())

@@ -7,6 +7,7 @@ from rfpsurvey.allocation import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.tile import describe, model_sentence
+from rfpsurvey.tiling import when_of
 
 __all__ = ["completeness_table", "outcome_table", "tile_table"]
 
@@ -15,6 +16,8 @@ TILES = {
     "ra": "right ascension of the field center (ICRS)",
     "dec": "declination of the field center (ICRS)",
     "position_angle": "position angle of +y, from north toward east",
+    "hour_angle": "hour angle of the field center at the midpoint of the exposure",
+    "time": "midpoint of the exposure (UTC)",
     "round": "round in which the tile is planned; tiles of one round do not share targets",
     "n_in_field": "number of targets in the field that still require a visit",
     "n_reachable": "number of targets that still require a visit and are in reach of a positioner",
@@ -42,7 +45,9 @@ OUTCOME = {
 
 def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, outcomes: QTable) -> QTable:
     """Return a table with a row for each tile, and with the summary and the provenance of the survey in its meta."""
-    table = QTable(request.tiling.table[["tile", "ra", "dec", "position_angle", "pass"]])
+    names = ["tile", "ra", "dec", "position_angle", "pass"]
+    when = None if request.conditions is None else when_of(request.tiling.table)
+    table = QTable(request.tiling.table[names if when is None else [*names, when]])
     table["round"] = round_of
     for name, values in counts.items():
         table[name] = values

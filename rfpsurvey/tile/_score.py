@@ -20,7 +20,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
@@ -102,6 +102,7 @@ def score_tile(
     2
     """
     start = perf_counter()
+    check_conditions(conditions, optional=True)
     instrument = as_instrument(instrument)
     table, is_plain = as_table(table, index_as_id=False)
     if is_plain:

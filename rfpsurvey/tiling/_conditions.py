@@ -1,57 +1,98 @@
 """Observing conditions of tiles: those of the tiling, with a time or hour angle for each tile."""
 
+import warnings
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import astropy.units as u
+import erfa
 import numpy as np
+from astropy.table import QTable
 from astropy.time import Time
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError
-from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.tiling._tiling import Tiling
+from rfpsurvey.errors import InputError, short
+from rfpsurvey.observing import ObservingConditions, as_hour_angle
 
-__all__ = ["conditions_of_tiles"]
+if TYPE_CHECKING:
+    from rfpsurvey.tiling._tiling import Tiling
 
-COLUMNS = ("time", "hour_angle")
+__all__ = ["WHEN", "conditions_of_tiles", "convert_when", "when_of"]
+
+WHEN = ("time", "hour_angle")
 
 
-def conditions_of_tiles(tiling: Tiling) -> list[ObservingConditions] | None:
+def when_of(table: QTable) -> str | None:
+    """Return the name of the column with a time or hour angle for each tile; None if there is none."""
+    there = [name for name in WHEN if name in table.colnames]
+    if len(there) == 2:
+        raise InputError("a tiling with observing conditions must have a column time or hour_angle, got both")
+    return there[0] if there else None
+
+
+def convert_when(table: QTable, tile: np.ndarray) -> None:
+    """Convert times to text (UTC) and hour angles to degrees, which files of all formats preserve."""
+    name = when_of(table)
+    if name is not None:
+        values = _times(table["time"], tile) if name == "time" else _hour_angles(table["hour_angle"], tile)
+        table.replace_column(name, values)
+
+
+def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
     """Return the observing conditions of each tile, or None if the tiling has no conditions."""
     common = tiling.conditions
     if common is None:
         return None
-    there = [name for name in COLUMNS if name in tiling.table.colnames]
-    if len(there) == 2:
-        raise InputError("a tiling with observing conditions must have a column time or hour_angle, got both")
-    if not there:
+    name = when_of(tiling.table)
+    if name is None:
         return [common] * len(tiling)
-    times, angles = [None] * len(tiling), [None] * len(tiling)
-    if there == ["time"]:
-        times = _times(tiling.table["time"])
-    else:
-        angles = _hour_angles(tiling.table["hour_angle"])
-    return [replace(common, time=time, hour_angle=angle) for time, angle in zip(times, angles, strict=True)]
+    values = tiling.table[name]
+    if name == "time":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", erfa.ErfaWarning)
+            values = Time(np.asarray(values), scale="utc")
+    return [replace(common, **{**dict.fromkeys(WHEN), name: value}) for value in values]
 
 
-def _times(column) -> list:
-    """Return the times of a column of times or text."""
-    if isinstance(column, Time):
-        return list(column)
+def _times(column, tile) -> np.ndarray:
+    """Return the times of a column of times or text as text (UTC)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)  # an error follows for times far in the future
+        if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):
+            times = column.utc
+        else:
+            dated = isinstance(column, Time) or np.asarray(column).dtype.kind == "M"
+            values = column if dated else to_plain(column, "time")
+            texts = [str(value) for value in values]
+            bad = [k for k, text in enumerate(texts) if not _is_time(text)]
+            if bad:
+                raise InputError(
+                    "time must be a date and time (UTC) such as 2026-07-01T06:30:00 for every tile, got "
+                    f"{short(texts[bad[0]])} for tile {tile[bad[0]]}"
+                )
+            times = Time(texts, scale="utc") if texts else Time([], format="jd")
+        return np.array(Time(times, format="isot", precision=3).value, dtype=str)
+
+
+def _is_time(text: str) -> bool:
     try:
-        return list(Time(to_plain(column, "time", "text").astype(str), scale="utc"))
-    except ValueError as error:
-        raise InputError(f"time must be a date and time for every tile, {error}") from None
+        Time(text, scale="utc")
+    except ValueError:
+        return False
+    return True
 
 
-def _hour_angles(column) -> list:
-    """Return the hour angles of a column; numbers without a unit are in hours."""
+def _hour_angles(column, tile) -> u.Quantity:
+    """Return the hour angles of a column in degrees; numbers without a unit are in hours."""
     try:
-        angles = u.Quantity(to_plain(column).astype(float), getattr(column, "unit", None) or u.hourangle)
-        angles = angles.value * u.hourangle if angles.unit.is_equivalent(u.h) and angles.unit == u.h else angles
-        degrees = angles.to_value(u.deg)
+        unit = getattr(column, "unit", None) or u.hourangle
+        degrees = as_hour_angle(u.Quantity(to_plain(column).astype(float), unit)).to_value(u.deg)
     except (TypeError, ValueError) as error:
         raise InputError(f"hour_angle must be an angle for every tile, {error}") from None
-    if not np.isfinite(degrees).all():
-        raise InputError(f"hour_angle must be a finite angle for every tile, got {degrees[~np.isfinite(degrees)][0]}")
-    return list(angles)
+    bad = np.flatnonzero(~(np.abs(degrees) < 360))
+    if len(bad):
+        raise InputError(
+            f"hour_angle must be a finite angle above -360 deg and below 360 deg for every tile, got "
+            f"{degrees[bad[0]]:g} deg for tile {tile[bad[0]]}"
+        )
+    return degrees * u.deg

@@ -13,8 +13,9 @@ from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal, short
-from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.observing import ObservingConditions, check_conditions
+from rfpsurvey.tiling._conditions import convert_when
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
@@ -85,6 +86,8 @@ class Tiling:
             table.replace_column(name, values)
         for name, values in angles.items():
             table.replace_column(name, (values % 360 if name == "ra" else values) * u.deg)
+        if table.meta.get("conditions") is not None:
+            convert_when(table, tile)
         object.__setattr__(self, "table", table[(*COLUMNS, *(c for c in table.colnames if c not in COLUMNS))])
 
     def __len__(self):
@@ -120,20 +123,31 @@ class Tiling:
         ----------
         conditions : ObservingConditions or None
             The conditions. The table may have a column ``hour_angle`` (of the center; numbers without a unit are in
-            hours) or ``time`` (midpoint of the exposure), which replaces the time or hour angle of the conditions.
+            hours) or ``time`` (midpoint of the exposure; text is in UTC), which replaces the time or hour angle of the
+            conditions for each tile.
 
         Returns
         -------
         Tiling
-            The tiling; its files contain the conditions.
+            The tiling; its files contain the conditions. Its column ``hour_angle`` is in degrees, and its column
+            ``time`` is text (UTC).
 
         Raises
         ------
         InputError
-            If ``conditions`` has another type.
+            If ``conditions`` has another type, the table has both columns, or a time or hour angle is not valid.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from astropy.table import QTable
+        >>> import rfpsurvey as rs
+        >>> tiles = QTable({"ra": [95, 97] * u.deg, "dec": [23, 23] * u.deg, "hour_angle": [-1, 2] * u.hourangle})
+        >>> conditions = rs.ObservingConditions("paranal", hour_angle=0 * u.deg)
+        >>> rs.Tiling.from_table(tiles).with_conditions(conditions).table["hour_angle"]
+        <Quantity [-15.,  30.] deg>
         """
-        if not isinstance(conditions, ObservingConditions | None):
-            raise InputTypeError(f"conditions must be ObservingConditions or None, got {short(conditions)}")
+        check_conditions(conditions, optional=True)
         table = self.table.copy()
         table.meta["conditions"] = None if conditions is None else conditions.record
         return Tiling(table)

@@ -1,6 +1,10 @@
 """Plans and bounds of large problems, on small scenes whose optimum is known."""
 
-from time import perf_counter
+import os
+import signal
+from contextlib import contextmanager
+from threading import Timer
+from time import perf_counter, sleep
 
 import astropy.units as u
 import numpy as np
@@ -70,13 +74,51 @@ def test_bounds_from_prices_alone_are_valid(clusters, monkeypatch):
         assert found.bound <= len(scene(seed)[0])
 
 
-def test_a_large_problem_ends_at_the_time_limit():
+def large():
+    """Return a focal plane and targets for which the search takes many seconds."""
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=57, pitch=22.4 * MM)
     rng, n = np.random.default_rng(0), len(plane)
     r, angle = 57.5 * 22.4 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
     allocate(plane, xy[:500], None, time_limit=1 * u.s)  # compiles
+    return plane, xy
+
+
+@contextmanager
+def interrupt_after(seconds):
+    """Send the signal of Ctrl-C to this process after some seconds."""
+    timer = Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def test_an_interrupt_stops_python():
+    scene = large()
+    begin = perf_counter()
+    with pytest.raises(KeyboardInterrupt), interrupt_after(2):
+        allocate(*scene, None, time_limit=100 * u.s)
+    assert perf_counter() - begin < 2 + 5  # 1 s on an idle machine
+
+
+def test_the_command_line_continues_with_the_best_plan_after_an_interrupt():
+    plane, xy = large()
+    begin = perf_counter()
+    with rs.allocation.end_on_interrupt() as interrupted, interrupt_after(3):
+        found = allocate(plane, xy, None, time_limit=100 * u.s)
+        assert interrupted.is_set()
+    assert perf_counter() - begin < 3 + 8
+    assert found.gap > 0
+    assert len(rs.find_collisions(plane, found).pairs) == 0
+    with pytest.raises(KeyboardInterrupt), rs.allocation.end_on_interrupt(), interrupt_after(0.1):
+        sleep(5)  # no search
+
+
+def test_a_large_problem_ends_at_the_time_limit():
+    plane, xy = large()
     begin = perf_counter()
     found = allocate(plane, xy, None, time_limit=4 * u.s)
     assert perf_counter() - begin < 10  # the limit, the time to find the pairs in reach, and a busy machine

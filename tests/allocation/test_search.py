@@ -13,7 +13,7 @@ import flat
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
 from rfpsurvey._kernels import conflicts
-from rfpsurvey._kernels.reduce import reduce_candidates
+from rfpsurvey.allocation._reduction import reduced
 
 MM = u.mm
 EXHAUSTIVE = pytest.mark.exhaustive
@@ -236,11 +236,11 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
         # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
-            everything, alive = np.ones(len(options.own), bool), np.ones(len(options.own), bool)
+            everything = np.ones(len(options.own), bool)
             before = list(plans(case, pairs, everything))
             if not before:
                 continue
-            reduce_candidates(case, alive)
+            alive = reduced(case)
             after = list(plans(case, pairs, alive))
             weigh = [lambda p: (p[1], p[3])]
             if with_keys:  # for any requirement on one key

@@ -30,6 +30,7 @@ SCANS = (
     ("repair", 1.0, 5),
     ("optimal", 4.0, 10),
     ("optimal", 1.0, 20),
+    ("optimal, 0.2 s", 1.0, 20),
 )
 """Method, targets per positioner, and the factor by which fewer designs are computed."""
 NAMED = {
@@ -51,7 +52,9 @@ def scan(n, executor, **options):
 def timings(n, executor, workers):
     """Print the time of scans."""
     for method, each, part in SCANS:
-        options = {"method": method, "targets_per_positioner": each}
+        name, _, limit = method.partition(", ")
+        options = {"method": name, "targets_per_positioner": each}
+        options |= {"time_limit": u.Quantity(limit)} if limit else {}
         scan(16, executor, **options)  # compile the kernels
         some = max(n // part, 16)
         table, seconds = scan(some, executor, **options)
@@ -59,7 +62,8 @@ def timings(n, executor, workers):
         print(
             f"{method}, {each:g} targets: {some} designs in {seconds:.1f} s with {workers} processes, "
             f"{1e3 * seconds / some:.2f} ms each; {n} would take {seconds * n / some:.0f} s; median error "
-            f"{np.median(table['loss_error']):.4f}; {used}; {(table['n_unproven'] > 0).sum()} unproven",
+            f"{np.median(table['loss_error']):.4f}; {used}; {(table['n_unproven'] > 0).sum()} unproven, "
+            f"largest gap {np.max(table['loss_gap']):.2g}",
             flush=True,
         )
 

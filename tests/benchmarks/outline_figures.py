@@ -72,7 +72,7 @@ def agreement(n):
     """Print a table of all kinds of pairs, and return the number of wrong verdicts."""
     total = np.zeros(5, dtype=int)
     print(f"{'shape':<10}{'place':<10}{'pairs':>9}{'colliding':>11}{'borderline':>12}{'rationals':>11}{'wrong':>7}")
-    with ProcessPoolExecutor(1) as pool:
+    with ProcessPoolExecutor() as pool:
         for shape in SHAPES:
             for place in PLACES:
                 seeds = range(-(-n // (len(SHAPES) * len(PLACES) * DRAW)))

@@ -58,6 +58,13 @@ def test_polygons_at_the_minimum_separation_do_not_collide():
     assert two([square], separation=np.nextafter(0.5, 1), distance=2.5)[1]
 
 
+@pytest.mark.parametrize("distance", [5.0, -1.0])
+def test_the_gap_of_points_is_their_distance(distance):
+    gap, collide = two([[[1, 0]]], separation=3.5, distance=distance, turned=True)
+    assert gap == pytest.approx(3, abs=1e-12)
+    assert collide
+
+
 def test_crossing_lines_without_a_radius_overlap():
     """Crossing lines overlap, as thin polygons do; parallel lines only touch."""
     cross = np.array([[[0, -2], [4, 2]]])
@@ -88,7 +95,7 @@ def test_both_orders_give_the_same_verdict():
     for shape in SHAPES:
         pairs = make_pairs(rng, shape, "anywhere", 200)
         swap = np.arange(400).reshape(-1, 2)[:, ::-1].ravel()
-        centers = np.ascontiguousarray(pairs.outline.centers[:, swap])
+        centers = np.ascontiguousarray(pairs.outline.centers[swap])
         other = pairs._replace(outline=pairs.outline._replace(centers=centers), cores=pairs.cores[swap])
         first, second = decide(pairs), decide(other)
         assert (first[(first >= 0) & (second >= 0)] == second[(first >= 0) & (second >= 0)]).all()

@@ -17,7 +17,7 @@ import rfpsurvey as rs
 from oracles import annuli_coverage
 from rfpsurvey.design import _checkpoint
 from rfpsurvey.design._front import on_front
-from rfpsurvey.design._losses import METHODS
+from rfpsurvey.design._losses import METHODS, _gap
 from rfpsurvey.design._work import Task
 
 MM = u.mm
@@ -135,6 +135,24 @@ def test_searches_that_are_cut_short_are_counted():
     with pytest.warns(rs.RfpsurveyWarning, match="ended searches for 1 of 1 designs: their true loss can be smaller"):
         row = explore(**design, time_limit=1 * u.ms)[0]
     assert row["n_unproven"] == 2
+    assert 0 < row["loss_gap"] < 1
+    proven = explore(**{**design, "central_arm": 9 * MM}, time_limit=60 * u.s)[0]
+    assert proven["n_unproven"] == proven["loss_gap"] == 0
+
+
+def test_the_gap_of_a_search_that_is_cut_short_contains_the_optimum(rng):
+    unit = rs.Positioner(12 * MM, 18 * MM, 2.25 * MM)
+    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=25.6 * MM)
+    for _ in range(4):
+        points = rng.uniform(-150, 150, (90, 2)) * MM
+        blind = rs.allocate(plane, points, allocator="sdss")
+        cut, best = (
+            rs.allocate(plane, points, allocator=rs.AllocationOptions("optimal", time_limit=limit))
+            for limit in (1 * u.ms, 60 * u.s)
+        )
+        more = best.levels[0].value - cut.levels[0].value
+        assert 0 <= more / blind.levels[0].value <= _gap(blind, cut) + 1e-12
+        assert best.gap == 0
 
 
 def test_errors_are_the_scatter_between_scans():

@@ -50,7 +50,7 @@ def sizes(pairs, placed):
     """Return an upper limit of the distances between the vertices, elbows and centers of each pair."""
     n = len(pairs.separation)
     xy = np.concatenate([placed[:, :2] + placed[:, 2:], placed[:, :2]], axis=2)
-    xy = np.concatenate([xy, pairs.cores[:, :2, None], pairs.outline.centers[:2].T[:, :, None]], axis=2)
+    xy = np.concatenate([xy, pairs.cores[:, :2, None], pairs.outline.centers[:, :2, None]], axis=2)
     xy = xy.reshape(n, 2, 2, -1)
     return np.hypot(*np.ptp(xy.transpose(0, 2, 1, 3).reshape(n, 2, -1), axis=2).T)
 

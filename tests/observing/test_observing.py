@@ -124,6 +124,28 @@ def test_refraction_at_an_hour_angle_is_that_of_spherical_trigonometry(hour, dec
     np.testing.assert_allclose(ours, np.arccos(seen @ middle), rtol=0, atol=MAS)
 
 
+@pytest.mark.parametrize(
+    ("distance", "refraction", "error"),
+    [(20, 21.19, 0.02), (45, 58.16, 0.03), (60, 100.51, 0.04), (74, 200.35, 0.06), (80, 319.13, 0.7)],
+)
+def test_refraction_is_that_of_a_ray_trace(distance, refraction, error):
+    """The reference values are those of Hohenkerk and Sinclair (1985), in arcsec, by observed zenith distance."""
+    site = EarthLocation.from_geodetic(0 * u.deg, 50 * u.deg, 0 * u.m)
+    true = np.deg2rad(distance + refraction / 3600)
+    conditions = rs.ObservingConditions(
+        site,
+        hour_angle=0 * u.deg,
+        wavelength=0.574 * u.um,
+        pressure=1005 * u.hPa,
+        temperature=280.15 * u.K,
+        humidity=0.8,
+    )
+    dec = site.lat.rad - true
+    field = ObservedField(field_basis(1.0, dec, 0.0), 1.0, None, conditions)
+    seen = np.rad2deg(np.arccos(field.frames[0][2, 2]))
+    assert abs(seen - distance) < error / 3600
+
+
 def test_without_air_the_projection_is_the_static_one(presets):
     for name, kind in (("lamost", None), ("sdss_apo", "APOGEE")):
         conditions = rs.ObservingConditions("apache point", hour_angle=EAST, pressure=0 * u.hPa)
@@ -258,6 +280,20 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
             assert np.median(similarity(static.value, wok)[0]) == pytest.approx(0.042, abs=1e-3)
 
 
+def test_the_field_of_a_sdssv_configuration_of_2021_was_below_the_horizon(real_data):
+    """Its positions therefore cannot be reproduced."""
+    from rfpsurvey.plans import read_plan
+
+    folder = real_data("sdssv_apo_2021")
+    plan = read_plan(folder / "confSummary-998.par.gz")
+    time = Time(float(plan.meta["header"]["epoch"]), format="jd", scale="tai")
+    center = SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
+    with pytest.raises(rs.InputError, match="altitude -5.38.* deg of its center at 2022-01-01"):
+        rs.Instrument.from_sdssv(folder).projection(
+            center, conditions=rs.ObservingConditions("apache point", time=time)
+        )
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [
@@ -266,6 +302,7 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
         ({"site": "paranal"}, "either a time or an hour_angle, got none"),
         ({"site": "paranal", "time": TIME, "hour_angle": EAST}, "got both"),
         ({"site": "paranal", "time": "2024-05-10"}, "time must be one Time"),
+        ({"site": "paranal", "time": Time("2024-05-10", scale="ut1")}, "time must be in a scale such as UTC"),
         ({"site": "paranal", "hour_angle": 3 * u.m}, "hour_angle must have a unit"),
         ({"site": "paranal", "time": TIME, "wavelength": 540 * u.m}, "wavelength must be one finite value"),
         ({"site": "paranal", "time": TIME, "wavelength": {}}, "wavelength must have one value"),

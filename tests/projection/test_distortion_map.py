@@ -133,6 +133,29 @@ def test_the_ray_trace_of_desi_is_reproduced(real_data, presets):
     assert np.hypot(*(left - left.mean(axis=0)).T).max() == pytest.approx(0.057, abs=0.001)
 
 
+def test_settings_that_are_not_in_the_ray_trace_of_desi_are_interpolated(real_data, tmp_path):
+    """The map is fitted to every second setting, and compared with the others."""
+    table = Table.read(real_data("desi") / "raytrace-tan2fp-4957-v18.csv.gz", format="ascii.csv")
+    strength = np.asarray(table["ADC1"])
+    table[strength % 20 == 0].write(tmp_path / "half.csv")
+    half = rs.DistortionMap.from_ray_trace(tmp_path / "half.csv")
+    assert len(half.residuals) == 10
+    left = {}
+    for angle in np.unique(strength):
+        rows = table[strength == angle]
+        tangents = np.column_stack([-rows["X_TAN"], rows["Y_TAN"]])
+        traced = np.column_stack([-rows["X_FP"], rows["Y_FP"]])
+        found = half.at([angle, -angle] * u.deg)
+        left[angle] = np.hypot(*(found.project(tangents) + found.shift.to_value(u.mm) - traced).T)
+    assert max(left[angle].max() for angle in left) < 0.0015
+    assert np.median(np.concatenate([left[angle] for angle in left if angle % 20])) < 0.0003
+    for row in half.residuals:
+        distance = left[row["adc1"].to_value(u.deg)]
+        found = row["median"], row["rms"], row["max"]
+        expected = np.median(distance), np.sqrt(np.mean(distance**2)), distance.max()
+        np.testing.assert_allclose(u.Quantity(found).to_value(u.mm), expected, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [

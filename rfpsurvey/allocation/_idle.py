@@ -1,0 +1,110 @@
+"""The last objective: few collisions of idle arms with each other, at equal values of all other objectives."""
+
+import numpy as np
+from scipy.sparse import csr_array, hstack, vstack
+
+from rfpsurvey._kernels import repair as moves
+from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._clock import OutOfTimeError, left, share
+from rfpsurvey.allocation._clusters import edges_within
+from rfpsurvey.allocation._local_search import stand
+from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._solver import maximize
+
+__all__ = ["separate_idle_arms"]
+
+# Largest number of candidates of the positioners that are changed at the same time.
+SIZE = 2000
+# Fraction of the remaining time for one program.
+FOR_ONE = 0.25
+
+
+def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: float) -> np.ndarray:
+    """Return a plan of equal value in which as few idle arms as possible collide with each other.
+
+    The plan is optimal in this respect if there are at most ``SIZE`` candidates. Otherwise, only the positioners around
+    each collision are changed.
+
+    Parameters
+    ----------
+    candidates : Candidates
+        All candidates; the last candidate of each positioner is its idle arm.
+    chosen : ndarray of int, shape (n_positioners,)
+        Candidate of each positioner.
+    deadline : float
+        Time of `time.perf_counter` at which the search ends.
+
+    Returns
+    -------
+    ndarray of int, shape (n_positioners,)
+        Candidate of each positioner.
+    """
+    pairs, idle = candidates.idle_pairs, candidates.options.start[1:] - 1
+    state = stand(candidates, chosen)
+    if (state[1][state[0]] > 0).any():
+        return chosen
+    xy, load = candidates.problem.focal_plane.arrays.xy, np.diff(candidates.options.start)
+    tried = np.zeros(pairs.shape[1], dtype=bool)
+    while left(deadline) > 0:
+        now = state[0]
+        bad = np.flatnonzero((now[pairs] == idle[pairs]).all(axis=0) & ~tried)
+        if len(bad) == 0:
+            break
+        center = xy[pairs[:, bad[0]]].mean(axis=0)
+        order = np.argsort(((xy - center) ** 2).sum(axis=1), kind="stable")
+        members = np.sort(order[np.cumsum(load[order]) <= max(SIZE, load[order[:2]].sum())])
+        tried[bad[0]] = True
+        if len(members) == len(xy):
+            tried[:] = True
+        try:
+            _separate(candidates, members, state, share(deadline, FOR_ONE))
+        except OutOfTimeError:
+            break
+    return state[0]
+
+
+def _separate(candidates, members, state, deadline):
+    """Solve the program of some positioners in place while all other arms remain in place."""
+    options, problem, (now, blocked, holder) = candidates.options, candidates.problem, state
+    before = now[members].copy()
+    inside, idle = np.zeros(len(now), dtype=bool), options.start[1:] - 1
+    inside[members] = True
+    for i in members:
+        moves.put(i, -1, options, now, blocked, holder)
+    after = before
+    try:
+        rows = np.flatnonzero(inside[options.own])
+        target = options.target[rows]
+        rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
+        others = now[now >= 0] if problem.groups else np.empty(0, dtype=np.int64)
+        program = Program(candidates, rows, others, edges_within(options, rows), deadline)
+        x = _fewest(program, candidates.idle_pairs, idle, now, program.variables(before), deadline)
+        if x is not None and len(program.chosen(x)) == len(members):
+            after = program.chosen(x)
+    finally:
+        for c in after:
+            moves.put(options.own[c], c, options, now, blocked, holder)
+
+
+def _fewest(program, pairs, idle, now, x, deadline):
+    """Return variables with the fewest collisions of idle arms that have the values of the variables ``x``."""
+    place = program.index[idle[pairs]]  # -1 for positioners that are not members
+    cost = np.zeros(program.n)
+    both = place[:, (place >= 0).all(axis=0)]
+    for k in (0, 1):
+        alone = (place[k] >= 0) & (now[pairs[1 - k]] == idle[pairs[1 - k]])
+        np.add.at(cost, place[k][alone], 1.0)
+    m = both.shape[1]
+    matrix, low, high = program.rows
+    matrix = vstack([matrix, program.matrix], format="csr")
+    low = np.concatenate([low, program.reaches(x), np.full(m, -np.inf)])
+    high = np.concatenate([high, np.full(program.matrix.shape[0], np.inf), np.ones(m)])
+    ones = np.ones(m)
+    link = csr_array((np.tile(ones, 2), (np.tile(np.arange(m), 2), both.ravel())), shape=(m, program.n))
+    slack = csr_array((-ones, (np.arange(m), np.arange(m))), shape=(m, m))
+    wide = hstack([matrix, csr_array((matrix.shape[0], m))], format="csr")
+    matrix = vstack([wide, hstack([link, slack], format="csr")], format="csr")
+    most = np.append(np.ones(len(program.candidate)), np.full(len(program.short), np.inf))
+    goal, most = np.append(-cost, -ones), np.append(most, ones)
+    found, _ = maximize((matrix, low, high), goal, most, deadline, integral=True, gap=0.0, presolve=True)
+    return None if found is None else found[: program.n]

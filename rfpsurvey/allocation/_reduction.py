@@ -1,0 +1,34 @@
+"""Find the candidates that an optimal plan does not need."""
+
+import numpy as np
+
+from rfpsurvey._kernels import conflicts, reduce
+from rfpsurvey.allocation._clock import left
+
+__all__ = ["reduced"]
+
+# Number of comparisons of candidates before the clock is read again.
+BATCH = 10_000_000
+
+
+def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
+    """Mark the candidates that are left after the removal of those that an optimal plan does not need.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    deadline : float, optional
+        Time of `time.perf_counter` at which the removal ends.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_candidates,)
+        Whether each candidate is left.
+    """
+    n = len(options.start) - 1
+    alive, queue, waiting = np.ones(len(options.own), dtype=bool), np.arange(n), np.ones(n, dtype=bool)
+    ends, mark, removed = np.array([0, n]), np.full(len(options.own), -1), np.empty(len(options.own), dtype=np.int64)
+    while ends[0] < ends[1] and left(deadline) > 0:
+        reduce.reduce_some(options, alive, queue, waiting, ends, mark, removed, BATCH)
+    return alive

@@ -1,0 +1,58 @@
+"""Collisions of idle arms with each other are the last objective of ``optimal``."""
+
+from itertools import product
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+
+MM = u.mm
+
+
+def test_a_target_goes_to_the_positioner_whose_idle_arm_would_collide_twice():
+    unit = rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
+    plane = rs.FocalPlane([[0, 0], [12.2, 0], [24.4, 0]] * MM, unit)
+    found = rs.allocate(plane, [[0.404, 7.0876]] * MM, allocator="optimal")
+    assert found.gap == 0
+    assert found.target_of_positioner.tolist() == [-1, 0, -1]
+    assert len(rs.find_collisions(plane, found).pairs) == 0
+
+
+def enumerate_plans(plane, xy):
+    """Return the number of targets and of collisions between idle arms, for plans whose other arms do not collide."""
+    reach = plane.reachable(xy).toarray()
+    choices = [[-1, *np.flatnonzero(row)] for row in reach]
+    for targets in product(*choices):
+        used = [t for t in targets if t >= 0]
+        if len(set(used)) < len(used):
+            continue
+        plan = rs.allocate(plane, xy, allocator=lambda _, targets=targets: np.array(targets))
+        pairs = rs.find_collisions(plane, plan).pairs
+        idle = np.array(targets)[pairs] < 0
+        if idle.all():
+            yield len(used), len(pairs)
+
+
+@pytest.mark.parametrize("size", [2000, 6])
+def test_as_few_idle_arms_as_possible_collide(monkeypatch, size):
+    """With a small size, only positioners around each collision are changed; the plan is then not always the best."""
+    monkeypatch.setattr("rfpsurvey.allocation._idle.SIZE", size)
+    n_better = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        unit = rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
+        plane = rs.FocalPlane(np.column_stack([12.2 * np.arange(5), rng.normal(0, 0.2, 5)]) * MM, unit)
+        xy = np.column_stack([rng.uniform(0, 50, 2), rng.uniform(-12, 12, 2)]) * MM
+        plans = list(enumerate_plans(plane, xy))
+        most = max(n for n, _ in plans)
+        fewest = min(k for n, k in plans if n == most)
+        found = rs.allocate(plane, xy, allocator="optimal")
+        assert found.n_assigned == found.bound == most
+        n_pairs = len(rs.find_collisions(plane, found).pairs)
+        assert n_pairs >= fewest
+        if size == 2000:
+            assert n_pairs == fewest
+        n_better += n_pairs < max(k for n, k in plans if n == most)
+    assert n_better > 3

@@ -1,0 +1,116 @@
+"""Numbers on the page on benchmarks about ``optimal``: gap and time of large problems, and compliance with time limits.
+
+Run ``python tests/benchmarks/optimum_figures.py``, which takes about an hour on two cores. ``--only NAME`` runs one
+part: ``large`` (40,000 positioners), ``sizes`` (1,000 to 100,000 positioners), ``clock`` (random scenes and time
+limits) or ``quality`` (the number of targets against the time limit).
+"""
+
+import argparse
+import resource
+from time import perf_counter, process_time
+
+import astropy.units as u
+import numpy as np
+
+import rfpsurvey as rs
+from rfpsurvey.allocation import _search
+
+# pitch, central and eccentric arm, minimum separation (mm)
+ARMS = {"LAMOST": (25.6, 8.25, 8.25, 4.5), "SDSS-V": (22.4, 7.4, 15, 5.0782)}
+
+
+def hexagon(arms, rings, multiplicity, seed):
+    """Return a full hexagon of positioners, and targets that are uniform in the circle around it."""
+    pitch, central, eccentric, separation = arms
+    unit = rs.Positioner(central * u.mm, eccentric * u.mm, separation / 2 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
+    rng, n = np.random.default_rng(seed), max(round(multiplicity * len(plane)), 1)
+    r, angle = (rings + 0.5) * pitch * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    return plane, np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+
+
+def solve(plane, xy, seconds, allocator="optimal"):
+    """Return the plan, and its wall-clock time and processor time in seconds."""
+    begin, begin_cpu = perf_counter(), process_time()
+    found = rs.allocate(plane, xy, allocator=rs.AllocationOptions(allocator, time_limit=seconds * u.s))
+    return found, perf_counter() - begin, process_time() - begin_cpu
+
+
+def peak_gb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+def large():
+    print("40,021 positioners, limit 60 s")
+    for name, arms in ARMS.items():
+        for multiplicity in (1, 4):
+            scene = hexagon(arms, 115, multiplicity, 0)
+            found, wall, cpu = solve(*scene, 60)
+            n_pairs = len(rs.find_collisions(scene[0], found).pairs)
+            print(
+                f"  {name:<7} {multiplicity}: {found.n_assigned} of {found.bound:g}, gap {found.gap:.5f}, {wall:.1f} s "
+                f"({cpu:.1f} s of processor time), {peak_gb():.2f} GB, {n_pairs} collisions"
+            )
+
+
+def sizes():
+    print("SDSS-V arms, one target per positioner, limit 60 s")
+    for rings in (18, 26, 36, 57, 81, 115, 182):
+        scene = hexagon(ARMS["SDSS-V"], rings, 1, 0)
+        found, wall, cpu = solve(*scene, 60)
+        print(f"  {len(scene[0]):>6}  gap {found.gap:.5f}  {wall:.2f} s ({cpu:.2f} s)  {peak_gb():.2f} GB")
+
+
+def clock(n_scenes, seed=0):
+    """Print the seconds over the limit for random scenes: arms of 0.5 to 3.5 pitches, up to 50 targets each."""
+    rng, over = np.random.default_rng(seed), []
+    print("pitches, targets per positioner, positioners, limit, seconds over the limit, gap")
+    for k in range(n_scenes):
+        reach, multiplicity = rng.uniform(0.5, 3.5), 10 ** rng.uniform(np.log10(0.2), np.log10(50))
+        rings = round(np.sqrt(10 ** rng.uniform(np.log10(50), np.log10(40_000)) / 3))
+        seconds, share = 10 ** rng.uniform(-1, np.log10(60)), rng.uniform(0.3, 0.7)
+        arms = (10.0, 10 * reach * share, 10 * reach * (1 - share), rng.uniform(1, 3))
+        scene = hexagon(arms, rings, multiplicity, k)
+        found, _, cpu = solve(*scene, seconds)
+        late = found.seconds["allocation"] - seconds
+        over.append(late - max(0.05 * seconds, 0.5))
+        print(
+            f"  {k:>3} {reach:.2f} {multiplicity:5.1f} {len(scene[0]):>6} {seconds:6.2f} {late:+7.2f} "
+            f"reach {found.seconds['reach']:.2f} s, {cpu:.1f} s of processor time, gap {found.gap:.4f} "
+            f"{peak_gb():.2f} GB{' LATE' if over[-1] > 0 else ''}",
+            flush=True,
+        )
+    print(f"{(np.array(over) > 0).sum()} of {n_scenes} later than promised, at worst {max(over):.2f} s")
+
+
+def quality():
+    print("number of targets against the time limit")
+    for arms, multiplicity in ((ARMS["SDSS-V"], 1), (ARMS["SDSS-V"], 2), ((10.0, 10, 15, 3.0), 1)):
+        plane, xy = hexagon(arms, 57, multiplicity, 0)
+        for name in ("lamost", "repair"):
+            found, wall, _ = solve(plane, xy, 60, name)
+            usable = found.n_assigned - int(rs.find_collisions(plane, found).in_collision.sum())
+            print(f"  {arms} {multiplicity} {name}: {usable} without collisions after {wall:.2f} s")
+        for seconds in (0.5, 1, 2, 4, 8, 16, 32):
+            found, wall, _ = solve(plane, xy, seconds)
+            print(f"  {arms} {multiplicity} optimal, {seconds} s: {found.n_assigned} of {found.bound:g}, {wall:.2f} s")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--only", choices=["large", "sizes", "clock", "quality"])
+    parser.add_argument("--scenes", type=int, default=200)
+    given = parser.parse_args()
+    largest, _search.LARGEST = _search.LARGEST, 0  # compiles all kernels
+    solve(*hexagon(ARMS["SDSS-V"], 8, 1, 0), 5)
+    solve(*hexagon((10.0, 10, 15, 3.0), 3, 50, 0), 5)
+    _search.LARGEST = largest
+    for part in (large, sizes, quality):
+        if given.only in (None, part.__name__):
+            part()
+    if given.only in (None, "clock"):
+        clock(given.scenes)
+
+
+if __name__ == "__main__":
+    main()
