@@ -71,6 +71,8 @@ def count(setup, workspace, counts, times):
         hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
         m = colliding_obstacles(
             workspace.segments,
+            np.arange(workspace.assigned.size),
+            setup.limits.outline,
             setup.obstacle_pairs,
             setup.obstacles,
             setup.clearance,

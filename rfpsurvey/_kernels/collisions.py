@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.outlines import NO_OUTLINE, UNIT, Outline, outlines_squared
+from rfpsurvey._kernels.outlines import NO_OUTLINE, UNIT, Outline, gap_to_point, outlines_squared
 
 # The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
@@ -249,17 +249,23 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 
 @kernel
-def colliding_obstacles(segments, pairs, obstacles, clearance, slack, out, distance):
-    """List pairs (positioner, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
+def colliding_obstacles(segments, owner, outline, pairs, obstacles, clearance, slack, out, distance):
+    """List pairs (arm, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
 
     Returns the number of pairs. The obstacles are circles; the distance from each arm to the center of the circle is
-    written to ``distance``.
+    written to ``distance``. If the center is inside an outline, the distance is negative. ``owner`` contains the
+    positioner of each arm; it is only used for outlines.
     """
     n = 0
+    outlined = outline.start.size > 1
     for k in range(pairs.shape[0]):
         i, j = pairs[k, 0], pairs[k, 1]
-        ends = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
-        d = math.sqrt(point_segment_squared(obstacles[j, 0], obstacles[j, 1], *ends))
+        x0, y0, x1, y1 = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
+        x, y = obstacles[j, 0], obstacles[j, 1]
+        if outlined:
+            d = gap_to_point(outline, owner[i], x0, y0, x1, y1, x, y)
+        else:
+            d = math.sqrt(point_segment_squared(x, y, x0, y0, x1, y1))
         if d < obstacles[j, 2] + clearance + slack:
             out[n, 0], out[n, 1] = i, j
             distance[n] = d

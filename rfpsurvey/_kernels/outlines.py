@@ -239,6 +239,31 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 
 
 @kernel
+def gap_to_point(outline, i, x0, y0, x1, y1, x, y):
+    """Return the signed gap between a point and the outline of positioner i, whose core is given.
+
+    The gap is negative inside a part with three or more vertices.
+    """
+    v, start, m = outline.table, outline.start, outline.n_vertices
+    gap = math.inf
+    for part in range(start.size - 1):
+        if part < outline.n_eccentric:
+            ox, oy, c, s = frame(x0, y0, x1, y1)
+        else:
+            ox, oy, c, s = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
+        dx, dy = c * (x - ox) + s * (y - oy), c * (y - oy) - s * (x - ox)
+        outside, squared = -math.inf, math.inf
+        for e in range(start[part], start[part + 1]):
+            ex, ey = dx - v[X, e], dy - v[Y, e]
+            across, along = ex * v[NX, e] + ey * v[NY, e], ey * v[NX, e] - ex * v[NY, e]
+            beyond = along - min(max(along, 0.0), v[LENGTH, e])
+            outside, squared = max(outside, across), min(squared, across * across + beyond * beyond)
+        inside = (outside < 0.0) & (start[part + 1] - start[part] > 2)
+        gap = min(gap, (outside if inside else math.sqrt(squared)) - v[RADIUS, m + part])
+    return gap
+
+
+@kernel
 def place_outline(outline, i, x0, y0, x1, y1, placed):
     """Compute the vertices of positioner i, whose core is given, as rows of ``placed``, shape (4, m).
 

@@ -13,6 +13,7 @@ import numpy as np
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
 from rfpsurvey._kernels.collisions import halve, keep_near, outlined_squared, pair_squared, point_segment_squared
+from rfpsurvey._kernels.outlines import gap_to_point
 
 # Number of pairs of entries that are tested together.
 BATCH = 2048
@@ -161,7 +162,11 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
         i, j = obstacle_pairs[k, 0], obstacle_pairs[k, 1]
         x, y, touch = obstacles[j, 0], obstacles[j, 1], obstacles[j, 2] + clearance
         for a in range(entries.start[i], entries.stop[i]):
-            if math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < touch:
+            if outlined:
+                touches = gap_to_point(limits.outline, i, x0[a], y0[a], x1[a], y1[a], x, y) < touch
+            else:
+                touches = math.sqrt(point_segment_squared(x, y, x0[a], y0[a], x1[a], y1[a])) < touch
+            if touches:
                 free[a] = 0.0
     for i in range(probability.size):
         without = 0.0

@@ -141,7 +141,8 @@ def _touches_obstacle(plane, start, segments):
     first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)
     rows = np.column_stack([first + np.arange(size.sum()), np.repeat(pairs[:, 1], size)]).astype(np.int64)
     mark = np.zeros(segments.shape[1], dtype=bool)
-    mark[touching(plane, segments, rows)[0][:, 0]] = True
+    owner = np.repeat(np.arange(len(plane)), np.diff(start))
+    mark[touching(plane, segments, rows, owner)[0][:, 0]] = True
     return mark
 
 

@@ -151,7 +151,7 @@ def _without_obstacles(problem, reach, crowded):
         for side in (1.0, -1.0) if both else (plane.arrays.sides(points[:1], own[:1])[0],):
             hit = np.zeros(len(part), dtype=bool)
             segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
-            hit[touching(plane, segments, test)[0][:, 0]] = True
+            hit[touching(plane, segments, test, own)[0][:, 0]] = True
             free |= ~hit & (plane.arrays.joints_allow(own, points, side, fiber) if both else True)
         touched[part] = ~free
     return reach.where(~touched)

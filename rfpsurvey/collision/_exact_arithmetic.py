@@ -8,7 +8,13 @@ import numpy as np
 
 from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
 
-__all__ = ["arms_closer_exactly", "closer_exactly", "distance_exactly", "outlines_closer_exactly"]
+__all__ = [
+    "arms_closer_exactly",
+    "closer_exactly",
+    "distance_exactly",
+    "outlines_closer_exactly",
+    "point_closer_exactly",
+]
 
 
 def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
@@ -76,6 +82,16 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
         if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], limit):
             return True
     return False
+
+
+def point_closer_exactly(outline: Outline, i: int, core, point, limit: Fraction) -> bool:
+    """Return whether a point is inside the outline of positioner i with a given core, or closer than ``limit``."""
+    placed, spans = _placed_vertices(outline, i, core), pairwise(outline.start.tolist())
+    point = [tuple(Fraction(v) for v in point)]
+    return any(
+        _polygons_closer(_hull(placed[a:b]), point, limit + Fraction(radius))
+        for (a, b), radius in zip(spans, outline.parts[RADIUS].tolist(), strict=True)
+    )
 
 
 def _placed_vertices(outline, i, core):

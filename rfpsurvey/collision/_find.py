@@ -18,7 +18,7 @@ from rfpsurvey.collision._arms import (
     to_sides,
     to_tips,
 )
-from rfpsurvey.collision._exact_arithmetic import closer_exactly
+from rfpsurvey.collision._exact_arithmetic import closer_exactly, point_closer_exactly
 from rfpsurvey.collision._methods import METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
@@ -155,20 +155,28 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
-def touching(plane, segments, pairs):
-    """Return the pairs (segment, obstacle) that touch, their distances, and the number of borderline pairs."""
+def touching(plane, segments, pairs, owner=None):
+    """Return the pairs (segment, obstacle) that touch, their distances, and the number of borderline pairs.
+
+    ``owner`` contains the positioner of each segment; None if there is one segment for each positioner.
+    """
     circles, clearance = plane.arrays.obstacles, plane.arrays.clearance
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))
     if len(pairs) == 0:
         return hits, distances, 0
     slack = plane.arrays.obstacle_slack
-    n = collisions.colliding_obstacles(segments, pairs, circles, clearance, slack, hits, distances)
+    outline, owner = plane.arrays.limits.outline, np.arange(segments.shape[1]) if owner is None else owner
+    n = collisions.colliding_obstacles(segments, owner, outline, pairs, circles, clearance, slack, hits, distances)
     hits, distances = hits[:n], distances[:n]
     radius = circles[hits[:, 1], 2]
     edge = np.flatnonzero(distances >= radius + clearance - slack)
     keep = np.ones(n, dtype=bool)
     for k in edge:
         i, j = hits[k]
-        x, y, r = circles[j].tolist()
-        keep[k] = closer_exactly(segments[:, i].tolist(), (x, y, x, y), Fraction(r) + Fraction(clearance))
+        (x, y, r), core = circles[j].tolist(), segments[:, i].tolist()
+        limit = Fraction(r) + Fraction(clearance)
+        if outline.start.size > 1:
+            keep[k] = point_closer_exactly(outline, owner[i], core, (x, y), limit)
+        else:
+            keep[k] = closer_exactly(core, (x, y, x, y), limit)
     return hits[keep], np.maximum(distances - radius, 0.0)[keep], len(edge)

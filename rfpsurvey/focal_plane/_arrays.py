@@ -12,7 +12,7 @@ from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import joints_allow
-from rfpsurvey.focal_plane._limits import find_limits
+from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
@@ -314,8 +314,7 @@ class FocalPlaneArrays:
     @cached_property
     def obstacle_slack(self) -> float:
         """Upper limit of the rounding error of the distance between an arm and an obstacle that it barely touches."""
-        size = self.obstacles[:, 2].max(initial=0.0) + self.clearance + self.longest
-        return 1.2 * collisions.DISTANCE_ERROR * float(size)
+        return find_obstacle_slack(self)
 
     @cached_property
     def runs(self) -> np.ndarray:

@@ -6,7 +6,7 @@ from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._kernels.outlines import OUTLINE_ERROR
 from rfpsurvey.positioner import make_outline
 
-__all__ = ["find_limits"]
+__all__ = ["find_limits", "find_obstacle_slack"]
 
 
 def find_limits(columns) -> collisions.Limits:
@@ -22,3 +22,12 @@ def find_limits(columns) -> collisions.Limits:
     largest = columns.separation + outline.offset + 2 * arms_apart
     error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
     return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error)
+
+
+def find_obstacle_slack(columns) -> float:
+    """Return an upper limit of the rounding error of the distance between an arm and an obstacle that it touches."""
+    size = float(columns.obstacles[:, 2].max(initial=0.0)) + columns.clearance + columns.longest
+    outline = columns.limits.outline
+    if outline.start.size == 1:
+        return 1.2 * collisions.DISTANCE_ERROR * size
+    return 1.2 * OUTLINE_ERROR * (size + 2 * float(columns.arm_reach.max()) + outline.offset)

@@ -1,7 +1,7 @@
 """Residuals of maps of the focal plane of DESI against its ray trace, by setting of the dispersion compensator.
 
-Run ``RFPSURVEY_TEST_DATA=... python tests/benchmarks/observing_desi.py``, which takes some seconds. It prints the numbers
-on the page on observing conditions.
+Run ``RFPSURVEY_TEST_DATA=... python tests/benchmarks/observing_desi.py``, which takes some seconds. It prints the
+numbers on the page on observing conditions.
 """
 
 import os
@@ -77,7 +77,9 @@ def settings(table, trace, half, preset):
 
 def complexity(path):
     """Print the residuals by degree and order."""
-    print("\nlargest residual (mm) by degree (rows) and order of the Fourier series (columns), and number of coefficients")
+    print(
+        "\nlargest residual (mm) by degree (rows) and order of the Fourier series (columns), and number of coefficients"
+    )
     print(" " * 6 + "".join(f"{order:>16}" for order in HARMONICS))
     for degree in DEGREES:
         found = [rs.DistortionMap.from_ray_trace(path, degree=degree, harmonics=order) for order in HARMONICS]

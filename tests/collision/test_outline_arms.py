@@ -208,3 +208,38 @@ def test_parts_of_an_outline_are_one_path_per_arm():
                 drawn = shapely.union_all(rings)
                 n_found += any(drawn.symmetric_difference(area).area < 0.01 * area.area for area in areas)
     assert n_found == 14
+
+
+def test_outlines_touch_obstacles_as_in_shapely(rng):
+    circles = np.column_stack([rng.uniform(-30, 30, (12, 2)), rng.uniform(0.2, 1.5, 12)])
+    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=4, pitch=9.5 * u.mm)
+    plane = replace(plane, obstacles=circles * u.mm)
+    clearance, n_hits = DESI_LIKE.clearance.to_value(u.mm), 0
+    for seed in range(4):
+        plan = rs.allocate(plane, random_targets(plane, 300, seed), allocator="balanced")
+        arms, report = place_arms(plane, plan.tips), rs.find_collisions(plane, plan)
+        expected = {}
+        for i in np.flatnonzero(arms.present):
+            shapes = placed(DESI_LIKE, plane.arrays.xy[i], arms.elbow[i], arms.tip[i])
+            for j, (x, y, r) in enumerate(circles):
+                gap = min(core.distance(shapely.Point(x, y)) - radius for arm in shapes for core, radius in arm) - r
+                if gap < clearance:
+                    expected[int(i), j] = max(gap, 0.0)
+        assert [tuple(pair) for pair in report.obstacle_pairs.tolist()] == sorted(expected)
+        distances = [expected[pair] for pair in sorted(expected)]
+        np.testing.assert_allclose(report.obstacle_distances.to_value(u.mm), distances, atol=1e-9)
+        counts = rs.count_collisions(plane, plan.tips[None])
+        assert counts.n_obstacle_pairs.tolist() == [len(expected)]
+        n_hits += len(expected)
+    assert n_hits > 12
+    free = rs.allocate(plane, random_targets(plane, 300, 1), allocator="optimal")
+    moved = free.target_of_positioner >= 0
+    assert not np.isin(rs.find_collisions(plane, free).obstacle_pairs[:, 0], np.flatnonzero(moved)).any()
+
+
+def test_probability_with_obstacles_is_that_of_capsules():
+    capsule, outline = (replace(plane, obstacles=[[11, 6, 3], [-20, 5, 2]] * u.mm) for plane in planes(rings=2))
+    options = {"precision": rs.probability.Precision(max_iterations=16, standard_error=None), "rng": 1}
+    for method in ("conditional", "quadrature"):
+        values = [rs.collision_probability(plane, method=method, **options).value for plane in (capsule, outline)]
+        assert values[0] == pytest.approx(values[1], rel=1e-12)

@@ -388,3 +388,15 @@ def test_sites_are_near_their_published_places():
         assert abs(conditions.hour_angle - 45 * u.deg) < 1e-9 * u.deg
         assert name in repr(conditions).lower()
         assert conditions.record["height_m"] > 900
+
+
+def test_conditions_at_other_times():
+    at_time, at_angle = conditions_at(), rs.ObservingConditions("paranal", hour_angle=EAST, exposure_time=600 * u.s)
+    assert abs(at_time.shifted(90 * u.min).time - TIME - 90 * u.min) < 1 * u.ns
+    turned = at_angle.shifted(-2 * u.hour).hour_angle
+    assert abs(turned - (3 - 2 * 1.00273781) * u.hourangle) < 1e-6 * u.deg
+    still = at_angle.without_exposure
+    assert still.exposure_time == 0 * u.s
+    assert {**still.record, "exposure_time_s": 600.0} == at_angle.record
+    green = at_time.at_guide_wavelength
+    assert green.wavelength == at_time.guide_wavelength != at_time.wavelength

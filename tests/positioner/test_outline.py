@@ -37,7 +37,7 @@ def test_vertices_on_straight_edges_and_repeated_vertices_are_left_out():
     ],
 )
 def test_a_part_that_is_not_convex_is_refused(part):
-    with pytest.raises(rs.InputError, match=r"central\[1\] must be a convex polygon.*divide_polygon"):
+    with pytest.raises(rs.InputError, match=r"central\[1\] must be a convex polygon.*divide_polygon divides other"):
         rs.ArmOutline([SQUARE * u.mm], central=[SQUARE * u.mm, np.array(part) * u.mm])
 
 
