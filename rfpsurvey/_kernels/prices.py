@@ -11,8 +11,9 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Largest number of candidates from which a clique is extended.
-POOL = 4096
+# Largest number of candidates from which a clique is extended. A clique is not extended if the product of its size and
+# the smallest number of collisions of its members is larger than MOST.
+POOL, MOST = 4096, 200_000
 
 
 @kernel
@@ -67,18 +68,25 @@ def collect(lo, hi, column, options, alive, pool):
 
 
 @kernel
-def extend_cliques(indptr, column, first, options, alive, row_start, out):
-    """Extend cliques, beginning with clique ``first``, until no candidate can be added to any of them.
+def extend_cliques(indptr, column, options, alive, row_start, out, most_work):
+    """Extend cliques until no candidate can be added to any of them; members are sorted.
 
-    Members are sorted. Returns the index of the first clique for which there was no space in ``out``.
+    Returns the index of the first clique for which there was no space in ``out``, or which would follow after about
+    ``most_work`` comparisons of candidates.
     """
     pool = np.empty(POOL, np.int64)
-    m = row_start[first]
-    for r in range(first, indptr.size - 1):
+    m = work = 0
+    for r in range(indptr.size - 1):
         lo, hi = indptr[r], indptr[r + 1]
-        n = collect(lo, hi, column, options, alive, pool)
-        if m + hi - lo + n > out.size:
+        degree = options.indptr[column[lo] + 1] - options.indptr[column[lo]]
+        for k in range(lo + 1, hi):
+            degree = min(degree, options.indptr[column[k] + 1] - options.indptr[column[k]])
+        n = 0
+        if degree * (hi - lo) <= MOST:
+            n = collect(lo, hi, column, options, alive, pool)
+        if m + hi - lo + n > out.size or work > most_work:
             return r
+        work += (degree + 16) * (degree + hi - lo + n * n)
         begin = m
         for k in range(lo, hi):
             out[m] = column[k]
@@ -86,11 +94,11 @@ def extend_cliques(indptr, column, first, options, alive, row_start, out):
         while n > 0:
             best, most = 0, -1
             for i in range(n):
-                degree = 0
+                number = 0
                 for j in range(n):
-                    degree += j != i and excludes(pool[i], pool[j], options)
-                if degree > most:
-                    best, most = i, degree
+                    number += j != i and excludes(pool[i], pool[j], options)
+                if number > most:
+                    best, most = i, number
             c = pool[best]
             out[m] = c
             m += 1

@@ -7,8 +7,9 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left
 
 __all__ = ["cover_by_pairs", "extend"]
 
-# Number of collisions that are processed before the clock is read again, and number of cliques that are extended.
-BATCH, N_EXTENDED = 200_000, 4096
+# Number of collisions that are processed before the clock is read again; number of cliques that are extended, and of
+# comparisons of candidates.
+BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
@@ -81,7 +82,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
     while first < n and left(deadline) > 0:
         end = min(first + N_EXTENDED, n)
         part, row_start = indptr[first : end + 1], np.zeros(end - first + 1, dtype=np.int64)
-        done = int(prices.extend_cliques(part, column, 0, options, alive, row_start, room))
+        done = int(prices.extend_cliques(part, column, options, alive, row_start, room, WORK))
         sizes.append(np.diff(row_start[: done + 1]))
         columns.append(room[: row_start[done]].copy())
         first += done

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._cliques import cover_by_pairs
+from rfpsurvey.allocation._cliques import cover_by_pairs, extend
+from rfpsurvey.allocation._clock import share
 from rfpsurvey.allocation._solver import maximize
 
 __all__ = ["Objective", "Program"]
@@ -14,6 +15,9 @@ __all__ = ["Objective", "Program"]
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
 # measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
+# In programs with more variables than this, cliques are extended, within a fraction of the remaining time. In smaller
+# programs, this makes the search slower.
+EXTENDED, FOR_CLIQUES = 5000, 0.05
 
 
 class Objective(NamedTuple):
@@ -129,6 +133,9 @@ class Program:
     def _cliques(self, edges, deadline):
         """Add the constraints that no two arms collide; two arms at the same target also exclude each other."""
         indptr, column = cover_by_pairs(self.candidates.options, self.candidate, edges, deadline)
+        if self.n > EXTENDED:
+            alive = self.index >= 0
+            indptr, column = extend(self.candidates.options, indptr, column, alive, share(deadline, FOR_CLIQUES))
         n = len(indptr) - 1
         if n:
             self._add(np.repeat(np.arange(n), np.diff(indptr)), self.index[column], -np.inf, np.ones(n))

@@ -63,9 +63,10 @@ class AllocationOptions:
         arms may collide. ``optimal``: the number of targets is maximized, one class after the other, such that no arm
         with a target collides with a different arm or an obstacle; the optimum is proven. Such an arm also avoids idle
         arms that are obstacles: parked positioners with equal arms (with ``parked_obstacles``), and disabled and stuck
-        positioners. Collisions of two idle arms, or of an idle arm with an obstacle, remain. ``repair``: local moves
-        remove the collisions of the plan ``start``. Any other name is that of an allocator of an installed package. A
-        function is called with an `~rfpsurvey.allocation.AllocationProblem`.
+        positioners. Among plans of equal value, few idle arms collide with each other; collisions of idle arms with
+        obstacles remain. ``repair``: local moves remove the collisions of the plan ``start``. Any other name is that of
+        an allocator of an installed package. A function is called with an
+        `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
