@@ -46,9 +46,6 @@ class FocalPlane:
         theta and phi of positioners that cannot move; NaN for the others.
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
-    obstacle_polygons : sequence of Quantity, shape (k, 2), optional
-        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides other
-        polygons.
     fiber_xy : Quantity, shape (n, 2), or dict of str to Quantity, optional
         Place of each fiber on the eccentric arm, in place of ``eccentric_arm``; a dict has one entry for each fiber
         type. The origin is the elbow, +x points along the mechanical axis of the arm, and +y to its left. NaN stands
@@ -62,6 +59,9 @@ class FocalPlane:
     hidden : Quantity, shape (k, 3), optional
         Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
         reach; arms may cover these circles. Collision probabilities do not take them into account.
+    obstacle_polygons : sequence of Quantity, shape (k, 2), optional
+        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides other
+        polygons.
 
     Raises
     ------
