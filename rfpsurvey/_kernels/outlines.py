@@ -66,7 +66,7 @@ class Outline(NamedTuple):
 
 
 def _nothing(*shape, dtype=np.float64):
-    """Return an array of zeros that is read-only, as the arrays of all outlines."""
+    """Return a read-only array of zeros; the arrays of all outlines are read-only."""
     array = np.zeros(shape, dtype)
     array.setflags(write=False)
     return array

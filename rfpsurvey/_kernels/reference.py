@@ -48,7 +48,7 @@ def swept(poses, moving, first, second, squared):
     """Compute the least squared distance between two arms over all pairs of poses, one on the path of each arm.
 
     The two poses need not occur at the same time. The shape of ``poses`` is (steps, 4, n), and the last pose is at the
-    target. For arms that do not move, only the last pose is used.
+    target. An arm that does not move has only one pose, the last one.
     """
     last = poses.shape[0] - 1
     for k in range(first.size):

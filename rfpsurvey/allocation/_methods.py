@@ -90,7 +90,7 @@ METHODS = {
 
 
 def _bounded(problem, target_of, blind):
-    """Return the objectives of a plan with their bounds, which are the values of a plan in which arms may collide."""
+    """Return the objectives of a plan; their bounds are the values of a second plan, whose arms may collide."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():

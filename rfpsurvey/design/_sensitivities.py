@@ -123,7 +123,7 @@ def _shares(y, blocks):
 
 
 def _slopes(y, axes):
-    """Return the relative change of the values per relative change of each parameter, at the mean."""
+    """Return the relative change of a result per relative change of each parameter, at the mean of the designs."""
     if y.mean() == 0:
         return {}
     x = np.column_stack([v / v.mean() - 1 for v in axes.values()])

@@ -40,7 +40,9 @@ def start_of(model: Instrument) -> Start:
     facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
     unit = model.focal_plane.positioner
     if unit.arm_model != "elbow_to_tip":
-        text = f"the arms of {model.name} collide as {unit.arm_model}; those of designs collide from elbow to tip"
+        text = (
+            f"the scan uses the arm model 'elbow_to_tip' in place of the arm model {unit.arm_model!r} of {model.name}"
+        )
         warn(text)
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)

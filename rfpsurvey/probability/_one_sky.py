@@ -98,7 +98,7 @@ def _adjacency(n: int, pairs: np.ndarray):
 
 
 def _profile(numbers: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of constants and of the number of neighbors, shape (n, 1) or (n, 2)."""
+    """Return orthonormal columns that span the constant 1 and the number of neighbors, shape (n, 1) or (n, 2)."""
     constant = np.full(len(numbers), len(numbers) ** -0.5)
     slope = numbers - numbers.mean()
     length = np.sqrt(slope @ slope)

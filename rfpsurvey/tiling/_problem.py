@@ -78,7 +78,7 @@ class TilingState:
 
     @property
     def weight(self) -> np.ndarray:
-        """Number of remaining visits of each target for which more tiles are placed, weighted by its priority.
+        """Number of remaining visits of each target, weighted by its priority; 0 for targets that are given up.
 
         Each visit of the highest remaining priority has the weight 1, and all other visits together less than 1.
         """

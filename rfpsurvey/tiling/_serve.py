@@ -59,7 +59,7 @@ class Fibers:
 
     @property
     def ideal(self) -> bool:
-        """Whether fibers are ideal: they reach any target of the field if a number or a separation is given."""
+        """Whether fibers reach any target of the field: if ``number`` or ``min_separation`` is given."""
         return self.number is not None or self.min_separation is not None
 
 

@@ -49,7 +49,7 @@ def test_an_instrument_off_the_grid_is_added_as_the_last_row():
 
 
 def test_the_minimum_separation_is_that_of_the_instrument(presets):
-    with pytest.warns(rs.RfpsurveyWarning, match="arms of sdss_apo collide as capsule; those of designs"):
+    with pytest.warns(rs.RfpsurveyWarning, match="in place of the arm model 'capsule' of sdss_apo"):
         table = rs.design.explore_around("sdss_apo", n_nodes=2)
     unit = presets["sdss_apo"].focal_plane.positioner
     assert own_row(table)["min_separation"].to_value(MM) == pytest.approx(unit.min_separation.to_value(MM), abs=1e-9)
