@@ -126,7 +126,10 @@ ENTRIES = {
     "positioner.full_outline": OUTLINE,
     "layout.obstacle_polygons": Kind(
         "a list of polygons, which are lists of at least three points",
-        lambda value: _is_list(value, lambda one: _is_list(one, lambda p: _is_list(p, _is_number, 2)) and len(one) > 2),
+        lambda value: (
+            _is_list(value, lambda one: _is_list(one, lambda p: _is_list(p, _is_number, 2)) and len(one) > 2)
+            and len(value) > 0
+        ),
         u.mm,
     ),
     "layout.table": TEXT,

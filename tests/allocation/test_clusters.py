@@ -88,12 +88,14 @@ def large():
 @contextmanager
 def interrupt_after(seconds):
     """Send the signal of Ctrl-C to this process after some seconds."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # other tests may have set another one
     timer = Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
+        signal.signal(signal.SIGINT, before)
 
 
 def test_an_interrupt_stops_python():
@@ -107,7 +109,7 @@ def test_an_interrupt_stops_python():
 def test_the_command_line_continues_with_the_best_plan_after_an_interrupt():
     plane, xy = large()
     begin = perf_counter()
-    with rs.allocation.end_on_interrupt() as interrupted, interrupt_after(3):
+    with interrupt_after(3), rs.allocation.end_on_interrupt() as interrupted:
         found = allocate(plane, xy, None, time_limit=100 * u.s)
         assert interrupted.is_set()
     assert perf_counter() - begin < 3 + 8
