@@ -29,7 +29,7 @@ ConditionsOption = Annotated[
     Path | None,
     typer.Option(
         help="TOML file with observing conditions: site, time or hour_angle, wavelength, guide_wavelength, pressure, "
-        "temperature, humidity, exposure_time, tolerance. The options below take precedence."
+        "temperature, humidity, exposure_time, tolerance. Options such as --site override its values."
     ),
 ]
 SiteOption = Annotated[

@@ -40,8 +40,8 @@ def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None)
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
     Each parameter is a pair: the path of a file, and its content. For ``output``, the content is a function that writes
-    to a path. For ``plot`` and ``quality``, it is a function that makes a figure. For ``report``, it is a result with
-    the options of its page.
+    to a path. For ``plot`` and ``quality``, the content is a function that makes a figure. For ``report``, it is a
+    result with the options of its page.
     """
     written = []
     if output is not None and output[0] is not None:

@@ -49,7 +49,7 @@ class Outline(NamedTuple):
     offset: float
     """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
     inverse_length: float
-    """Inverse length of the cores."""
+    """Inverse length of the core, the segment along the eccentric arm."""
     scale: float
     """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
     eccentric_box: tuple[float, float, float, float]

@@ -31,7 +31,7 @@ class Entries(NamedTuple):
     free: np.ndarray
     """Probability that an entry does not collide, given that it is in use."""
     hit: np.ndarray
-    """Sum of the weights of one neighbor's entries that collide with each entry; reset to zero for each neighbor."""
+    """For each entry, the sum of the weights of the entries of one neighbor that collide with it; work array."""
     ahead: np.ndarray
     """Coordinate of the extreme point of each entry along the line between the centers of two positioners."""
 

@@ -2,7 +2,7 @@
 
 The directions are sorted by ``zone + right ascension / 2 pi``. In each zone that a circle touches, the directions that
 can be inside the circle form one run of the index, or two runs if the circle contains right ascension 0. If the circle
-contains a pole, the runs are whole zones.
+contains a pole, each run contains all directions of a zone.
 """
 
 import math

@@ -69,10 +69,10 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
     """Mark the candidates that represent omitted candidates.
 
-    An omitted target is no better than the kept targets of its positioner and code. One of the last ``n_rivals + 1`` of
-    these kept targets is always free. Suppose that these last targets, and all targets of their class or of a later
-    class, cannot collide. Replacing any omitted target in a plan by one of these kept targets then gives a plan that is
-    at least as good.
+    An omitted target is no better than the kept targets of its positioner and code. At most ``n_rivals`` other
+    positioners share these targets, so that one of the last ``n_rivals + 1`` kept targets is always free. Suppose that
+    these last targets, and all targets of their class or of a later class, cannot collide. Replacing any omitted target
+    in a plan by one of these kept targets then gives a plan that is at least as good.
 
     Parameters
     ----------

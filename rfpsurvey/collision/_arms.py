@@ -43,7 +43,7 @@ class Arms:
     clipped: np.ndarray
     """Whether the target of each positioner is out of reach: the arm stretches toward it or violates joint limits."""
     fiber: np.ndarray | None = None
-    """Index of the fiber type in use by each positioner, if the focal plane has places of fibers."""
+    """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
 
     @property
     def present(self) -> np.ndarray:

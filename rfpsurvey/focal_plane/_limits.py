@@ -11,7 +11,7 @@ __all__ = ["find_limits", "find_obstacle_slack"]
 
 
 def find_limits(columns) -> collisions.Limits:
-    """Return the limits of the collision kernels for the arrays of a focal plane."""
+    """Return the minimum separation and the allowances for rounding that the collision kernels need."""
     extent = np.hypot(*columns.xy.T) + columns.arm_reach
     size = float(extent.max()) + columns.reach_slack + arms.EQUAL_ARMS
     shape, polygons = columns.plane.positioner.outline, find_polygons(columns)

@@ -23,8 +23,8 @@ GROWTH = 8
 HITS = 25
 """Number of realizations that must have a collision if most realizations have none.
 
-With fewer such realizations, the scatter of the rates is not known. If all positioners collide in most realizations,
-``HITS`` is instead the number of realizations in which at least one positioner must not collide.
+With fewer such realizations, the scatter of the rates is not known. If most realizations are the opposite case, in
+which all positioners collide, the same number of realizations must have a positioner without a collision.
 """
 FLOOR = 4.0
 """Factor of the minimum number of realizations if collisions are rare.

@@ -28,8 +28,8 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
 def _by_color(index, reach_rad, passes):
     """Return the round of each tile.
 
-    The tiles of each pass are numbered such that tiles with the same number, called their color, do not overlap. Each
-    color of each pass is a round.
+    The tiles of each pass are numbered such that tiles with the same number do not overlap. All tiles of a pass with
+    the same number are planned in the same round.
     """
     color = _number(index, reach_rad, passes, smallest=True)
     return np.unique(np.column_stack([passes, color]), axis=0, return_inverse=True)[1].reshape(-1)
