@@ -27,9 +27,9 @@ class ObservedPlane(TangentPlane):
     Parameters
     ----------
     center : SkyCoord
-        Field center, as in `TangentPlane`.
+        Field center, as in `~rfpsurvey.TangentPlane`.
     plate_scale, rotation, distortion : optional
-        Optics and orientation, as in `TangentPlane`.
+        Optics and orientation, as in `~rfpsurvey.TangentPlane`.
     conditions : ObservingConditions
         The conditions.
     field_radius : Quantity, optional
