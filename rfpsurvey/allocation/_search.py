@@ -41,6 +41,8 @@ PAIRS = (200_000, 350_000, 20_000_000)
 TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 # Smallest time for the candidates in seconds, whatever the time limit.
 AT_LEAST = 0.1
+# Time in seconds for local moves after the deadline, which give targets to idle positioners.
+FOR_LAST = 0.1
 # Number of best targets of each positioner that are used if it takes too long to find all collisions.
 FEWER = (32, 8, 2, 1)
 # Largest number of objectives for which prices are adjusted.
@@ -242,7 +244,8 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
-        return used, found._replace(chosen=improve(used, found.chosen, deadline))
+        # Integer programs that the time limit ended leave positioners idle that have targets of later classes.
+        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, perf_counter() + FOR_LAST)))
     return used, found
 
 
