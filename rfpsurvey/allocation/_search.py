@@ -129,7 +129,7 @@ def _best_pairs(problem, most):
     n = reach.n_positioners
     start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
     target, r2 = np.empty(n * most, dtype=np.int64), np.empty(n * most)
-    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, start, count, target, r2)
+    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, False, start, count, target, r2)
     own = np.repeat(np.arange(n), most)
     kept = np.arange(n * most) - start[own] < count[own]
     own, target, r2 = own[kept], target[kept], r2[kept]
