@@ -62,7 +62,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
     --------
     >>> import rfpsurvey as rs
     >>> rs.allocation.subpriorities([7, 8], seed=1).round(4).tolist()
-    [0.1234, 0.5678]
+    [0.4652, 0.1724]
     """
     ids = to_plain(ids, "ids")
     if ids.ndim != 1 or ids.dtype.kind not in "iuUS":
@@ -129,7 +129,7 @@ def check_values(values: object, n: int, what: str) -> np.ndarray:
     if numbers.shape != (n,):
         raise InputError(f"{what} must have one value per target, shape ({n},), got {numbers.shape}")
     if (lacking := ~np.isfinite(numbers)).any():
-        raise InputError(f"{what} must be finite numbers, but {rows_of(lacking)} have none")
+        raise InputError(f"{what} must be a finite number for every target, but {rows_of(lacking)} have none")
     return numbers
 
 
