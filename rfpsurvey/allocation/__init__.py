@@ -2,11 +2,12 @@
 
 from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import brief
 from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
-from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
+from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from rfpsurvey._units import rows_of, to_generator, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_method
-from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
+from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_values, service_order, to_subpriorities

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._display import to_html
-from rfpsurvey.allocation._problem import Level
+from rfpsurvey.allocation._answer import Level
 from rfpsurvey.allocation._requirements import Shortfall
 from rfpsurvey.collision import Arms, place_arms
 from rfpsurvey.errors import number_of

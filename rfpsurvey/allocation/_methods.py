@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
-from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._search import decide
 from rfpsurvey.focal_plane import elbow_names
 

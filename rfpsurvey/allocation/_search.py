@@ -9,6 +9,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
+from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
@@ -17,7 +18,7 @@ from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices, weights_of
-from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.focal_plane import Reach, elbow_names
 

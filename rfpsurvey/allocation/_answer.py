@@ -1,0 +1,64 @@
+"""The answer that every allocator returns."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["AllocationAnswer", "Level"]
+
+
+class Level(NamedTuple):
+    """One objective of a plan; earlier objectives take precedence over all later ones.
+
+    Parameters
+    ----------
+    name : str
+        Name of the objective, such as ``science`` or ``priority 2``.
+    value : float
+        Value of the objective in the plan; larger is better.
+    bound : float
+        Upper bound of the value over all plans with the same values of the earlier levels; NaN if no bound is known.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal").levels
+    (Level(name='science', value=1.0, bound=1.0),)
+    """
+
+    name: str
+    value: float
+    bound: float
+
+
+class AllocationAnswer(NamedTuple):
+    """The answer of an allocator, which has the same type for built-in allocators and for those of other packages.
+
+    Parameters
+    ----------
+    target_of_positioner : ndarray of int, shape (n_positioners,)
+        Row of the target of each positioner, -1 if it has no target.
+    handedness : ndarray of str, shape (n_positioners,), optional
+        Handedness of each arm, "right" or "left". If it is None, each positioner has its default handedness.
+    queues : tuple of ndarray, optional
+        ``indptr`` and targets of the queues of all positioners, if the targets were drawn from queues.
+    levels : list of Level, optional
+        Value and bound of each objective. If it is None, the package computes the values, and the bounds are NaN.
+    meta : dict, optional
+        Information on how the answer was found.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.allocation.AllocationAnswer([2, -1, 0]).target_of_positioner
+    [2, -1, 0]
+    """
+
+    target_of_positioner: np.ndarray
+    handedness: np.ndarray | None = None
+    queues: tuple[np.ndarray, np.ndarray] | None = None
+    levels: list[Level] | None = None
+    meta: dict | None = None
