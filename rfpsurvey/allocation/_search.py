@@ -44,9 +44,10 @@ TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 AT_LEAST = 0.1
 # Time in seconds for local moves after the deadline, which give targets to idle positioners.
 FOR_LAST = 0.1
-# Number of best targets of each positioner that are used if it takes too long to find all collisions. Sorting the
-# targets of all positioners takes about PAIR_SECONDS per pair.
-FEWER, PAIR_SECONDS = (32, 8, 2, 1), 1e-7
+# Number of best targets of each positioner that are used if it takes too long to find all collisions.
+FEWER = (32, 8, 2, 1)
+# Time in seconds per pair for finding the best targets of each positioner, and additional time per number of targets.
+PAIR_SECONDS, SORT_SECONDS = 4e-8, 8e-9
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
 # The bounds of whole numbers are rounded down, unless they are this close to the next whole number.
@@ -106,7 +107,7 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
     for most in (None, *FEWER):
         last = most == FEWER[-1]
         size = np.minimum(count, MOST_TARGETS if most is None else most)
-        sorting = 0.0 if most is None else PAIR_SECONDS * len(problem.pairs.owner)
+        sorting = 0.0 if most is None else (PAIR_SECONDS + SORT_SECONDS * most) * len(problem.pairs.owner)
         if not last and (
             sorting > FOR_CANDIDATES * left(deadline)
             or (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit
