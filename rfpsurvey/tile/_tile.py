@@ -153,6 +153,32 @@ class Tile:
         """
         return None if self.outcomes is None else completeness_table(self.outcomes)
 
+    @cached_property
+    def _idle(self) -> tuple[QTable, QTable] | None:
+        return self.field_targets.idle(np.asarray(self.table["id"])) if hasattr(self.field_targets, "idle") else None
+
+    @property
+    def idle(self) -> QTable | None:
+        """Table of the positioners without a target, and why each has none; None for tiles that were scored or read.
+
+        Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
+        given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free``
+        (number of these that no positioner observes), ``n_possible`` (number of free targets at which its arm would
+        not collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the
+        arm would collide at free targets, as in the table of the tile).
+        """
+        return None if self._idle is None else self._idle[0]
+
+    @property
+    def idle_targets(self) -> QTable | None:
+        """Table of the free targets in reach of positioners without a target; None for tiles that were scored or read.
+
+        Columns: ``id`` (of the positioner), ``target_id``, ``x``, ``y``, ``kind`` (if the catalog has it), ``possible``
+        (whether the arm can observe the target without a collision, with one of its elbows) and ``colliding_with``
+        (arms and obstacles with which it would collide otherwise, with any of its elbows).
+        """
+        return None if self._idle is None else self._idle[1]
+
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Tile":
         """Read a tile from a file that `write` wrote.
