@@ -27,7 +27,7 @@ function plural(n, one, many = `${one}s`) {
 }
 
 function select(label, groups, onchange) {
-  const box = make("select", { onchange });
+  const box = make("select", { "aria-label": label, onchange });
   for (const [name, options] of groups) {
     const parent = name ? box.appendChild(make("optgroup", { label: name })) : box;
     for (const [value, text] of options) parent.append(make("option", { value }, text));
