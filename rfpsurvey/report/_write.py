@@ -13,6 +13,7 @@ from rfpsurvey.compare import PARTS
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
+from rfpsurvey.report._designs import is_designs, page_of_designs
 from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
@@ -136,6 +137,8 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
             own, columns = MADE_BY.get(made_by, (build, set()))
             complete = not columns or columns <= set(result.colnames)  # a selection of columns has a plain page
             build = own if complete else build
+            if build is page_of_table and is_designs(result):
+                build = page_of_designs
             more = {}
             if build in WITH_PLANS:
                 more = {"plans": check_plans(result, plans), "max_rows": max_rows}
