@@ -16,8 +16,8 @@ __all__ = ["calculator_data", "is_designs", "page_of_designs"]
 
 CAPTION = "The designs."
 WORDS = (
-    "Each point is a design. The color and the marker show the ratio of the arms or the parameter with the most values. "
-    "Large points with an edge, joined by a line, are the front: no other design is better than these in both "
+    "Each point is a design. The color and the marker show the ratio of the arms or the parameter with the most "
+    "values. Large points with an edge, joined by a line, are the front: no other design is better than these in both "
     "objectives. If the scan is around an instrument, a star and a name mark its design."
 )
 ABOUT = (
@@ -90,7 +90,7 @@ def _start(table):
 
 
 def calculator_data(start: dict) -> dict:
-    """Return the spline of the surrogate with its limits and errors, and the design with which the calculator begins."""
+    """Return the spline of the surrogate with its limits and errors, and the first design of the calculator."""
     spline = surrogate_spline()
     return {
         "axes": [[name, float(nodes[0]), float(nodes[-1])] for name, nodes in AXES.items()],

@@ -13,7 +13,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
-from rfpsurvey._display import to_html
+from rfpsurvey._display import show, to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
@@ -258,6 +258,39 @@ class Tile:
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
         _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+
+    def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
+        """Return the interactive view of the focal plane, as in a report, for a notebook.
+
+        The view is in a frame that can run the script of the view, but has no access to the notebook or the network.
+
+        Parameters
+        ----------
+        plans : dict of str to Tile, optional
+            Other plans of the same tile by name; the view shows the differences of any two plans.
+        height : int, optional
+            Height of the frame in pixels.
+
+        Returns
+        -------
+        NotebookView
+            Object that a notebook shows.
+
+        Raises
+        ------
+        InputError
+            If a plan has other positioners, or the height is not a positive integer.
+
+        Examples
+        --------
+        >>> from astropy.coordinates import SkyCoord
+        >>> import rfpsurvey as rs
+        >>> center = SkyCoord("6h20m +23d")
+        >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=300, rng=1)
+        >>> rs.plan_tile(sky, "moons", center).show()
+        <NotebookView of a tile of moons>
+        """
+        return show(self, plans=plans, height=height)
 
     def __len__(self):
         return len(self.table)

@@ -84,7 +84,7 @@ class Scatter {
         context.textAlign = across ? "center" : "left";
         const text = String(+(k * step).toPrecision(6));
         if (across) context.fillText(text, px, stage.height - 6);
-        else if (py < stage.height - 24) context.fillText(text, 4, py - 3);
+        else if (py < stage.height - 24 && py > 34) context.fillText(text, 4, py - 3);
       }
     }
     context.stroke();
