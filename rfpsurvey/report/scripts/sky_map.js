@@ -146,7 +146,7 @@ class SkyMapView {
       const [px, py] = stage.toScreen(this.x[k], this.y[k]);
       if (px > -margin && py > -margin && px < stage.width + margin && py < stage.height + margin) bins[this.bin[k]].push(k);
     }
-    const large = r > 8;
+    const large = r > 12;
     bins.forEach((rows, bin) => {
       context.fillStyle = context.strokeStyle = this.binColor(bin);
       context.beginPath();
@@ -188,14 +188,17 @@ class SkyMapView {
         return this.project(this.ra[k] + east / RAD, Math.asin(up) / RAD);
       }));
     }
-    const points = this.rims.get(k).map(([x, y]) => stage.toScreen(x, y));
+    const rim = this.rims.get(k);
+    const step = this.data.radius * stage.scale > 40 ? 1 : 3;
     const far = 40 + 6 * this.data.radius * stage.scale; // a field at the edge of the map appears on both sides
-    points.forEach((point, i) => {
-      const before = points[(i + 35) % 36];
-      if (i === 0 || Math.hypot(point[0] - before[0], point[1] - before[1]) > far) context.moveTo(...point);
-      else context.lineTo(...point);
-    });
-    if (Math.hypot(points[0][0] - points[35][0], points[0][1] - points[35][1]) < far) context.lineTo(...points[0]);
+    let [beforeX, beforeY] = [NaN, NaN];
+    for (let i = 0; i <= rim.length; i += step) {
+      const [x, y] = rim[i % rim.length];
+      const [px, py] = stage.toScreen(x, y);
+      if (Math.abs(px - beforeX) + Math.abs(py - beforeY) < far) context.lineTo(px, py);
+      else context.moveTo(px, py);
+      [beforeX, beforeY] = [px, py];
+    }
   }
 
   // ---- selection
