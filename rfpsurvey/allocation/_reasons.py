@@ -12,6 +12,7 @@ from rfpsurvey.allocation._candidates import find_conflicts, list_candidates, ob
 from rfpsurvey.allocation._options import AllocationOptions
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import Arms
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["IDLE_REASONS", "IdleReason", "IdleReasons", "find_idle_reasons"]
@@ -44,22 +45,43 @@ class IdleReasons(NamedTuple):
 
     An attempt moves one arm, with one of its elbows, to a target that no positioner observes; all other arms remain as
     in the plan.
+
+    Parameters
+    ----------
+    positioner : ndarray of int, shape (n_idle,)
+        Rows of the positioners without a target.
+    reason : ndarray of int, shape (n_idle,)
+        Index of ``IDLE_REASONS`` for each of them.
+    n_in_reach : ndarray of int, shape (n_idle,)
+        Number of targets that each of them can observe, regardless of all other positioners; 0 if it cannot move.
+    n_free : ndarray of int, shape (n_idle,)
+        Number of these targets that have no positioner.
+    owner : ndarray of int, shape (n_attempts,)
+        Row of the positioner of each attempt.
+    target : ndarray of int, shape (n_attempts,)
+        Row of the target of each attempt.
+    blocked_by : list of list of int
+        Rows of the positioners with which the arm of each attempt collides; obstacle ``k`` has the number ``-1 - k``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [99, 0]] * u.mm, robot)
+    >>> plan = rs.allocate(plane, [[12, 0]] * u.mm)
+    >>> found = rs.allocation.find_idle_reasons(plane, plan, plan.place_arms(plane))
+    >>> found.positioner, found.n_in_reach, rs.allocation.IDLE_REASONS[found.reason[0]]
+    (array([1]), array([0]), 'no target in reach')
     """
 
     positioner: np.ndarray
-    """Rows of the positioners without a target."""
     reason: np.ndarray
-    """`IdleReason` of each of them."""
     n_in_reach: np.ndarray
-    """Number of targets that each of them can observe, regardless of all other positioners; 0 if it cannot move."""
     n_free: np.ndarray
-    """Number of these targets that have no positioner."""
     owner: np.ndarray
-    """Row of the positioner of each attempt."""
     target: np.ndarray
-    """Row of the target of each attempt."""
     blocked_by: list[list[int]]
-    """Rows of the positioners with which the arm of each attempt collides; obstacle ``k`` has the number ``-1 - k``."""
 
 
 def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms) -> IdleReasons:
@@ -81,6 +103,11 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     IdleReasons
         The reasons, with every attempt on which they rest.
 
+    Raises
+    ------
+    InputError
+        If the plan or the arms are those of another number of positioners.
+
     Examples
     --------
     >>> import astropy.units as u
@@ -93,6 +120,9 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     ('at every free target in reach the arm would collide', [[0]])
     """
     n, given = len(focal_plane), allocation.n_given
+    for name, number in (("allocation", len(allocation.target_of_positioner)), ("arms", len(arms.segments))):
+        if number != n:
+            raise InputError(f"{name} must be that of the {n} positioners of the focal plane, got {number} positioners")
     idle = np.flatnonzero(allocation.target_of_positioner < 0)
     is_idle = np.zeros(n, dtype=bool)
     is_idle[idle] = True

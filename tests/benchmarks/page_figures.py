@@ -11,7 +11,6 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-import astropy.units as u
 from astropy.coordinates import SkyCoord
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
@@ -70,12 +69,12 @@ def main(folder):
             page.wait_for_function(f"{VIEW}?.stage.width > 1")
             first = float(page.evaluate(f"{VIEW}.stage.canvas.dataset.milliseconds"))
             start = page.evaluate(
-                f"(() => {{ const s = document.querySelector('.view'), b = performance.now();"
-                f"const d = JSON.parse(s.querySelector('script').textContent);"
-                f"const live = document.createElement('div'); document.body.append(live);"
-                f"const v = new VIEWS[s.dataset.view](live, d); v.stage.resize(); v.stage.paint();"
-                f"v.stage.canvas.getContext('2d').getImageData(0, 0, 1, 1);"
-                f"const t = performance.now() - b; live.remove(); return t; }})()"
+                "(() => { const s = document.querySelector('.view'), b = performance.now();"
+                "const d = JSON.parse(s.querySelector('script').textContent);"
+                "const live = document.createElement('div'); document.body.append(live);"
+                "const v = new VIEWS[s.dataset.view](live, d); v.stage.resize(); v.stage.paint();"
+                "v.stage.canvas.getContext('2d').getImageData(0, 0, 1, 1);"
+                "const t = performance.now() - b; live.remove(); return t; })()"
             )
             times = page.evaluate(f"() => ({ZOOM})({VIEW})")
             print(
