@@ -13,7 +13,7 @@ from astropy.table import QTable, Table
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
-from rfpsurvey.errors import RfpsurveyWarning
+from rfpsurvey.errors import RfpsurveyWarning, check_switch
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import Tile, plan_tile
 
@@ -85,6 +85,7 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
+    check_switch(return_tiles, "return_tiles")
     methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
     instrument, catalog = as_instrument(instrument), as_catalog(catalog)
     tiles = {}

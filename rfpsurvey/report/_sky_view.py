@@ -43,7 +43,7 @@ def sky_view(table: Table, radius_deg: float, still: list) -> View:
         "n": len(table),
         "radius": float(radius_deg),
         "whole": whole,
-        # the right ascension is that at the center of the map; on a map of the whole sky, the declination at the center is 0
+        # right ascension and declination at the center of the map
         "center": [round(float(center.ra.deg), 6), 0.0 if whole else round(float(center.dec.deg), 6)],
         "observed": "n_observed" in table.colnames,
         "ra": pack(table["ra"].to_value(u.deg), DECIMALS),
