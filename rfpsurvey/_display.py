@@ -1,10 +1,11 @@
 """Representations of results in notebooks."""
 
 from html import escape
+from importlib import import_module
 
 import astropy.units as u
 
-__all__ = ["rounded", "to_html"]
+__all__ = ["rounded", "show", "to_html"]
 
 DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
@@ -33,6 +34,27 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
     )
     shown = "" if table is None else f"<div>{rounded(table)._repr_html_()}</div>"
     return f"<p>{escape(repr(result).strip('<>'))}</p><table>{rows}</table>{shown}"
+
+
+def show(result: object, **options: object) -> object:
+    """Return the interactive view of a result for a notebook.
+
+    The package ``report``, which makes pages of results, imports their classes. It is therefore loaded by its name, and
+    only when a view is requested.
+
+    Parameters
+    ----------
+    result : object
+        The result.
+    **options
+        Passed to ``rfpsurvey.report.notebook_view``.
+
+    Returns
+    -------
+    object
+        An object with the HTML of the view.
+    """
+    return import_module("rfpsurvey.report").notebook_view(result, **options)
 
 
 def rounded(table: object) -> object:

@@ -13,11 +13,6 @@ from rfpsurvey.design import AXES
 __all__ = ["axes", "finish", "loss"]
 
 MOST_ROWS = 30
-FIGURE = (
-    "The designs. Each point is a design. The color and the marker show the ratio of the arms or the parameter with "
-    "the most values. Large points with an edge, joined by a line, are the front: no other design is better than "
-    "these in both objectives. If the scan is around an instrument, a star and a name mark its design."
-)
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of parameters, and default number of nodes of a grid."""
 COLUMNS = (
@@ -83,8 +78,6 @@ def loss(estimand, method, each, density: float | None, n_skies: int, time_limit
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
     """Print the best designs (the front) and the sensitivities, and write the plot and the page if requested."""
     page = {"title": f"{len(table)} designs", "data": output}
-    if report is not None:
-        page["figures"] = {FIGURE: rs.plot.plot_designs(table)}
     draw = (plot, lambda: rs.plot.plot_designs(table).figure)
     with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
         front = table[table["pareto"]]

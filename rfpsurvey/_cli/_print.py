@@ -101,13 +101,15 @@ def finish_tiling(
             print(f"{label:<44}{text:>10}")
 
 
-def finish_comparison(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
+def finish_comparison(
+    table, plans: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
+) -> None:
     """Write a comparison of allocators and, if requested, its plot and page, and print it."""
     with files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),
         plot=(plot, lambda: rs.plot.plot_allocators(table).figure),
-        report=(report, table, {"data": output}),
+        report=(report, table, {"data": output, "plans": plans}),
     ):
         print(
             f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other"

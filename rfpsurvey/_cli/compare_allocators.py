@@ -56,14 +56,15 @@ def compare_allocators(
         keep_out=keep_out,
         subpriority=subpriority,
     )
-    table = rs.compare_allocators(
+    table, plans = rs.compare_allocators(
         targets,
         model,
         north_of_date(field, equinox),
         allocators=allocator,
         options=options,
+        return_tiles=True,
         position_angle=pa * u.deg,
         epoch=epoch,
         rng=seed,
     )
-    _app.finish_comparison(table, output, plot, report, overwrite=overwrite)
+    _app.finish_comparison(table, plans, output, plot, report, overwrite=overwrite)

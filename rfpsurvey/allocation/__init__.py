@@ -8,16 +8,20 @@ from rfpsurvey.allocation._constraints import brief
 from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
+from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
 
 __all__ = [
     "ALLOCATORS",
+    "IDLE_REASONS",
     "KINDS",
     "Allocation",
     "AllocationAnswer",
     "AllocationOptions",
     "AllocationProblem",
+    "IdleReason",
+    "IdleReasons",
     "Level",
     "Requirement",
     "Shortfall",
@@ -28,6 +32,7 @@ __all__ = [
     "assign",
     "brief",
     "end_on_interrupt",
+    "find_idle_reasons",
     "hint_of_name",
     "id_numbers",
     "packages",

@@ -13,7 +13,7 @@ from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
 
-__all__ = ["Candidates", "find_candidates"]
+__all__ = ["Candidates", "find_candidates", "find_conflicts", "list_candidates", "obstacle_hits"]
 
 ROOM = 1 << 18
 
@@ -76,7 +76,7 @@ def find_candidates(
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
-    start, own, target, side, r2 = _list(problem, preselection.reach, both=collide)
+    start, own, target, side, r2 = list_candidates(problem, preselection.reach, both=collide)
     cost = r2 if squared_cost else np.zeros(len(own))
     if not collide:
         no_pairs = np.empty((2, 0), dtype=np.int64)
@@ -85,13 +85,15 @@ def find_candidates(
     at_home = np.zeros(len(own), dtype=bool)
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
-    pairs = _conflicts(plane, start, segments, seconds, most_pairs)
+    pairs = find_conflicts(plane, start, segments, seconds, most_pairs)
     # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
     both = at_home[pairs[0]] & at_home[pairs[1]]
     idle_pairs = own[pairs[:, both]]
     pairs = pairs[:, ~both]
     found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
-    touch = _touches_obstacle(plane, start, segments) & ~at_home
+    touch = np.zeros(len(own), dtype=bool)
+    touch[obstacle_hits(plane, start, segments)[:, 0]] = True
+    touch &= ~at_home
     return replace(found.where(~touch) if touch.any() else found, idle_pairs=idle_pairs)
 
 
@@ -114,7 +116,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     return Candidates(problem, options, side, pairs, held, preselection)
 
 
-def _list(problem, reach, both):
+def list_candidates(problem, reach, both):
     """Return the candidates as columns: targets in reach, once for each elbow that reaches them, and idle arms."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
@@ -134,19 +136,17 @@ def _list(problem, reach, both):
     return start, own[order], target[order], side[order], r2[order]
 
 
-def _touches_obstacle(plane, start, segments):
-    """Mark candidates whose arm touches an obstacle."""
+def obstacle_hits(plane, start, segments):
+    """Return the pairs (candidate, obstacle) that touch, shape (k, 2)."""
     pairs = plane.arrays.obstacle_pairs
     size = start[pairs[:, 0] + 1] - start[pairs[:, 0]]
     first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)
     rows = np.column_stack([first + np.arange(size.sum()), np.repeat(pairs[:, 1], size)]).astype(np.int64)
-    mark = np.zeros(segments.shape[1], dtype=bool)
     owner = np.repeat(np.arange(len(plane)), np.diff(start))
-    mark[touching(plane, segments, rows, owner)[0][:, 0]] = True
-    return mark
+    return touching(plane, segments, rows, owner)[0]
 
 
-def _conflicts(plane, start, segments, seconds, most_pairs):
+def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
     """Return pairs of candidates that collide, shape (2, m); borderline pairs are decided in exact arithmetic."""
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)

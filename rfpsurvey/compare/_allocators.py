@@ -13,9 +13,9 @@ from astropy.table import QTable, Table
 from rfpsurvey.allocation import ALLOCATORS, AllocationOptions
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
-from rfpsurvey.errors import RfpsurveyWarning
+from rfpsurvey.errors import RfpsurveyWarning, check_switch
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.tile import plan_tile
+from rfpsurvey.tile import Tile, plan_tile
 
 __all__ = ["compare_allocators"]
 
@@ -31,8 +31,9 @@ def compare_allocators(
     *,
     allocators: list[str | Callable] | None = None,
     options: AllocationOptions | None = None,
+    return_tiles: bool = False,
     **others: object,
-) -> QTable:
+) -> QTable | tuple[QTable, dict[str, Tile]]:
     """Plan the same field with several allocators, and return the fibers, collisions and times of each plan.
 
     Parameters
@@ -48,6 +49,8 @@ def compare_allocators(
     options : AllocationOptions, optional
         Options of every plan, such as requirements, required targets and circles that no arm may cover. Their
         allocator is replaced by each of ``allocators``.
+    return_tiles : bool, optional
+        Whether to return the planned tiles as well, for example as the ``plans`` of `~rfpsurvey.write_report`.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
@@ -63,6 +66,8 @@ def compare_allocators(
         that ignore requirements); ``gap`` (relative difference between the objective of the plan and its proven upper
         bound; NaN without a proven bound); ``seconds`` (time of reach and allocation, without compilation). ``meta``
         contains the unmet requirements of each allocator, and the provenance.
+    dict of str to Tile
+        The tile that each allocator planned, by the name of the allocator; only with ``return_tiles``.
 
     Raises
     ------
@@ -80,6 +85,7 @@ def compare_allocators(
     >>> table["colliding"][1]
     np.int64(0)
     """
+    check_switch(return_tiles, "return_tiles")
     methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
     instrument, catalog = as_instrument(instrument), as_catalog(catalog)
     tiles = {}
@@ -111,7 +117,7 @@ def compare_allocators(
         parameters=parameters,
     )
     table["seconds"].unit = u.s
-    return table
+    return (table, {method.name: tiles[method] for method in methods}) if return_tiles else table
 
 
 def _row(name, tile, blind):

@@ -3,7 +3,7 @@
 from rfpsurvey.design._around import design_improvements, explore_around
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._explore import explore_designs
-from rfpsurvey.design._losses import ESTIMANDS, METHODS
+from rfpsurvey.design._losses import ESTIMANDS, METHODS, SURROGATE_ERROR
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._sensitivities import design_sensitivities
 
@@ -11,6 +11,7 @@ __all__ = [
     "AXES",
     "ESTIMANDS",
     "METHODS",
+    "SURROGATE_ERROR",
     "LossOptions",
     "design_improvements",
     "design_sensitivities",

@@ -17,7 +17,7 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )
 
-__all__ = ["ESTIMANDS", "METHODS", "Loss", "Skies", "cheapest", "in_box"]
+__all__ = ["ESTIMANDS", "METHODS", "SURROGATE_ERROR", "Loss", "Skies", "cheapest", "in_box"]
 
 N_POINTS = 256
 """Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""

@@ -16,6 +16,7 @@ from rfpsurvey.probability._surrogate import (
     make_surrogate,
     outside_box,
     surrogate_probability,
+    surrogate_spline,
 )
 from rfpsurvey.probability._targets import Source, make_source
 
@@ -45,5 +46,6 @@ __all__ = [
     "run",
     "summarize",
     "surrogate_probability",
+    "surrogate_spline",
     "wilson",
 ]

@@ -20,7 +20,7 @@ from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
 
-__all__ = ["interior_probability", "make_surrogate", "outside_box", "surrogate_probability"]
+__all__ = ["interior_probability", "make_surrogate", "outside_box", "surrogate_probability", "surrogate_spline"]
 
 AXES = {
     "central arm over pitch": np.linspace(0.20, 0.60, 21),
@@ -87,7 +87,7 @@ def surrogate_probability(
                 "surrogate does not extrapolate; use collision_probability(method='quadrature')"
             )
     points = np.stack([np.clip(v, n[0], n[-1]) for v, n in zip(shape, AXES.values(), strict=True)], axis=-1)
-    found = _spline()(points.reshape(-1, 3)).reshape(l1.shape)
+    found = surrogate_spline()(points.reshape(-1, 3)).reshape(l1.shape)
     cannot_touch = step > 2 * (l1 + l2) + distance
     return np.where(cannot_touch, 0.0, np.clip(found, 0.0, 1.0))
 
@@ -126,7 +126,22 @@ def make_surrogate(
 
 
 @cache
-def _spline() -> "NdBSpline":
+def surrogate_spline() -> "NdBSpline":
+    """Return the cubic spline of `surrogate_probability` as a function of the three quantities in `AXES`.
+
+    The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to 0 to 1.
+
+    Returns
+    -------
+    scipy.interpolate.NdBSpline
+        The spline.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.probability.surrogate_spline().c.shape
+    (21, 21, 9)
+    """
     from scipy.interpolate import NdBSpline, make_interp_spline
 
     with as_file(files("rfpsurvey.probability") / FILE) as path, np.load(path) as data:

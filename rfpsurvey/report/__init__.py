@@ -1,20 +1,24 @@
 """Reports: self-contained HTML pages on results."""
 
-from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts
+from rfpsurvey.report._notebook import NotebookView, notebook_view
 from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
 
 __all__ = [
     "MADE_BY",
     "PAGES",
     "Facts",
+    "NotebookView",
     "Page",
     "Picture",
     "Rows",
     "Section",
     "Text",
+    "View",
     "check_report",
     "estimate_facts",
+    "notebook_view",
     "survey_facts",
     "tile_facts",
     "tile_objectives",

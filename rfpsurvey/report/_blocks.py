@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Facts", "Page", "Picture", "Rows", "Section", "Text"]
+__all__ = ["Facts", "Page", "Picture", "Rows", "Section", "Text", "View"]
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,7 @@ class Rows:
     """A table that can be sorted.
 
     ``where`` names the file or attribute that contains all rows, and is stated if some rows are not shown. ``left_out``
-    is the number of rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open. A
-    ``complete`` table shows all rows unless there is a limit. A long table is collapsed, and its cells are rounded to
-    keep pages small.
+    is the number of rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open.
     """
 
     caption: str
@@ -42,7 +40,6 @@ class Rows:
     where: str = ""
     left_out: int = 0
     marks: dict = field(default_factory=dict)
-    complete: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,6 +49,20 @@ class Picture:
     caption: str
     figure: "Figure | Axes"
     words: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """An interactive view.
+
+    The script ``scripts/KIND.js`` draws the ``data``, which must be valid JSON. The blocks in ``still`` are shown on
+    paper, and in browsers that run no scripts.
+    """
+
+    kind: str
+    caption: str
+    data: dict
+    still: list
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,10 @@ from astropy.units import Quantity
 
 from rfpsurvey.report._numbers import column_texts
 
-__all__ = ["MISSING", "cells_of", "rounded_cells_of"]
+__all__ = ["MISSING", "cells_of"]
 
 MISSING = "\N{EN DASH}"
 SKY = {"ra": 6, "dec": 6}  # decimals of degrees
-ROUNDED = {"deg": 3, "mm": 3}  # decimals of other columns with these units
 
 
 def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
@@ -38,15 +37,6 @@ def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]
         (MISSING, "") if gone else (text, key) for text, key, gone in zip(texts, keys, missing.tolist(), strict=True)
     ]
     return unit, plain.dtype.kind in "iuf", [_cell(*cell) for cell in cells]
-
-
-def rounded_cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
-    """Return the results of `cells_of` with rounded values: 3 decimals for angles and lengths, 6 for ra and dec."""
-    unit, numbers, cells = cells_of(column, name)
-    if unit in ROUNDED and numbers:
-        decimals = SKY.get(name, ROUNDED[unit])
-        cells = [(text, key) if not key else (f"{float(key):.{decimals}f}", None) for text, key in cells]
-    return unit, numbers, [(text, key if key == "" else None) for text, key in cells]
 
 
 def _cell(text: str, key: str | None = None) -> tuple[str, str | None]:

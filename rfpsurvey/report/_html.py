@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpsurvey.report._blocks import Facts, Page, Rows
-from rfpsurvey.report._columns import MISSING, cells_of, rounded_cells_of
+from rfpsurvey.report._blocks import Facts, Page, Rows, View
+from rfpsurvey.report._columns import MISSING, cells_of
 from rfpsurvey.report._numbers import number_text
+from rfpsurvey.report._pack import json_of
 from rfpsurvey.report._svg import dark_grays, svg_of
 from rfpsurvey.report._text import text_of
 from rfpsurvey.tile import versions
@@ -30,8 +31,12 @@ MAX_ROWS = 1000  # largest number of rows of a table, by default
 
 def html_of(page: Page, max_rows: int | None) -> str:
     """Return a page as HTML, with tables of at most ``max_rows`` rows; None stands for the default of each table."""
+    kinds = sorted({block.kind for section in page.sections for block in section.blocks if isinstance(block, View)})
+    script = _script(tuple(kinds))
     return _template().render(
         page=page,
+        digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        script=script,
         max_rows=max_rows,
         provenance=[Facts(name or "general", group) for name, group in _groups(page.provenance, "").items() if group],
         version=versions()["rfpsurvey"],
@@ -44,7 +49,6 @@ def _template() -> "Template":
     """Return the template of all pages; it passes every text through `text_of` and escapes it."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    script = f"\n{_asset('page.js')}"
     environment = Environment(
         loader=FunctionLoader(_asset),
         autoescape=True,
@@ -55,8 +59,10 @@ def _template() -> "Template":
         keep_trailing_newline=True,
     )
     environment.filters |= {
+        "class_name": lambda block: type(block).__name__,
         "columns": _columns,
         "dark_grays": dark_grays,
+        "json": json_of,
         "parts": BREAK.split,
         "plain": _plain,
         "sorting_key": _sorting_key,
@@ -65,14 +71,20 @@ def _template() -> "Template":
     return environment.get_template(
         "page.html.jinja",
         globals={
-            "digest": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
             "groupby": groupby,
-            "script": script,
             "style": _asset("page.css"),
+            "view_style": _asset("scripts/view.css"),
             "type": type,
             "zip": zip,
         },
     )
+
+
+@cache
+def _script(kinds: tuple[str, ...]) -> str:
+    """Return the script of a page with the given kinds of views; without views, it only sorts tables."""
+    names = ["page.js", *(["scripts/shared.js"] if kinds else []), *(f"scripts/{kind}.js" for kind in kinds)]
+    return "\n" + "\n".join(_asset(name) for name in names)
 
 
 def _asset(name: str) -> str:
@@ -81,13 +93,11 @@ def _asset(name: str) -> str:
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
     """Return the number of rows to show of a table, and its columns."""
-    most = max_rows if max_rows is not None else len(block.table) if block.complete else MAX_ROWS
-    table = block.table[:most]
+    table = block.table[: MAX_ROWS if max_rows is None else max_rows]
     columns = []
     for name in table.colnames:
-        unit, numbers, cells = (rounded_cells_of if block.complete else cells_of)(table[name], name)
-        # numbers are aligned to the right, as are all cells except text in a rounded table
-        look = ("" if numbers else "text") if block.complete else ("number" if numbers else "")
+        unit, numbers, cells = cells_of(table[name], name)
+        look = "number" if numbers else ""
         columns.append({"name": name, "unit": unit, "numbers": numbers, "cells": cells, "look": look})
     return len(table), columns
 

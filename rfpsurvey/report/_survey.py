@@ -4,6 +4,7 @@ from rfpsurvey.errors import number_of
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
+from rfpsurvey.report._sky_view import sky_view
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
 
@@ -31,7 +32,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     after = "The table lists the completeness after each pass, for each priority class and for all targets."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),
-        Section("On the sky", pictures[:1]),
+        Section("On the sky", [sky_view(survey.tiles, survey.provenance["parameters"]["radius_deg"], pictures[:1])]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section(
             "Tiles", [Rows("The table lists the tiles of the survey in the order of the tiling.", survey.tiles, where)]
@@ -54,7 +55,10 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
     )
     figure = draw_tiling(tiling)
     picture = Picture("The tiles on the sky.", figure, _about_passes(table, len(figure.axes)))
-    sections = [Section("On the sky", [picture]), Section("Tiles", [rows])]
+    sections = [
+        Section("On the sky", [sky_view(table, summary.get("radius_deg", 1.0), [picture])]),
+        Section("Tiles", [rows]),
+    ]
     if summary:
         sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"

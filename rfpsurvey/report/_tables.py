@@ -1,5 +1,6 @@
 """Pages on estimates and tables: any table, comparisons of allocators and of instruments, the claims of the paper."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from rfpsurvey.plot import draw_instruments, draw_reproduction, plot_allocators
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts
+from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.reproduction import TABLES
-from rfpsurvey.tile import versions
+from rfpsurvey.tile import Tile, versions
 
 __all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_instruments", "page_of_table"]
 
@@ -99,8 +101,8 @@ def _count(n, word) -> str:
     return f"{n} {word}{'' if n == 1 else 's'}"
 
 
-def page_of_allocators(table: Table, where: str) -> Page:
-    """Return a page on a comparison of allocators."""
+def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
+    """Return a page on a comparison of allocators; with ``plans``, their differences can be seen."""
     meta = table.meta
     words = (
         f"One field of {meta['instrument']}, planned with {len(table)} allocators. If arms could pass each other, "
@@ -119,6 +121,9 @@ def page_of_allocators(table: Table, where: str) -> Page:
     picture = Picture("Fibers of each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
     sections = [Section("Side by side", blocks)]
+    if plans:
+        still = [Text("The interactive view of the plans requires a browser that runs scripts.")]
+        sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
     if unmet:
         sections.append(Section("Requirements that are not met", [Text(unmet)]))
     provenance = {k: v for k, v in _without_private(meta).items() if k != "unmet"}

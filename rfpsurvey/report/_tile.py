@@ -1,12 +1,15 @@
 """The page of a tile."""
 
+from collections.abc import Mapping
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey.plot import plot_focal_plane, plot_quality
-from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
+from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.tile import Tile
 
 __all__ = ["page_of_tile"]
@@ -27,22 +30,6 @@ COLUMNS = (
     "theta",
     "phi",
 )
-ASSIGNMENTS = (
-    "id",
-    "target_id",
-    "kind",
-    "fiber_type",
-    "spectrograph",
-    "ra",
-    "dec",
-    "tip_x",
-    "tip_y",
-    "theta",
-    "phi",
-    "in_collision",
-)
-VARYING = ("kind", "fiber_type", "spectrograph")
-"""Columns of the assignments that are shown only if they have more than one value."""
 NARROW = 25
 MARGIN = 4  # size of the enlarged region around a point, in radii of patrol areas
 MOST_OBJECTIVES = 12
@@ -50,8 +37,8 @@ TITLE = 0.35  # inches, height of the title that a caption replaces
 LITTLE = 60  # if there are more positioners, a part of the focal plane is also shown enlarged
 
 
-def page_of_tile(tile: Tile, where: str) -> Page:
-    """Return a page on a tile; ``where`` names the file with all rows."""
+def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
+    """Return a page on a tile; ``where`` names the file with all rows, and ``plans`` are its plans by name."""
     summary, parameters = tile.summary, tile.provenance["parameters"]
     name = tile.provenance["instrument"]["name"]
     counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
@@ -79,9 +66,8 @@ def page_of_tile(tile: Tile, where: str) -> Page:
         sections.append(Section("Requirements", [Text(list(unmet))]))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
-    sections.append(Section("Focal plane", _pictures(tile)))
+    sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
-    sections.append(Section("Assignments", _assignments(tile, where or "the table of the tile")))
     lead = f"{counts}; {arms} in collision."
     return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
 
@@ -219,17 +205,11 @@ def _collisions(tile, where) -> list:
     ]
 
 
-def _assignments(tile, where) -> list:
-    """Return a table of all positioners with a target."""
-    table = tile.table[np.isin(tile.table["status"], ("assigned", "out_of_reach"))]
-    if len(table) == 0:
-        return [Text("No positioner has a target.")]
-    equal = {c: str(table[c][0]) for c in VARYING if c in table.colnames and len(set(table[c].tolist())) == 1}
-    table = table[[c for c in ASSIGNMENTS if c in table.colnames and c not in equal]]
-    words = "All positioners that have a target. The columns tip x and tip y give the position of the fiber."
-    known = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in equal.items() if value)
-    words += f" Equal for all: {known}." if known else ""
-    return [Text(words), Rows("All assignments.", table, where, marks={"yes": "bad"}, complete=True)]
+def _view(tile, where, plans, max_rows) -> View:
+    """Return the interactive focal plane with all assignments; figures replace it where no script runs."""
+    words = "All assignments are in the interactive view, which requires a browser that runs scripts"
+    words += f", and in {where}." if where else "."
+    return focal_plane_view(plans, [*_pictures(tile), Text(words)], max_rows)
 
 
 def _empty(column) -> bool:

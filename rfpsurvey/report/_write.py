@@ -10,9 +10,11 @@ from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path, to_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputTypeError, check_keywords, check_whole, refusal
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
+from rfpsurvey.report._designs import is_designs, page_of_designs
+from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
 from rfpsurvey.report._tables import (
@@ -43,6 +45,8 @@ MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
 """For each ``meta["made_by"]``, the function for the page of the table, and columns that the table must have."""
+WITH_PLANS = (page_of_tile, page_of_allocators)
+"""Functions for pages with interactive focal planes."""
 ENDINGS = (".html", ".htm")
 
 
@@ -61,6 +65,7 @@ def write_report(
     figures: object = (),
     data: str | os.PathLike | None = None,
     max_rows: int | None = None,
+    plans: Mapping[str, Tile] | None = None,
 ) -> None:
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
@@ -86,11 +91,15 @@ def write_report(
     max_rows : int, optional
         Largest number of rows of a table; the page states the number of all rows. By default, the list of all
         assignments of a tile is complete, and other tables show 1000 rows.
+    plans : dict of str to Tile, optional
+        Other plans of the same tile by name, for a report on a `Tile`, or all plans of a comparison, for a table of
+        `compare_allocators`. The view of the focal plane shows the differences of any two of them.
 
     Raises
     ------
     InputError
-        If there is no page for this type of result, the path has another ending or exists, or a figure is not valid.
+        If there is no page for this type of result, the path has another ending or exists, a figure is not valid, or
+        ``plans`` have other positioners or belong to another type of result.
 
     Examples
     --------
@@ -109,8 +118,10 @@ def write_report(
         check_whole(max_rows, "max_rows")
     if not (title is None or isinstance(title, str)):
         raise refusal("title must be text", title, str)
+    if not (plans is None or isinstance(plans, Mapping)):
+        raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
-    page = _page_of(result, "" if data is None else to_path(data).name)
+    page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
     if title is not None:
         page = replace(page, title=str(title))  # a plain str, since other types can mark themselves as safe HTML
     if pictures:
@@ -120,14 +131,22 @@ def write_report(
         temporary.write_bytes(content)
 
 
-def _page_of(result, where: str) -> Page:
+def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None) -> Page:
     """Return the page on a result."""
     for kind, build in PAGES.items():
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None
             own, columns = MADE_BY.get(made_by, (build, set()))
             complete = not columns or columns <= set(result.colnames)  # a selection of columns has a plain page
-            return (own if complete else build)(result, where)
+            build = own if complete else build
+            if build is page_of_table and is_designs(result):
+                build = page_of_designs
+            more = {}
+            if build in WITH_PLANS:
+                more = {"plans": check_plans(result, plans), "max_rows": max_rows}
+            elif plans is not None:
+                raise InputError("plans must be given only for a Tile or a table of compare_allocators")
+            return build(result, where, **more)
     known = ", ".join(kind.__name__ for kind in PAGES)
     raise InputTypeError(f"a report is about one of: {known}; got {type(result).__name__}")
 

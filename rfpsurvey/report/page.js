@@ -23,8 +23,8 @@ function sort(table, column, sign) {
   body.append(...order.map(([, row]) => row));
 }
 
-for (const table of document.querySelectorAll("table.rows")) {
-  if (table.tBodies[0].rows.length < 2) continue;
+function makeSortable(table) {
+  if (table.tBodies[0].rows.length < 2) return;
   const heads = Array.from(table.tHead.rows[0].cells);
   heads.forEach((head, column) => {
     const button = document.createElement("button");
@@ -41,14 +41,16 @@ for (const table of document.querySelectorAll("table.rows")) {
   });
 }
 
+for (const table of document.querySelectorAll("table.rows")) makeSortable(table);
+
 // Text above an element that is wider than the page, which states how much of it is hidden to the right.
-for (const region of document.querySelectorAll(".scroll")) {
-  const heads = Array.from(region.querySelectorAll("thead th"));
+function noteHiddenColumns(region) {
   const more = document.createElement("p");
   more.className = "more";
   region.before(more);
   const update = () => {
     const edge = region.getBoundingClientRect().right + 1;
+    const heads = Array.from(region.querySelectorAll("thead th"));
     const hidden = heads.filter((head) => head.getBoundingClientRect().right > edge).length;
     const wide = region.scrollWidth > region.clientWidth + 1;
     const what = heads.length === 0 ? "more" : `${hidden} more column${hidden === 1 ? "" : "s"}`;
@@ -61,3 +63,5 @@ for (const region of document.querySelectorAll(".scroll")) {
   addEventListener("resize", update);
   update();
 }
+
+for (const region of document.querySelectorAll(".scroll")) noteHiddenColumns(region);

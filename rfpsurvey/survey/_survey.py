@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
-from rfpsurvey._display import to_html
+from rfpsurvey._display import show, to_html
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
@@ -143,6 +143,28 @@ class Survey:
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
         return table
+
+    def show(self, *, height: int = 1000) -> object:
+        """Return the interactive map of the tiles, as in a report, for a notebook.
+
+        The map is in a frame that can run the script of the map, but has no access to the notebook or the network.
+
+        Parameters
+        ----------
+        height : int, optional
+            Height of the frame in pixels.
+
+        Returns
+        -------
+        NotebookView
+            Object that a notebook shows.
+
+        Raises
+        ------
+        InputError
+            If the height is not a positive integer.
+        """
+        return show(self, height=height)
 
     def _repr_html_(self) -> str:
         return to_html(self, self.summary, self.tiles)

@@ -7,10 +7,11 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_lonlat
-from rfpsurvey.allocation import KINDS
+from rfpsurvey.allocation import KINDS, find_idle_reasons
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.pipeline import OUTCOMES, FieldPlan, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.tile._columns import COMPLETENESS, KEPT_COLUMN, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
+from rfpsurvey.tile._idle import idle_tables
 
 __all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind", "targets_of_field"]
 
@@ -34,6 +35,15 @@ class TargetsOfField(NamedTuple):
     """Index of ``OUTCOMES``."""
     positioner: np.ndarray
     """Row of the positioner of each target; -1 for targets without a positioner."""
+    plan: FieldPlan | None = None
+    """The plan, from which the reasons why positioners are idle are found on request."""
+    given: np.ndarray | None = None
+    """Row of each target of the plan."""
+
+    def idle(self, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
+        """Return a table with a row for each positioner without a target, and a table of its free targets in reach."""
+        found = find_idle_reasons(self.plan.instrument.focal_plane, self.plan.allocation, self.plan.arms)
+        return idle_tables(found, self, positioner_id)
 
     def table(self, positioner_id: np.ndarray) -> QTable:
         """Return a table with a row for each target, with units."""
@@ -65,7 +75,7 @@ def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan
     columns = {name: values[rows] for name, values in columns.items() if values is not None}
     units = catalog.arrays.extra_units
     columns.update((name, with_unit(values[rows], units[name])) for name, values in catalog.arrays.extra.items())
-    return TargetsOfField(catalog.id[rows], catalog.arrays.vectors[rows], xy, columns, outcome, positioner)
+    return TargetsOfField(catalog.id[rows], catalog.arrays.vectors[rows], xy, columns, outcome, positioner, plan, place)
 
 
 def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:

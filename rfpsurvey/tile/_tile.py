@@ -13,7 +13,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
-from rfpsurvey._display import to_html
+from rfpsurvey._display import show, to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
@@ -153,6 +153,32 @@ class Tile:
         """
         return None if self.outcomes is None else completeness_table(self.outcomes)
 
+    @cached_property
+    def _idle(self) -> tuple[QTable, QTable] | None:
+        return self.field_targets.idle(np.asarray(self.table["id"])) if hasattr(self.field_targets, "idle") else None
+
+    @property
+    def idle(self) -> QTable | None:
+        """Table of the positioners without a target, and why each has none; None for tiles that were scored or read.
+
+        Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
+        given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free``
+        (number of these that no positioner observes), ``n_possible`` (number of free targets at which its arm would
+        not collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the
+        arm would collide at free targets, as in the table of the tile).
+        """
+        return None if self._idle is None else self._idle[0]
+
+    @property
+    def idle_targets(self) -> QTable | None:
+        """Table of the free targets in reach of positioners without a target; None for tiles that were scored or read.
+
+        Columns: ``id`` (of the positioner), ``target_id``, ``x``, ``y``, ``kind`` (if the catalog has it), ``possible``
+        (whether the arm can observe the target without a collision, with one of its elbows) and ``colliding_with``
+        (arms and obstacles with which it would collide otherwise, with any of its elbows).
+        """
+        return None if self._idle is None else self._idle[1]
+
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Tile":
         """Read a tile from a file that `write` wrote.
@@ -232,6 +258,39 @@ class Tile:
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
         _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+
+    def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
+        """Return the interactive view of the focal plane, as in a report, for a notebook.
+
+        The view is in a frame that can run the script of the view, but has no access to the notebook or the network.
+
+        Parameters
+        ----------
+        plans : dict of str to Tile, optional
+            Other plans of the same tile by name; the view shows the differences of any two plans.
+        height : int, optional
+            Height of the frame in pixels.
+
+        Returns
+        -------
+        NotebookView
+            Object that a notebook shows.
+
+        Raises
+        ------
+        InputError
+            If a plan has other positioners, or the height is not a positive integer.
+
+        Examples
+        --------
+        >>> from astropy.coordinates import SkyCoord
+        >>> import rfpsurvey as rs
+        >>> center = SkyCoord("6h20m +23d")
+        >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=300, rng=1)
+        >>> rs.plan_tile(sky, "moons", center).show()
+        <NotebookView of a tile of moons>
+        """
+        return show(self, plans=plans, height=height)
 
     def __len__(self):
         return len(self.table)

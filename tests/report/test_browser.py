@@ -155,7 +155,12 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
     assert found["wide"] <= 0  # on a phone, tables and wide figures scroll, but the page does not
     assert max(found["cut"], default=0) <= 0  # figures are shown completely
     clicked = [orders for orders in found["orders"] if orders]
-    assert len(clicked) == len(tables) == {"tile": 3, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
+    # the script of the view of a tile makes one more table
+    assert (
+        len(clicked) - (kind == "tile")
+        == len(tables)
+        == {"tile": 2, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
+    )
     for orders in clicked:
         for (up, one, ascending, _), (down, other, descending, _) in orders:
             assert (up, one, down, other) == ("ascending", 1, "descending", 1)
@@ -171,7 +176,7 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
 def test_a_table_says_how_many_columns_are_hidden(browse, page_of, width):
     """Regression: wide tables ended at the edge of the page without any note."""
     hidden = tried(browse, page_of("tile"), width)["hidden"]
-    assert len(hidden) == 3
+    assert len(hidden) == 3  # the first is the table of assignments in the view
     assert width == 1200 or min(number for number, _ in hidden) > 0
     for number, words in hidden:
         assert words == (

@@ -1,0 +1,173 @@
+"""The reason why a positioner has no target, found from the plan after the allocation."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey.allocation._allocation import Allocation
+from rfpsurvey.allocation._arms import place_segments
+from rfpsurvey.allocation._candidates import find_conflicts, list_candidates, obstacle_hits
+from rfpsurvey.allocation._options import AllocationOptions
+from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.collision import Arms
+from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
+
+__all__ = ["IDLE_REASONS", "IdleReason", "IdleReasons", "find_idle_reasons"]
+
+
+class IdleReason(IntEnum):
+    """Reason why a positioner has no target."""
+
+    DISABLED = 0
+    STUCK = 1
+    NO_TARGET_IN_REACH = 2
+    ALL_TARGETS_ARE_ASSIGNED = 3
+    ALL_FREE_TARGETS_COLLIDE = 4
+    FREE_TARGET = 5
+
+
+IDLE_REASONS = (
+    "disabled",
+    "stuck",
+    "no target in reach",
+    "all targets in reach are assigned to other positioners",
+    "at every free target in reach the arm would collide",
+    "a free target in reach was not assigned",
+)
+"""The reasons as text."""
+
+
+class IdleReasons(NamedTuple):
+    """Why positioners have no target, and each attempt to move one of them to a free target in reach.
+
+    An attempt moves one arm, with one of its elbows, to a target that no positioner observes; all other arms remain as
+    in the plan.
+
+    Parameters
+    ----------
+    positioner : ndarray of int, shape (n_idle,)
+        Rows of the positioners without a target.
+    reason : ndarray of int, shape (n_idle,)
+        Index of ``IDLE_REASONS`` for each of them.
+    n_in_reach : ndarray of int, shape (n_idle,)
+        Number of targets that each of them can observe, regardless of all other positioners; 0 if it cannot move.
+    n_free : ndarray of int, shape (n_idle,)
+        Number of these targets that have no positioner.
+    owner : ndarray of int, shape (n_attempts,)
+        Row of the positioner of each attempt.
+    target : ndarray of int, shape (n_attempts,)
+        Row of the target of each attempt.
+    blocked_by : list of list of int
+        Rows of the positioners with which the arm of each attempt collides; obstacle ``k`` has the number ``-1 - k``.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [99, 0]] * u.mm, robot)
+    >>> plan = rs.allocate(plane, [[12, 0]] * u.mm)
+    >>> found = rs.allocation.find_idle_reasons(plane, plan, plan.place_arms(plane))
+    >>> found.positioner, found.n_in_reach, rs.allocation.IDLE_REASONS[found.reason[0]]
+    (array([1]), array([0]), 'no target in reach')
+    """
+
+    positioner: np.ndarray
+    reason: np.ndarray
+    n_in_reach: np.ndarray
+    n_free: np.ndarray
+    owner: np.ndarray
+    target: np.ndarray
+    blocked_by: list[list[int]]
+
+
+def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms) -> IdleReasons:
+    """Return for each positioner without a target why it has none.
+
+    The targets are those that the allocator received; targets in gaps that were added for sky fibers are not counted.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The focal plane with all obstacles of the plan.
+    allocation : Allocation
+        The plan.
+    arms : Arms
+        The poses of all arms in the plan.
+
+    Returns
+    -------
+    IdleReasons
+        The reasons, with every attempt on which they rest.
+
+    Raises
+    ------
+    InputError
+        If the plan or the arms are those of another number of positioners.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> plan = rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal")
+    >>> found = rs.allocation.find_idle_reasons(plane, plan, plan.place_arms(plane))
+    >>> rs.allocation.IDLE_REASONS[found.reason[0]], found.blocked_by
+    ('at every free target in reach the arm would collide', [[0]])
+    """
+    n, given = len(focal_plane), allocation.n_given
+    for name, number in (("allocation", len(allocation.target_of_positioner)), ("arms", len(arms.segments))):
+        if number != n:
+            raise InputError(f"{name} must be that of the {n} positioners of the focal plane, got {number} positioners")
+    idle = np.flatnonzero(allocation.target_of_positioner < 0)
+    is_idle = np.zeros(n, dtype=bool)
+    is_idle[idle] = True
+    types = allocation.target_fiber_type
+    xy = allocation.xy.to_value(u.mm)[:given]
+    reach = focal_plane.arrays.reach(xy, None if types is None else types[:given])
+    reach = reach.where(is_idle[reach.owner])
+    n_in_reach = np.bincount(reach.owner, minlength=n)
+    reach = reach.where(allocation.positioner_of_target[reach.target] < 0)
+    n_free = np.bincount(reach.owner, minlength=n)
+    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach)
+    possible = np.zeros(n, dtype=bool)
+    possible[owner[[not others for others in blocked_by]]] = True
+    reason = np.full(n, IdleReason.ALL_FREE_TARGETS_COLLIDE)
+    reason[n_free == 0] = IdleReason.ALL_TARGETS_ARE_ASSIGNED
+    reason[n_in_reach == 0] = IdleReason.NO_TARGET_IN_REACH
+    reason[possible] = IdleReason.FREE_TARGET
+    reason[focal_plane.arrays.is_stuck] = IdleReason.STUCK
+    reason[focal_plane.disabled] = IdleReason.DISABLED
+    return IdleReasons(idle, reason[idle], n_in_reach[idle], n_free[idle], owner, target, blocked_by)
+
+
+def _attempts(plane, allocation, arms, reach):
+    """Return positioner, target and colliding arms and obstacles of each attempt."""
+    problem = AllocationProblem(
+        plane,
+        allocation.xy.to_value(u.mm)[: allocation.n_given],
+        reach,
+        np.zeros(allocation.n_given, dtype=np.int64),
+        (0.0,),
+        fiber_type=None if allocation.target_fiber_type is None else allocation.target_fiber_type[: allocation.n_given],
+        options=AllocationOptions(parked_obstacles=allocation.parked_obstacles),
+    )
+    start, own, target, side, _ = list_candidates(problem, reach, both=True)
+    now = start[1:] - 1  # the last candidate of each positioner stands for its arm in the plan
+    segments = place_segments(problem, own, target, side, now)
+    segments[:, now] = arms.segments.T
+    moves = np.ones(len(own), dtype=bool)
+    moves[now] = False
+    blocked_by: list[list[int]] = [[] for _ in own]
+    for first, second in find_conflicts(plane, start, segments).T.tolist():
+        if moves[first] != moves[second]:
+            moved, other = (first, second) if moves[first] else (second, first)
+            blocked_by[moved].append(int(own[other]))
+    for moved, obstacle in obstacle_hits(plane, start, segments).tolist():
+        blocked_by[moved].append(-1 - obstacle)
+    rows = np.flatnonzero(moves)
+    return own[rows], target[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]

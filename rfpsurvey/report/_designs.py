@@ -1,0 +1,103 @@
+"""The page of a scan of designs: interactive scatter plots, and a calculator of the collision probability."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey.design import SURROGATE_ERROR
+from rfpsurvey.errors import number_of
+from rfpsurvey.plot import plot_designs
+from rfpsurvey.probability import AXES, surrogate_spline
+from rfpsurvey.report._blocks import Page, Picture, Rows, Section, Text, View
+from rfpsurvey.report._pack import pack, pack_texts
+from rfpsurvey.report._text import text_of
+
+__all__ = ["calculator_data", "is_designs", "page_of_designs"]
+
+CAPTION = "The designs."
+WORDS = (
+    "Each point is a design. The color and the marker show the ratio of the arms or the parameter with the most "
+    "values. Large points with an edge, joined by a line, are the front: no other design is better than these in both "
+    "objectives. If the scan is around an instrument, a star and a name mark its design."
+)
+ABOUT = (
+    "The calculator evaluates the surrogate, a cubic spline through 3969 quadratures, for arms on a hexagonal lattice "
+    "without an edge and independent targets that are uniform over each patrol area. The segment from elbow to tip can "
+    "collide. A click on a design sets the sliders to that design."
+)
+LARGEST_ERROR = 0.0016
+"""Largest error of the surrogate for designs that were not used to make it, see docs/probability.rst."""
+DECIMALS = 8
+"""Number of decimals of the coefficients of the spline."""
+NEED = {"central_arm", "ratio", "pitch", "clearance", "loss", "pareto"}
+
+
+def is_designs(table: Table) -> bool:
+    """Return whether a table was returned by `explore_designs` or `explore_around`."""
+    return set(table.colnames) >= NEED and "objectives" in table.meta
+
+
+def page_of_designs(table: Table, where: str) -> Page:
+    """Return a page on a scan of designs."""
+    picture = Picture(CAPTION, plot_designs(table), WORDS)
+    still = [Text("The calculator requires a browser that runs scripts.")]
+    size = f"{number_of(len(table), 'row')} and {number_of(len(table.colnames), 'column')}."
+    sections = [
+        Section("Designs", [View("designs", "Designs", _designs(table), [picture])]),
+        Section("Calculator", [Text(ABOUT), View("calculator", "Calculator", calculator_data(_start(table)), still)]),
+        Section("All values", [Rows(size, table, where or "the table itself")]),
+    ]
+    provenance = {k: v for k, v in table.meta.items() if not str(k).startswith("__")}
+    return Page("Designs", number_of(len(table), "design"), "", {}, sections, provenance)
+
+
+def _designs(table):
+    """Return the data of the scatter plots."""
+    columns, units = {}, {}
+    for name in table.colnames:
+        values = np.asarray(getattr(table[name], "value", table[name]))
+        if values.dtype.kind in "if" and values.ndim == 1:
+            columns[name] = pack(np.ma.filled(values.astype(float), np.nan))
+            units[name] = str(getattr(table[name], "unit", None) or "")
+    return {
+        "n": len(table),
+        "columns": columns,
+        "units": units,
+        "objectives": {str(name): str(aim) for name, aim in table.meta["objectives"].items()},
+        "pareto": pack(np.asarray(table["pareto"])),
+        "instrument": pack_texts(_names(table)),
+        "method": pack(table["method"]) if "method" in table.colnames else None,
+    }
+
+
+def _names(table):
+    if "instrument" not in table.colnames:
+        return [""] * len(table)
+    return [text_of(name) for name in np.asarray(np.ma.filled(table["instrument"], "")).astype(str).tolist()]
+
+
+def _start(table):
+    """Return the row with which the calculator begins: that of the instrument, or the front's first design."""
+    named = np.flatnonzero(np.array(_names(table)) != "")
+    front = np.flatnonzero(np.asarray(table["pareto"]))
+    row = table[next(iter([*named.tolist(), *front.tolist(), 0]))]
+    return {
+        "central_arm": float(row["central_arm"].to_value(u.mm)),
+        "eccentric_arm": float(row["central_arm"].to_value(u.mm) * row["ratio"]),
+        "pitch": float(row["pitch"].to_value(u.mm)),
+        "clearance": float(row["clearance"].to_value(u.mm)),
+    }
+
+
+def calculator_data(start: dict) -> dict:
+    """Return the spline of the surrogate with its limits and errors, and the first design of the calculator."""
+    spline = surrogate_spline()
+    return {
+        "axes": [[name, float(nodes[0]), float(nodes[-1])] for name, nodes in AXES.items()],
+        "knots": [np.round(knots, 12).tolist() for knots in spline.t],
+        "shape": list(spline.c.shape),
+        "coefficients": pack(spline.c.reshape(-1), DECIMALS),
+        "error": SURROGATE_ERROR,
+        "largest_error": LARGEST_ERROR,
+        "start": start,
+    }

@@ -1,0 +1,86 @@
+"""Interactive views of results in notebooks."""
+
+from dataclasses import dataclass
+from html import escape
+
+from rfpsurvey.errors import InputTypeError, check_whole
+from rfpsurvey.report._blocks import Page, Section
+from rfpsurvey.report._focal_plane_view import check_plans, focal_plane_view
+from rfpsurvey.report._html import html_of
+from rfpsurvey.report._sky_view import sky_view
+from rfpsurvey.survey import Survey
+from rfpsurvey.tile import Tile
+
+__all__ = ["NotebookView", "notebook_view"]
+
+
+@dataclass(frozen=True)
+class NotebookView:
+    """An interactive view, which notebooks show in a frame without access to the notebook, its files or the network.
+
+    Parameters
+    ----------
+    title : str
+        What the view shows.
+    page : str
+        HTML of the page in the frame.
+    height : int
+        Height of the frame in pixels.
+    """
+
+    title: str
+    page: str
+    height: int
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe sandbox="allow-scripts" title="{escape(self.title)}" srcdoc="{escape(self.page)}" '
+            f'style="width: 100%; height: {int(self.height)}px; border: 0"></iframe>'
+        )
+
+    def __repr__(self):
+        return f"<NotebookView of {self.title}>"
+
+
+def notebook_view(result: Tile | Survey, *, plans: dict | None = None, height: int = 1000) -> NotebookView:
+    """Return the interactive view of a tile or of a survey.
+
+    Parameters
+    ----------
+    result : Tile or Survey
+        Result to show.
+    plans : dict of str to Tile, optional
+        Other plans of a tile by name.
+    height : int, optional
+        Height of the frame in pixels.
+
+    Returns
+    -------
+    NotebookView
+        The view.
+
+    Raises
+    ------
+    InputError
+        If ``result`` has another type, a plan has other positioners, or the height is not a positive integer.
+
+    Examples
+    --------
+    >>> from astropy.coordinates import SkyCoord
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> center = SkyCoord("6h20m +23d")
+    >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=300, rng=1)
+    >>> rs.report.notebook_view(rs.plan_tile(sky, "moons", center))
+    <NotebookView of a tile of moons>
+    """
+    check_whole(height, "height", 1)
+    if isinstance(result, Tile):
+        title, view = f"a tile of {result.instrument}", focal_plane_view(check_plans(result, plans), [])
+    elif isinstance(result, Survey):
+        radius = result.provenance["parameters"]["radius_deg"]
+        title, view = f"a survey with {result.provenance['instrument']['name']}", sky_view(result.tiles, radius, [])
+    else:
+        raise InputTypeError(f"a view is of a Tile or a Survey, got {type(result).__name__}")
+    page = Page("View", title[0].upper() + title[1:], "", {}, [Section(view.caption, [view])], {})
+    return NotebookView(title, html_of(page, None), int(height))

@@ -1,0 +1,63 @@
+"""Columns as compact JSON, which the scripts of a page unpack."""
+
+import json
+
+import numpy as np
+
+from rfpsurvey.report._text import text_of
+
+__all__ = ["json_of", "pack", "pack_texts"]
+
+FEW = 64  # a text column with at most this many different values is stored as names and codes
+
+
+def pack(values: object, decimals: int | None = None) -> dict:
+    """Return a column of numbers or text as a dict.
+
+    The key ``v`` contains the values, or integers to be divided by 10 to the power ``d``; None stands for NaN. The key
+    ``c`` contains the only value of a constant column. Text with few different values has the keys ``names`` and ``v``.
+    """
+    mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else None
+    plain = np.asarray(np.ma.getdata(values) if mask is not None else getattr(values, "value", values))
+    if plain.dtype.kind == "f":
+        return _pack_numbers(plain, decimals)
+    if plain.dtype.kind == "b":
+        plain = plain.astype(int)
+    if plain.dtype.kind in "iu":
+        numbers = plain.tolist()
+        if mask is not None and mask.any():
+            numbers = [None if gone else value for value, gone in zip(numbers, mask.tolist(), strict=True)]
+        return _constant(numbers) or {"v": numbers}
+    texts = ["" if value is None else text_of(value) for value in np.ma.filled(values, "").tolist()]
+    return pack_texts(texts)
+
+
+def pack_texts(texts: list[str]) -> dict:
+    """Return texts as a dict, see `pack`."""
+    names = list(dict.fromkeys(texts))
+    if len(names) == 1:
+        return {"c": names[0]}
+    if len(names) > FEW:
+        return {"v": texts}
+    codes = {name: k for k, name in enumerate(names)}
+    return {"names": names, "v": [codes[text] for text in texts]}
+
+
+def _pack_numbers(values, decimals):
+    good = np.isfinite(values)
+    if decimals is None:
+        numbers = [float(f"{v:.6g}") if ok else None for v, ok in zip(values.tolist(), good.tolist(), strict=True)]
+        return _constant(numbers) or {"v": numbers}
+    whole = np.rint(np.where(good, values, 0) * 10**decimals).astype(np.int64).tolist()
+    numbers = [v if ok else None for v, ok in zip(whole, good.tolist(), strict=True)]
+    return {"d": decimals, **(_constant(numbers) or {"v": numbers})}
+
+
+def _constant(values):
+    return {"c": values[0]} if values and all(value == values[0] for value in values) else None
+
+
+def json_of(data: object) -> str:
+    """Return JSON for a script element: ASCII, without the characters that can end the element."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

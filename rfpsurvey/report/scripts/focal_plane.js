@@ -1,0 +1,517 @@
+// The focal plane of a tile: one plan, or the differences of two plans.
+
+const STATES = {
+  science: ["science target", "c-arm"], standard: ["standard star", "c-star"], sky: ["blank sky", "c-sky"],
+  collision: ["in collision", "c-collision"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle"],
+  unusable: ["disabled or stuck", "c-obstacle"],
+};
+const CHANGES = { same: ["same target", "c-idle"], other: ["different target", "c-star"], first: ["", "c-arm"], second: ["", "c-other"] };
+const ARMS_FROM = 9; // pixels: arms are drawn if the radius of a patrol area is larger
+
+class FocalPlaneView {
+  constructor(live, data) {
+    const n = data.n;
+    Object.assign(this, { live, data, n, selected: -1 });
+    for (const name of ["id", "x", "y", "inner", "outer"]) this[name] = unpack(data[name], n);
+    this.plans = data.plans.map((plan) => this.read(plan));
+    this.plan = this.plans[0];
+    this.compared = this.plans[1] ?? null;
+    this.row = new Map(this.id.map((name, k) => [name, k]));
+    const reach = Math.max(...this.outer);
+    const around = (values) => values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+    const [[x0, x1], [y0, y1]] = [around(this.x), around(this.y)];
+    this.stage = new Stage(this, [x0 - reach, y0 - reach, x1 + reach, y1 + reach], {
+      flip: true, label: `Focal plane of ${data.instrument} with ${plural(n, "positioner")}. Arrow keys select positioners.`,
+      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, Shift and arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
+        "Enter: show the row in the table. Escape: end the selection." });
+    this.panel = make("div", { class: "panel", "aria-live": "polite" });
+    this.count = make("p", { class: "count", role: "status" });
+    this.legend = make("ul", { class: "legend" });
+    live.append(this.tools(), make("div", { class: "panes" }, make("div", {}, this.stage.frame, this.legend, this.count, this.stage.help), this.panel),
+      this.tableBox());
+    this.update();
+    this.choose(-1);
+  }
+
+  read(plan) {
+    const n = this.n;
+    const own = { name: plan.name, idle: plan.idle, has: plan.columns };
+    for (const [name, column] of Object.entries(plan.columns)) own[name] = unpack(column, n);
+    own.elbow_x = own.elbow_dx.map((v, k) => v + this.x[k]);
+    own.elbow_y = own.elbow_dy.map((v, k) => v + this.y[k]);
+    const kind = own.kind ?? Array(n).fill("science");
+    own.state = own.status.map((status, k) => {
+      if (own.colliding_with[k]) return "collision";
+      if (status === "assigned") return kind[k] || "science";
+      return status === "out_of_reach" ? "reach" : status === "disabled" || status === "stuck" ? "unusable" : "idle";
+    });
+    own.reason = Array(n).fill(null);
+    for (const [k, ...entry] of plan.idle ?? []) own.reason[k] = entry;
+    own.free = new Map();
+    for (const [k, ...target] of plan.free) own.free.set(k, [...(own.free.get(k) ?? []), target]);
+    return own;
+  }
+
+  // ---- controls
+
+  tools() {
+    const named = this.plans.map((plan, k) => [k, plan.name]);
+    const box = make("div", { class: "tools" });
+    if (this.plans.length > 1) {
+      const [first] = select("Plan", [["", named]], (event) => this.set(+event.target.value, this.plans.indexOf(this.compared)));
+      const [second, value] = select("Compared with", [["", [[-1, "no other plan"], ...named]]],
+        (event) => this.set(this.plans.indexOf(this.plan), +event.target.value));
+      value.value = 1;
+      box.append(first, second);
+    }
+    this.filterField = make("span");
+    const search = make("input", { type: "search", placeholder: "id", spellcheck: "false", autocomplete: "off" });
+    const find = make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
+      make("label", {}, make("span", {}, "Positioner or target "), search));
+    search.setAttribute("aria-label", "Search a positioner or a target by its id");
+    search.addEventListener("search", () => this.find(search.value.trim()));
+    box.append(this.filterField, find);
+    return box;
+  }
+
+  set(first, second) {
+    this.plan = this.plans[first];
+    this.compared = this.plans[second] === this.plan ? null : this.plans[second] ?? null;
+    this.update();
+    this.choose(this.selected, false);
+  }
+
+  // All filters that select at least one positioner, as [value, text, test].
+  filters() {
+    const { plan, compared } = this;
+    const groups = new Map([["", [["all", "all positioners", () => true]]]]);
+    const add = (group, value, text, test) => groups.set(group, [...(groups.get(group) ?? []), [value, text, test]]);
+    for (const [state, [name]] of Object.entries(STATES)) add("State", state, name, (k) => plan.state[k] === state);
+    add("State", "assigned", "any target", (k) => plan.target_id[k] !== "");
+    if (plan.idle) this.data.reasons.forEach((reason, code) => add("Why idle", `reason ${code}`, reason, (k) => plan.reason[k]?.[0] === code));
+    if (compared) {
+      add("Differences", "changed", "any difference", (k) => this.change(k) !== "same");
+      for (const kind of Object.keys(CHANGES)) add("Differences", kind, this.changeName(kind), (k) => this.change(k) === kind);
+    }
+    for (const column of ["category", "priority", "fiber_type", "spectrograph"]) {
+      const values = plan[column] && [...new Set(plan[column].filter((v, k) => plan.target_id[k] && !Number.isNaN(v)))];
+      if (!values || values.length < 2 || values.length > 20) continue;
+      for (const value of values.sort()) add(column.replace("_", " "), `${column} ${value}`, String(value), (k) => plan.target_id[k] && plan[column][k] === value);
+    }
+    return groups;
+  }
+
+  update() {
+    const before = this.filterBox?.value ?? "all";
+    this.tests = new Map();
+    const groups = [];
+    for (const [group, entries] of this.filters()) {
+      const shown = [];
+      for (const [value, text, test] of entries) {
+        const n = this.id.reduce((sum, _, k) => sum + (test(k) ? 1 : 0), 0);
+        if (!n && value !== "all") continue;
+        this.tests.set(value, test);
+        shown.push([value, `${text} (${n})`]);
+      }
+      if (shown.length) groups.push([group, shown]);
+    }
+    const [field, box] = select("Show", groups, () => this.filter());
+    this.filterField.replaceChildren(field);
+    this.filterBox = box;
+    box.value = this.tests.has(before) ? before : "all";
+    this.filter();
+  }
+
+  filter() {
+    const test = this.tests.get(this.filterBox.value);
+    this.visible = this.id.map((_, k) => Boolean(test(k)));
+    const n = this.visible.filter(Boolean).length;
+    this.count.textContent = `${n} of ${plural(this.n, "positioner")}${this.compared ? `; ${this.plan.name} compared with ${this.compared.name}` : ""}.`;
+    this.fillLegend();
+    if (this.details.open) this.fillTable();
+    this.table = this.details.open ? this.table : null;
+    this.stage.draw();
+  }
+
+  fillLegend() {
+    const classes = this.compared ? Object.entries(CHANGES).map(([kind, [, color]]) => [this.changeName(kind), color]) :
+      Object.entries(STATES).filter(([state]) => this.plan.state.includes(state)).map(([, entry]) => entry);
+    this.legend.replaceChildren(...classes.map(([name, color]) => {
+      const dot = make("span", { "aria-hidden": "true" });
+      dot.style.background = `var(--${color})`;
+      return make("li", {}, dot, name);
+    }));
+  }
+
+  find(text) {
+    if (!text) return;
+    let k = this.row.get(text) ?? -1;
+    if (k < 0) k = this.plan.target_id.indexOf(text);
+    if (k < 0) k = this.compared?.target_id.indexOf(text) ?? -1;
+    const free = k < 0 ? [...this.plan.free].find(([, targets]) => targets.some(([name]) => name === text))?.[0] ?? -1 : -1;
+    if (k < 0 && free < 0) {
+      this.panel.replaceChildren(make("p", {}, `No positioner, and no target of this view, has the id ${text}.`));
+      return;
+    }
+    this.choose(k < 0 ? free : k);
+    this.stage.show(this.x[this.selected], this.y[this.selected], 70 / this.outer[this.selected]);
+  }
+
+  // ---- differences
+
+  change(k) {
+    const [a, b] = [this.plan.target_id[k], this.compared.target_id[k]];
+    return a === b ? "same" : !b ? "first" : !a ? "second" : "other";
+  }
+
+  changeName(kind) {
+    if (kind === "first") return `target only with ${this.plan.name}`;
+    return kind === "second" ? `target only with ${this.compared.name}` : CHANGES[kind][0];
+  }
+
+  // ---- drawing
+
+  colorName(k) {
+    return this.compared ? CHANGES[this.change(k)][1] : STATES[this.plan.state[k]][1];
+  }
+
+  paint(context, stage) {
+    const [ax, ay] = stage.toWorld(0, stage.height), [bx, by] = stage.toWorld(stage.width, 0);
+    const rows = [];
+    for (let k = 0; k < this.n; k += 1) {
+      const r = this.outer[k];
+      if (this.x[k] + r > Math.min(ax, bx) && this.x[k] - r < Math.max(ax, bx) && this.y[k] + r > ay && this.y[k] - r < by) rows.push(k);
+    }
+    this.paintObstacles(context, stage);
+    const groups = new Map();
+    for (const k of rows) {
+      const name = this.visible[k] ? this.colorName(k) : "faint";
+      if (!groups.has(name)) groups.set(name, []);
+      groups.get(name).push(k);
+    }
+    const order = ["faint", "c-idle"];
+    const sorted = [...groups].sort(([a], [b]) => (order.includes(b) - order.includes(a)) || (a === "faint" ? -1 : 0));
+    const large = this.outer[0] * stage.scale > ARMS_FROM;
+    if (large) this.paintPatrol(context, stage, rows);
+    for (const [name, members] of sorted) {
+      context.fillStyle = context.strokeStyle = stage.color(name);
+      if (!large) this.paintDots(context, stage, members);
+      else this.paintArms(context, stage, members, this.plan);
+    }
+    if (large && this.compared) {
+      context.strokeStyle = context.fillStyle = stage.color("c-other");
+      context.setLineDash([4, 3]);
+      this.paintArms(context, stage, rows.filter((k) => this.visible[k] && this.change(k) !== "same"), this.compared);
+      context.setLineDash([]);
+    }
+    this.paintSelection(context, stage);
+    this.paintCompass(context, stage);
+  }
+
+  paintDots(context, stage, rows) {
+    const size = Math.max(1.6, Math.min(3.5, this.outer[0] * stage.scale * 0.5));
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      if (this.plan.state[k] === "collision") { // a diamond
+        context.moveTo(px, py - 2 * size);
+        context.lineTo(px + 2 * size, py);
+        context.lineTo(px, py + 2 * size);
+        context.lineTo(px - 2 * size, py);
+        context.closePath();
+      } else context.rect(px - size, py - size, 2 * size, 2 * size);
+    }
+    context.fill();
+  }
+
+  paintPatrol(context, stage, rows) {
+    context.strokeStyle = stage.color("c-patrol");
+    context.lineWidth = 0.5;
+    context.globalAlpha = 0.6;
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      const r = this.outer[k] * stage.scale;
+      context.moveTo(px + r, py);
+      context.arc(px, py, r, 0, 2 * Math.PI);
+    }
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  // Thin lines are the arms; the translucent band is as wide as the minimum separation: two arms collide where bands overlap.
+  paintArms(context, stage, rows, plan) {
+    const path = (points, closed) => {
+      context.beginPath();
+      for (const k of rows) {
+        const [first, ...others] = points(k);
+        if (!Number.isFinite(first[0])) continue;
+        context.moveTo(...stage.toScreen(...first));
+        for (const point of others) context.lineTo(...stage.toScreen(...point));
+      }
+      if (closed) context.fill(); else context.stroke();
+    };
+    const tip = (k) => [plan.tip_x[k], plan.tip_y[k]];
+    const elbow = (k) => [plan.elbow_x[k], plan.elbow_y[k]];
+    const end = (k) => [plan.arm_x?.[k] ?? plan.tip_x[k], plan.arm_y?.[k] ?? plan.tip_y[k]];
+    context.lineJoin = context.lineCap = "round";
+    if (this.data.arm_model !== "outline") {
+      context.lineWidth = Math.max(this.data.separation * stage.scale, 1);
+      context.globalAlpha = 0.25;
+      const start = this.data.arm_model === "fiber_tip" ? tip : elbow;
+      path((k) => [start(k), end(k)]);
+    }
+    context.globalAlpha = 1;
+    context.lineWidth = Math.max(1, Math.min(0.3 * stage.scale, 2.5));
+    path((k) => [[this.x[k], this.y[k]], elbow(k), tip(k)]);
+    this.paintTips(context, stage, rows.filter((k) => plan.target_id[k]), tip);
+    context.fill();
+    this.paintTips(context, stage, rows.filter((k) => !plan.target_id[k]), (k) => [this.x[k], this.y[k]]);
+    context.stroke(); // circles are positioners without a target
+  }
+
+  paintTips(context, stage, rows, place) {
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(...place(k));
+      context.moveTo(px + 3, py);
+      context.arc(px, py, 3, 0, 2 * Math.PI);
+    }
+  }
+
+  paintObstacles(context, stage) {
+    context.fillStyle = stage.color("c-obstacle");
+    context.globalAlpha = 0.5;
+    context.beginPath();
+    for (const [x, y, r] of this.data.obstacles) {
+      const [px, py] = stage.toScreen(x, y);
+      context.moveTo(px + r * stage.scale, py);
+      context.arc(px, py, r * stage.scale, 0, 2 * Math.PI);
+    }
+    for (const polygon of this.data.polygons) {
+      polygon.forEach((point, i) => (i ? context.lineTo(...stage.toScreen(...point)) : context.moveTo(...stage.toScreen(...point))));
+      context.closePath();
+    }
+    context.fill();
+    context.globalAlpha = 1;
+  }
+
+  paintSelection(context, stage) {
+    const ring = (k, width) => {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      context.lineWidth = width;
+      context.strokeStyle = stage.color("c-mark");
+      context.beginPath();
+      context.arc(px, py, Math.max(this.outer[k] * stage.scale, 7), 0, 2 * Math.PI);
+      context.stroke();
+    };
+    if (stage.hovered >= 0) ring(stage.hovered, 1);
+    if (this.selected < 0) return;
+    ring(this.selected, 2.5);
+    for (const [, x, y, , possible] of this.plan.free.get(this.selected) ?? []) { // crosses are free targets
+      const [px, py] = stage.toScreen(x, y);
+      context.strokeStyle = stage.color(possible ? "c-good" : "c-collision");
+      context.lineWidth = 2;
+      context.beginPath();
+      context.moveTo(px - 5, py - 5);
+      context.lineTo(px + 5, py + 5);
+      context.moveTo(px - 5, py + 5);
+      context.lineTo(px + 5, py - 5);
+      context.stroke();
+    }
+  }
+
+  // Arrows toward north and east. The position angle is that of +y, from north toward east.
+  compass() {
+    const angle = this.data.position_angle;
+    if (angle === null) return null;
+    const [s, c] = [Math.sin(angle * Math.PI / 180), Math.cos(angle * Math.PI / 180)];
+    return { N: [-this.stage.flip * s, c], E: [this.stage.flip * c, s] }; // on the screen, up is positive
+  }
+
+  paintCompass(context, stage) {
+    const [left, bottom] = [44, stage.height - 44];
+    context.strokeStyle = context.fillStyle = stage.color("ink");
+    context.lineWidth = 1.5;
+    context.font = "12px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    for (const [name, [dx, dy]] of Object.entries(this.compass() ?? {})) {
+      context.beginPath();
+      context.moveTo(left, bottom);
+      context.lineTo(left + 22 * dx, bottom - 22 * dy);
+      context.stroke();
+      context.fillText(name, left + 31 * dx, bottom - 31 * dy);
+    }
+    const length = 10 ** Math.floor(Math.log10(120 / stage.scale));
+    const [right, low] = [stage.width - 14, stage.height - 16];
+    context.beginPath();
+    context.moveTo(right, low);
+    context.lineTo(right - length * stage.scale, low);
+    context.stroke();
+    context.textAlign = "right";
+    context.fillText(`${length} mm`, right, low - 11);
+  }
+
+  // ---- selection
+
+  pick(x, y) {
+    let best = -1, least = 10 / this.stage.scale;
+    const { plan } = this;
+    for (let k = 0; k < this.n; k += 1) {
+      if (!this.visible[k] || Math.abs(this.x[k] - x) > this.outer[k] + least || Math.abs(this.y[k] - y) > this.outer[k] + least) continue;
+      let distance = Math.hypot(this.x[k] - x, this.y[k] - y);
+      if (Number.isFinite(plan.tip_x[k]) && this.outer[k] * this.stage.scale > ARMS_FROM) {
+        distance = Math.min(distance, fromSegment(x, y, this.x[k], this.y[k], plan.elbow_x[k], plan.elbow_y[k]),
+          fromSegment(x, y, plan.elbow_x[k], plan.elbow_y[k], plan.tip_x[k], plan.tip_y[k]));
+      }
+      if (distance < least) [best, least] = [k, distance];
+    }
+    return best;
+  }
+
+  why(k, plan = this.plan) {
+    if (plan.target_id[k]) return [];
+    if (!plan.reason[k]) return plan.idle ? [] : ["The given plan assigns no target to this positioner."];
+    const [code, inReach, free] = plan.reason[k];
+    const targets = plan.free.get(k) ?? [];
+    const names = (list) => list.slice(0, 5).map(([name]) => name).join(", ") + (list.length > 5 ? ` and ${list.length - 5} more` : "");
+    if (code === 0) return ["Idle: the positioner is disabled."];
+    if (code === 1) return ["Idle: the positioner is stuck."];
+    if (code === 2) return ["Idle: no target in reach."];
+    if (code === 3) return [inReach === 1 ? "Idle: the only target in reach is assigned to another positioner." :
+      `Idle: all ${inReach} targets in reach are assigned to other positioners.`];
+    if (code === 5) {
+      const possible = targets.filter(([, , , , ok]) => ok);
+      return [`Idle, although ${plural(possible.length, "free target")} in reach can be observed without a collision while all other arms ` +
+        `remain as they are: ${names(possible)}. The allocator did not assign ${possible.length === 1 ? "it" : "them"}.`];
+    }
+    return [`Idle: at ${free === 1 ? "the only free target" : `each of the ${free} free targets`} in reach, the arm would collide.`,
+      ...targets.slice(0, 8).map(([name, , , , , others]) => `Target ${name}: collides with ${others.split(" ").join(", ")}.`)];
+  }
+
+  facts(k, plan) {
+    return list([
+      ["Target", plan.target_id[k] || "none"], ["Kind", plan.target_id[k] ? plan.kind?.[k] ?? "" : ""],
+      ["Status", plan.status[k].replaceAll("_", " ")],
+      ["theta, phi", Number.isFinite(plan.theta[k]) ? `${fixed(plan.theta[k], 2, "\u00b0")}, ${fixed(plan.phi[k], 2, "\u00b0")}` : ""],
+      ["Clearance", Number.isFinite(plan.clearance[k]) ? fixed(plan.clearance[k], 3, " mm") : ""],
+      ["Collides with", plan.colliding_with[k].split(" ").join(", ")],
+    ]);
+  }
+
+  card(k, long = false) {
+    const parts = [make(long ? "h3" : "p", {}, make("strong", {}, `Positioner ${this.id[k]}`))];
+    for (const plan of this.compared ? [this.plan, this.compared] : [this.plan]) {
+      if (this.compared) parts.push(make("p", {}, plan.name));
+      parts.push(this.facts(k, plan));
+      const sentences = this.why(k, plan);
+      parts.push(...(long ? sentences : sentences.slice(0, 1)).map((text) => make("p", { class: "why" }, text)));
+    }
+    return parts;
+  }
+
+  choose(k, show = true) {
+    this.selected = k;
+    const hint = "Click a positioner, or search its id, to see its target, its angles, its clearance, and why it is idle.";
+    this.panel.replaceChildren(...(k < 0 ? [make("p", {}, hint)] : this.card(k, true)));
+    this.markRow(show);
+    this.stage.draw();
+  }
+
+  step(dx, dy) {
+    let from = this.selected;
+    if (from < 0) { // begin at the center of the plot
+      const distances = this.x.map((x, k) => (this.visible[k] ? Math.hypot(x - this.stage.x, this.y[k] - this.stage.y) : Infinity));
+      return this.choose(distances.indexOf(Math.min(...distances)));
+    }
+    from = nextItem(this.x, this.y, from, dx, dy, (k) => this.visible[k]);
+    if (from < 0) return undefined;
+    this.choose(from);
+    const [px, py] = this.stage.toScreen(this.x[from], this.y[from]);
+    if (px < 20 || py < 20 || px > this.stage.width - 20 || py > this.stage.height - 20) this.stage.show(this.x[from], this.y[from], 0);
+    return undefined;
+  }
+
+  // ---- table
+
+  tableBox() {
+    this.details = make("details", { ontoggle: () => this.details.open && !this.table && this.fillTable() }, make("summary", {}, "All assignments"));
+    this.scroll = make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "All assignments" });
+    this.note = make("p", { class: "count" });
+    this.details.append(this.note, this.scroll);
+    noteHiddenColumns(this.scroll);
+    return this.details;
+  }
+
+  columns() {
+    const { plan } = this;
+    const number = (name, unit, decimals) => [name.replace("_", " "), unit, (k) => [fixed(plan[name][k], decimals), plan[name][k]]];
+    const text = (name, values) => [name, "", (k) => [values[k], undefined]];
+    return [
+      ["id", "", null], text("target id", plan.target_id), text("status", plan.status.map((word) => word.replaceAll("_", " "))),
+      ...["kind", "fiber_type", "spectrograph", "category", "priority"].filter((name) => plan[name] && !("c" in plan.has[name]))
+        .map((name) => text(name.replace("_", " "), plan[name].map((value) => (Number.isNaN(value) ? "" : String(value))))),
+      number("ra", "deg", 6), number("dec", "deg", 6), number("tip_x", "mm", 3), number("tip_y", "mm", 3),
+      number("theta", "deg", 3), number("phi", "deg", 3), number("clearance", "mm", 3), text("colliding with", plan.colliding_with),
+      text("why idle", this.id.map((_, k) => this.why(k)[0] ?? "")),
+    ];
+  }
+
+  fillTable() {
+    const columns = this.columns();
+    const rows = this.id.map((_, k) => k).filter((k) => this.visible[k]);
+    const shown = this.data.max_rows === null ? rows : rows.slice(0, this.data.max_rows);
+    const heads = columns.map(([name, unit]) => make("th", { scope: "col" }, name, unit ? " " : "", unit ? make("span", { class: "unit" }, unit) : ""));
+    const body = make("tbody");
+    this.rowElements = new Map();
+    for (const k of shown) {
+      const cells = columns.map(([, , value]) => {
+        if (value === null) return make("th", { scope: "row" }, make("button", { type: "button", "aria-label": `Positioner ${this.id[k]}: select` }, this.id[k]));
+        const [words, number] = value(k);
+        const missing = words === "" || words === "\u2013";
+        const cell = make("td", { class: missing ? "missing" : number === undefined ? "text" : "number" }, missing ? "\u2013" : words);
+        if (number !== undefined && !missing) cell.dataset.value = number;
+        return cell;
+      });
+      const row = make("tr", { onclick: () => this.fromTable(k) }, ...cells);
+      this.rowElements.set(k, row);
+      body.append(row);
+    }
+    this.note.textContent = shown.length < rows.length ? `Shown: ${shown.length} of ${plural(rows.length, "row")}.` : plural(rows.length, "row") + ".";
+    this.table = make("table", { class: "rows rounded" }, make("thead", {}, make("tr", {}, ...heads)), body);
+    this.scroll.replaceChildren(this.table);
+    makeSortable(this.table);
+    this.scroll.dispatchEvent(new Event("scroll")); // the note on hidden columns
+    this.markRow(true);
+  }
+
+  fromTable(k) {
+    this.choose(k, false);
+    this.stage.show(this.x[k], this.y[k], 70 / this.outer[k]);
+  }
+
+  markRow(show) {
+    this.marked?.removeAttribute("aria-selected");
+    this.marked = this.details?.open ? this.rowElements?.get(this.selected) : null;
+    this.marked?.setAttribute("aria-selected", "true");
+    if (!this.marked || !show) return;
+    const top = this.marked.offsetTop - this.scroll.clientHeight / 2;
+    this.scroll.scrollTop = top; // the page itself does not scroll
+  }
+
+  enter() {
+    if (this.selected < 0) return;
+    this.details.open = true;
+    if (!this.table) this.fillTable();
+    this.markRow(true);
+    this.marked?.querySelector("button").focus();
+  }
+}
+VIEWS.focal_plane = FocalPlaneView;
+
+function fromSegment(x, y, ax, ay, bx, by) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const t = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(ax + t * dx - x, ay + t * dy - y);
+}

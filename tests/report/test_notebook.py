@@ -1,0 +1,85 @@
+"""Views in notebooks: frames without access to the notebook."""
+
+import re
+from html import unescape
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from browser import open_browser
+from pages import Reader
+
+CENTER = SkyCoord(95, 23, unit="deg")
+HOSTILE = "</script><script>parent.document.title='run'</script>\"'<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def tile(small):
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
+    return rs.plan_tile(rs.Catalog(sky.coord, id=[f"{k}{HOSTILE}" for k in range(60)]), small, CENTER)
+
+
+@pytest.fixture(scope="module")
+def views(tile, small):
+    survey = rs.plan_survey(SkyCoord([CENTER]), small, SkyCoord([CENTER]))
+    return {"tile": tile.show(plans={"again": tile}, height=700), "survey": survey.show()}
+
+
+@pytest.mark.parametrize("name", ["tile", "survey"])
+def test_a_view_is_a_sandboxed_frame(views, name):
+    html = views[name]._repr_html_()
+    ((tag, attributes, _),) = Reader(html).elements
+    assert tag == "iframe"
+    assert attributes["sandbox"] == "allow-scripts"
+    assert attributes["srcdoc"] == views[name].page
+    assert html.count("<") == 2  # everything else is escaped
+    page = Reader(views[name].page)
+    assert [a for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy"]
+    assert f"height: {700 if name == 'tile' else 1000}px" in attributes["style"]
+
+
+@pytest.mark.parametrize("name", ["tile", "survey"])
+def test_a_view_runs_in_its_frame_and_cannot_leave_it(views, tile, tmp_path, name):
+    path = tmp_path / "notebook.html"
+    frame = views[name]._repr_html_()
+    path.write_text(f"<!DOCTYPE html><title>notebook</title><link rel=icon href='data:,'><body>{frame}</body>")
+    with open_browser() as visit:
+        page = visit(path)
+        inside = page.frames[1]
+        inside.wait_for_function("document.querySelector('.view')?.view")
+        assert inside.locator("canvas").first.is_visible()
+        assert inside.evaluate("window.origin") == "null"
+        if name == "tile":
+            view = "document.querySelector('.view').view"
+            inside.evaluate(f"{view}.choose({view}.plan.target_id.findIndex(Boolean))")
+            assert "onerror" in inside.locator(".panel").inner_text()
+        assert page.title() == "notebook"
+
+
+def test_what_cannot_be_shown_is_refused(tile):
+    with pytest.raises(rs.InputTypeError, match="a view is of a Tile or a Survey, got int"):
+        rs.report.notebook_view(3)
+    with pytest.raises(rs.InputError, match="height"):
+        tile.show(height=0)
+    with pytest.raises(rs.InputTypeError, match="plans must be a dict of names to tiles"):
+        tile.show(plans=[tile])
+
+
+def test_plans_of_other_positioners_are_refused(tile, presets, tmp_path):
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=60, rng=1)
+    other = rs.plan_tile(sky, presets["moons"], CENTER)
+    with pytest.raises(rs.InputError, match="all plans must have the same positioners, got others in the plan 'other'"):
+        tile.show(plans={"other": other})
+    with pytest.raises(rs.InputError, match="plans must be given only for a Tile or a table of compare_allocators"):
+        rs.write_report(rs.place_tiles(sky, "moons"), tmp_path / "page.html", plans={"other": other})
+
+
+def test_no_tag_of_a_name_is_in_the_page(views):
+    page = views["tile"].page
+    assert "<img" not in page
+    assert len(re.findall("<script", page)) == 2
+    assert "<img" not in unescape(page.replace("&lt;", ""))
+    assert np.all([a.get("type") in (None, "application/json") for a in Reader(page).all("script")])
