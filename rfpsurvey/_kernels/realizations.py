@@ -1,0 +1,158 @@
+"""Many realizations of one tile, which differ only in the order of the targets: assignments, lost targets, and visits.
+
+All realizations share the reachable pairs of targets and positioners, and the segment of the arm of each pair. A
+realization is a row of ``chosen``, which contains the index of the pair that each positioner uses, or -1. Bit r of a
+mask stands for realization r of at most 32 realizations.
+"""
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.collisions import colliding_obstacles, colliding_pairs, halve
+
+# Largest number of realizations in one call.
+MOST = 32
+
+
+@kernel
+def sort_by_distance(indptr, r2, nearest):
+    """List the pairs of each target by distance, then by the index of the positioner, by insertion."""
+    for t in range(indptr.size - 1):
+        for k in range(indptr[t], indptr[t + 1]):
+            m = k
+            while m > indptr[t] and r2[nearest[m - 1]] > r2[k]:
+                nearest[m] = nearest[m - 1]
+                m -= 1
+            nearest[m] = k
+
+
+@kernel
+def open_pairs(indptr, owner, r2, left, realization, out_indptr, out_owner, out_r2, out_pair):
+    """List the pairs of the targets that require a visit in a realization; all targets keep their index."""
+    n = 0
+    for t in range(indptr.size - 1):
+        out_indptr[t] = n
+        if left[t, realization] > 0:
+            for k in range(indptr[t], indptr[t + 1]):
+                out_owner[n], out_r2[n], out_pair[n] = owner[k], r2[k], k
+                n += 1
+    out_indptr[indptr.size - 1] = n
+    return n
+
+
+@kernel
+def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, uncertain):
+    """Mark the positioners whose arms collide in each realization, among those that have a target.
+
+    ``segments`` and ``idle`` contain the segments that can collide, of the arm of each pair and of idle arms.
+    ``uncertain`` marks realizations in which rounding could change the result.
+    """
+    n = chosen.shape[1]
+    hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
+    owner = np.arange(n)
+    limit = setup.limits.separation**2
+    for r in range(chosen.shape[0]):
+        lost[r, :] = False
+        uncertain[r] = False
+        assigned = False
+        for i in range(n):
+            k = chosen[r, i]
+            assigned |= k >= 0
+            for row in range(4):
+                workspace.segments[row, i] = segments[row, k] if k >= 0 else idle[row, i]
+        if not assigned:
+            continue
+        if setup.runs.shape[0] > 0:
+            halve(workspace.segments, workspace.halves)
+            m, borderline = colliding_pairs(
+                workspace.segments,
+                workspace.halves,
+                setup.runs,
+                setup.limits,
+                workspace.first,
+                workspace.second,
+                workspace.squared,
+            )
+            uncertain[r] = borderline > 0
+            for p in range(m):
+                if workspace.squared[p] < limit:
+                    lost[r, workspace.first[p]] = lost[r, workspace.second[p]] = True
+        if setup.obstacle_pairs.shape[0] > 0:
+            m = colliding_obstacles(
+                workspace.segments,
+                owner,
+                setup.limits,
+                setup.obstacle_pairs,
+                setup.obstacles,
+                setup.clearance,
+                obstacle_slack,
+                hits,
+                gaps,
+            )
+            for p in range(m):
+                i, j = hits[p, 0], hits[p, 1]
+                radius = setup.obstacles[j, 2] if j < setup.obstacles.shape[0] else 0.0
+                uncertain[r] |= gaps[p] >= radius + setup.clearance - obstacle_slack
+                lost[r, i] = True
+        for i in range(n):
+            lost[r, i] &= chosen[r, i] >= 0
+
+
+@kernel
+def mark_visits(chosen, lost, target, mask, counts):
+    """Set bit r of ``mask`` for each target that realization r visits, and count assigned and lost targets.
+
+    ``target`` contains the target of each pair. The columns of ``counts`` are the numbers of positioners with a target,
+    and of those that are lost to a collision.
+    """
+    mask[:] = 0
+    counts[:] = 0
+    for r in range(chosen.shape[0]):
+        bit = np.uint32(1) << np.uint32(r)
+        for i in range(chosen.shape[1]):
+            k = chosen[r, i]
+            if k >= 0:
+                counts[r, 0] += 1
+                if lost[r, i]:
+                    counts[r, 1] += 1
+                else:
+                    mask[target[k]] |= bit
+
+
+@kernel
+def take_left(left, slot, out):
+    """Copy the remaining visits of the targets of a field, for all realizations."""
+    for f in range(slot.size):
+        for r in range(left.shape[1]):
+            out[f, r] = left[slot[f], r]
+
+
+@kernel
+def record_visits(mask, slot, spends, left, is_open, observed):
+    """Subtract the visits of a tile from the remaining visits, and count them for each realization.
+
+    Only visits of targets that ``spends`` marks count. ``is_open`` marks targets with remaining visits in at least one
+    realization.
+    """
+    n = left.shape[1]
+    for f in range(slot.size):
+        s = slot[f]
+        if mask[f] != 0 and spends[s]:
+            rest = False
+            for r in range(n):
+                done = (mask[f] >> np.uint32(r)) & np.uint32(1)
+                left[s, r] -= np.uint8(done)
+                observed[r] += np.int64(done)
+                rest |= left[s, r] > 0
+            is_open[s] = rest
+
+
+@kernel
+def to_masks(left, wanted, spends, mask):
+    """Set bit r of the mask of each target that has at least one visit in realization r."""
+    for s in range(left.shape[0]):
+        found = np.uint32(0)
+        if spends[s]:
+            for r in range(left.shape[1]):
+                found |= np.uint32(left[s, r] < wanted[s]) << np.uint32(r)
+        mask[s] = found
