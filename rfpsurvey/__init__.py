@@ -21,10 +21,11 @@ from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
-    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, survey, tiling  # noqa: F401
+    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, selection, survey, tiling  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
+    from rfpsurvey.selection import SelectionProbabilities, selection_probabilities
     from rfpsurvey.survey import Survey, plan_survey
     from rfpsurvey.tiling import Tiling, place_tiles
 
@@ -55,6 +56,7 @@ __all__ = [
     "Region",
     "Requirement",
     "RfpsurveyWarning",
+    "SelectionProbabilities",
     "Survey",
     "TangentPlane",
     "Tile",
@@ -75,6 +77,7 @@ __all__ = [
     "plan_survey",
     "plan_tile",
     "score_tile",
+    "selection_probabilities",
     "synthetic_catalog",
     "write_report",
 ]
@@ -88,6 +91,7 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),
     "reproduction": (),
+    "selection": ("SelectionProbabilities", "selection_probabilities"),
     "survey": ("Survey", "plan_survey"),
     "tiling": ("Tiling", "place_tiles"),
 }
@@ -106,5 +110,5 @@ def __getattr__(name):
 def __dir__():
     # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
     # names.
-    hidden = {"compare", "report", "survey"}
+    hidden = {"compare", "report", "selection", "survey"}
     return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)

@@ -156,3 +156,43 @@ def to_masks(left, wanted, spends, mask):
             for r in range(left.shape[1]):
                 found |= np.uint32(left[s, r] < wanted[s]) << np.uint32(r)
         mask[s] = found
+
+
+@kernel
+def subpriority(seed, key):
+    """Stand-in."""
+    z = key + seed * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel
+def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
+    """Serve the targets of one class after the other by subpriority; each is assigned to its closest free positioner.
+
+    ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance: each
+    target proposes to its positioners in this order, and a positioner keeps the target that is served first among those
+    that have proposed to it. The result is that of serving one target after the other, but no targets are sorted.
+    """
+    n = indptr.size - 1
+    order, cursor = np.empty(n, np.uint64), np.empty(n, np.int64)
+    holder = np.empty(chosen.shape[1], np.int64)
+    for r in range(chosen.shape[0]):
+        holder[:] = -1
+        chosen[r, :] = -1
+        for t in range(n):
+            order[t], cursor[t] = subpriority(seeds[r], key[t]), indptr[t]
+        for first in range(n):
+            t = first if left[first, r] > 0 else -1
+            while t >= 0 and cursor[t] < indptr[t + 1]:
+                k = closest[cursor[t]]
+                cursor[t] += 1
+                i = owner[k]
+                s = holder[i]
+                if s >= 0 and (
+                    rank[s] < rank[t] or (rank[s] == rank[t] and (order[s] > order[t] or (order[s] == order[t] and s < t)))
+                ):
+                    continue
+                holder[i], chosen[r, i] = t, k
+                t = s
