@@ -21,11 +21,28 @@ from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
-    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, selection, survey, tiling  # noqa: F401
+    from rfpsurvey import (
+        benchmark,
+        compare,
+        design,
+        plans,
+        plot,
+        probability,
+        report,
+        reproduction,
+        selection,
+        survey,
+        tiling,
+    )  # noqa: F401
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
-    from rfpsurvey.selection import SelectionProbabilities, selection_probabilities
+    from rfpsurvey.selection import (
+        PotentialAssignments,
+        SelectionProbabilities,
+        potential_assignments,
+        selection_probabilities,
+    )
     from rfpsurvey.survey import Survey, plan_survey
     from rfpsurvey.tiling import Tiling, place_tiles
 
@@ -51,6 +68,7 @@ __all__ = [
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
+    "PotentialAssignments",
     "ProjectionComparison",
     "RadialMap",
     "Region",
@@ -76,6 +94,7 @@ __all__ = [
     "place_tiles",
     "plan_survey",
     "plan_tile",
+    "potential_assignments",
     "score_tile",
     "selection_probabilities",
     "synthetic_catalog",
@@ -91,7 +110,12 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),
     "reproduction": (),
-    "selection": ("SelectionProbabilities", "selection_probabilities"),
+    "selection": (
+        "PotentialAssignments",
+        "SelectionProbabilities",
+        "potential_assignments",
+        "selection_probabilities",
+    ),
     "survey": ("Survey", "plan_survey"),
     "tiling": ("Tiling", "place_tiles"),
 }

@@ -12,6 +12,7 @@ import os
 import secrets
 import shutil
 import tempfile
+from collections.abc import Iterable
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -36,6 +37,7 @@ __all__ = [
     "temporary_folder",
     "to_path",
     "write_bytes",
+    "write_fits_rows",
     "write_table",
 ]
 
@@ -236,14 +238,44 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     (or a value and a comment). In the header of each table, the given ``cards`` replace the cards of the same name or
     are added.
     """
-    primary, header, places, disk = _fits_template(rows.dtype, fixed)
+    body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
+    return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % 2880)])
+
+
+def write_fits_rows(
+    path: str | os.PathLike, parts: Iterable[np.ndarray], dtype: np.dtype, cards: dict, *, overwrite: bool = False
+) -> int:
+    """Write rows to a FITS file with one table, part after part, and return the number of rows.
+
+    The memory is that of one part. ``cards`` are pairs of a name and a value, or a value and a comment.
+    """
+    fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
+    disk = _fits_template(dtype, fixed)[-1]
+    with output_path(path, (".fits",), overwrite=overwrite) as temporary, temporary.open("wb") as file:
+        file.write(_fits_header(dtype, {"NAXIS2": 0}, fixed))
+        for rows in parts:
+            n_bytes += file.write(_fits_body(rows, disk))
+            n_rows += len(rows)
+        file.write(bytes(-n_bytes % 2880))
+        file.seek(0)
+        file.write(_fits_header(dtype, {"NAXIS2": n_rows}, fixed))
+    return n_rows
+
+
+def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
+    """Return the primary HDU and the header of a table; its length does not depend on values of a fixed length."""
+    primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
-    for name, card in {"NAXIS2": len(rows), **cards}.items():
+    for name, card in cards.items():
         value, comment = card if isinstance(card, tuple) else (card, "")
         place = places.get(name, len(image))  # new cards follow the existing cards
         image[place : place + 80] = fits_card(name, value, comment)
     image += f"{'END':80}".encode("ascii")
-    image += b" " * (-len(image) % 2880)
+    return primary + bytes(image) + b" " * (-len(image) % 2880)
+
+
+def _fits_body(rows: np.ndarray, disk: np.dtype) -> bytes:
+    """Return rows in the form of a FITS file."""
     body = np.empty(len(rows), disk)
     for name in rows.dtype.names:
         column = rows[name]
@@ -253,7 +285,7 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
             raise InputError(
                 f"FITS files can contain only ASCII text, but the column {name!r} has other characters: {error}"
             ) from None
-    return b"".join([primary, bytes(image), body.tobytes(), bytes(-body.nbytes % 2880)])
+    return body.tobytes()
 
 
 @lru_cache(maxsize=32)

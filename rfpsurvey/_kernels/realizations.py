@@ -191,7 +191,8 @@ def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
                 i = owner[k]
                 s = holder[i]
                 if s >= 0 and (
-                    rank[s] < rank[t] or (rank[s] == rank[t] and (order[s] > order[t] or (order[s] == order[t] and s < t)))
+                    rank[s] < rank[t]
+                    or (rank[s] == rank[t] and (order[s] > order[t] or (order[s] == order[t] and s < t)))
                 ):
                     continue
                 holder[i], chosen[r, i] = t, k

@@ -52,7 +52,7 @@ class SelectionProbabilities:
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
     >>> found = rs.selection_probabilities(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), n_realizations=64)
-    >>> found.bits.shape, found.observed_in(3).sum() == found.realizations["n_observed"][3]
+    >>> found.bits.shape, bool(found.observed_in(3).sum() == found.realizations["n_observed"][3])
     ((4000, 1), True)
     """
 
@@ -192,7 +192,7 @@ class SelectionProbabilities:
         values = {
             "target_id": self.target_id,
             "requested": self.requested,
-            "n_tiles": self.n_tiles.astype(np.int16),
+            "n_tiles": self.n_tiles.astype(np.int32),
             "BITWEIGHTS": self.bits.view(np.int64),
             "n_observed": self.n_observed.astype(np.int32),
             **{
@@ -270,7 +270,8 @@ class SelectionProbabilities:
             "summary": {name: meta["summary"].get(name) for name in kept},
             "provenance": meta["provenance"],
         }
-        n_tiles = np.asarray(table["n_tiles"]).astype(np.uint16)
+        n_tiles = np.asarray(table["n_tiles"])
+        n_tiles = n_tiles.astype(np.uint16 if n_tiles.max(initial=0) < 1 << 16 else np.uint32)
         requested = np.asarray(table["requested"]).astype(np.uint8)
         return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations)
 

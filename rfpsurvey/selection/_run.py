@@ -18,7 +18,7 @@ from rfpsurvey.selection._state import State
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
 from rfpsurvey.survey import Request, told
 
-__all__ = ["count_tiles", "run"]
+__all__ = ["count_tiles", "count_type", "in_order", "run"]
 
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
@@ -87,13 +87,18 @@ def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
 
 def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
     """Return in how many tiles at least one positioner reaches each target, by slot."""
-    n_tiles = np.zeros(len(request.source), dtype=np.uint16)
+    n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))
-    for k, (job, found) in enumerate(_in_order(executor, reach_counts, jobs, lambda job: job), 1):
+    for k, (job, found) in enumerate(in_order(executor, reach_counts, jobs, lambda job: job), 1):
         n_tiles[job.field.slot[found > 0]] += 1
         tell(k)
     return n_tiles
+
+
+def count_type(n: int) -> type:
+    """Return the type of numbers up to n."""
+    return np.uint16 if n < 1 << 16 else np.uint32
 
 
 def _plan_block(request, block: Block, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
@@ -105,7 +110,7 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
     plan = plan_together if together else plan_alone
     for tiles in request.rounds[state.n_rounds :]:
         jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
-        for given, found in _in_order(executor, plan, jobs, lambda given: given.job):
+        for given, found in in_order(executor, plan, jobs, lambda given: given.job):
             state.enter(given.job.field.slot, found.mask, found.counts)
             done += len(block)
             tell(done)
@@ -120,7 +125,7 @@ def _job(request, tile: int, state: State, seeds) -> BlockJob:
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
 
 
-def _in_order(executor: Executor | None, function: Callable, jobs: Iterable, job_of: Callable) -> Iterator:
+def in_order(executor: Executor | None, function: Callable, jobs: Iterable, job_of: Callable) -> Iterator:
     """Yield each job and its result, in the order of the jobs; jobs are made when they are submitted."""
     waiting = deque()
     try:
