@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         selection,
         survey,
         tiling,
-    )  # noqa: F401
+    )
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report

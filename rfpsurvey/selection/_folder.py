@@ -56,8 +56,7 @@ class SelectionFolder(RequestFolder):
     def save(self, name: str, **arrays: np.ndarray) -> None:
         """Write arrays to a file, which is never incomplete."""
         with self._told(), output_path(self.path / f"{name}.npz", (".npz",), overwrite=True) as temporary:
-            with temporary.open("wb") as file:
-                np.savez(file, **arrays)
+            np.savez(temporary, **arrays)
 
     def save_state(self, number: int, state: State) -> None:
         """Write the state of an unfinished block, unless it was written recently."""

@@ -13,7 +13,7 @@ from rfpsurvey.pipeline import project_field, with_keep_out
 from rfpsurvey.selection._rules import RULES, Field
 from rfpsurvey.survey import Job, projection_of, work
 
-__all__ = ["BlockJob", "BlockDone", "find_reach", "plan_alone", "plan_together", "reach_counts"]
+__all__ = ["BlockDone", "BlockJob", "find_reach", "plan_alone", "plan_together", "reach_counts"]
 
 
 class BlockJob(NamedTuple):
