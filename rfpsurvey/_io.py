@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from astropy.table import QTable
@@ -24,7 +25,9 @@ from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of,
 from rfpsurvey.errors import InputError, check_switch
 
 __all__ = [
+    "META_KEY",
     "TEMPORARY_PREFIX",
+    "FitsRows",
     "check_fits_text",
     "check_output",
     "fits_bytes",
@@ -44,6 +47,8 @@ __all__ = [
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
 TEMPORARY_PREFIX = ".rfpsurvey-"
+# Number of bytes of a block of a FITS file, and of the primary header without data.
+BLOCK = PRIMARY = 2880
 
 
 def write_table(
@@ -239,27 +244,39 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     are added.
     """
     body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
-    return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % 2880)])
+    return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % BLOCK)])
 
 
-def write_fits_rows(
-    path: str | os.PathLike, parts: Iterable[np.ndarray], dtype: np.dtype, cards: dict, *, overwrite: bool = False
-) -> int:
-    """Write rows to a FITS file with one table, part after part, and return the number of rows.
+class FitsRows(NamedTuple):
+    """A table that is written to a FITS file part after part."""
 
-    The memory is that of one part. ``cards`` are pairs of a name and a value, or a value and a comment.
+    dtype: np.dtype
+    cards: dict
+    """Cards of the header: a value, or a value and a comment."""
+    parts: Iterable[np.ndarray]
+    """Rows."""
+
+
+def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:
+    """Write tables to a FITS file, part after part, and return the number of rows of each table.
+
+    The memory is that of one part.
     """
-    fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
-    disk = _fits_template(dtype, fixed)[-1]
+    counts = []
     with output_path(path, (".fits",), overwrite=overwrite) as temporary, temporary.open("wb") as file:
-        file.write(_fits_header(dtype, {"NAXIS2": 0}, fixed))
-        for rows in parts:
-            n_bytes += file.write(_fits_body(rows, disk))
-            n_rows += len(rows)
-        file.write(bytes(-n_bytes % 2880))
-        file.seek(0)
-        file.write(_fits_header(dtype, {"NAXIS2": n_rows}, fixed))
-    return n_rows
+        for dtype, cards, parts in tables:
+            fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
+            disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0
+            file.write(_fits_header(dtype, {"NAXIS2": 0}, fixed)[skipped:])
+            for rows in parts:
+                n_bytes += file.write(_fits_body(rows, disk))
+                n_rows += len(rows)
+            end = file.tell() + file.write(bytes(-n_bytes % BLOCK))
+            file.seek(begin)
+            file.write(_fits_header(dtype, {"NAXIS2": n_rows}, fixed)[skipped:])
+            file.seek(end)
+            counts.append(n_rows)
+    return counts
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
@@ -271,7 +288,7 @@ def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
         place = places.get(name, len(image))  # new cards follow the existing cards
         image[place : place + 80] = fits_card(name, value, comment)
     image += f"{'END':80}".encode("ascii")
-    return primary + bytes(image) + b" " * (-len(image) % 2880)
+    return primary + bytes(image) + b" " * (-len(image) % BLOCK)
 
 
 def _fits_body(rows: np.ndarray, disk: np.dtype) -> bytes:

@@ -218,7 +218,7 @@ class PotentialAssignments:
             "NTILES": (len(self), "number of tiles"),
             "NPOINTS": (len(self.request.source), "number of points"),
         }
-        return _io.write_fits_rows(path, self._rows(), self._dtype, cards, overwrite=overwrite)
+        return _io.write_fits_rows(path, _io.FitsRows(self._dtype, cards, self._rows()), overwrite=overwrite)[0]
 
     @property
     def _dtype(self) -> np.dtype:

@@ -1,5 +1,6 @@
 """The class `SelectionProbabilities`."""
 
+import json
 import os
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,8 @@ __all__ = ["SelectionProbabilities"]
 
 COLUMNS = ("target_id", "requested", "n_tiles", "BITWEIGHTS")
 NAMES = "SELECTION", "REALIZATIONS"
+# Number of rows that are written together.
+PART = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,22 +192,25 @@ class SelectionProbabilities:
         ``n_observed``, ``probability``, ``probability_error``, ``weight``, ``weight_error``, ``unreachable`` and
         ``never_observed``.
         """
+        return describe(self._rows(slice(None)), TARGETS)
+
+    def _rows(self, rows: slice) -> QTable:
+        """Return rows of the table."""
+        n, count = self.n_realizations, self.n_observed[rows]
         values = {
-            "target_id": self.target_id,
-            "requested": self.requested,
-            "n_tiles": self.n_tiles.astype(np.int32),
-            "BITWEIGHTS": self.bits.view(np.int64),
-            "n_observed": self.n_observed.astype(np.int32),
-            **{
-                name: getattr(self, name).astype(np.float32)
-                for name in ("probability", "probability_error", "weight", "weight_error")
-            },
-            "unreachable": self.unreachable,
-            "never_observed": self.never_observed,
+            "target_id": self.target_id[rows],
+            "requested": self.requested[rows],
+            "n_tiles": self.n_tiles[rows].astype(np.int32),
+            "BITWEIGHTS": self.bits[rows].view(np.int64),
+            "n_observed": count.astype(np.int32),
+            "probability": (count / n).astype(np.float32),
+            "probability_error": probability_error(count, n).astype(np.float32),
+            "weight": inverse_probability(count, n).astype(np.float32),
+            "weight_error": inverse_probability_error(count, n).astype(np.float32),
+            "unreachable": self.unreachable[rows],
+            "never_observed": count == 0,
         }
-        table = QTable(values, copy=False)
-        table.meta = {"summary": self.summary, "provenance": self.provenance}
-        return describe(table, TARGETS)
+        return QTable(values, copy=False, meta={"summary": self.summary, "provenance": self.provenance})
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
         """Write the bits and probabilities of all targets, and the table of realizations, to a FITS file.
@@ -221,14 +227,20 @@ class SelectionProbabilities:
         InputError
             If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
         """
-        path = _io.check_output(path, (".fits",), overwrite=overwrite)
+        meta = json.dumps({"summary": self.summary, "provenance": self.provenance}, separators=(",", ":"))
         cards = {
             "NREALIZ": (self.n_realizations, "number of realizations"),
             "BITORDER": ("LSB", "realization r is bit r%64 of element r//64"),
+            _io.META_KEY: meta,
         }
-        realizations = self.realizations.copy(copy_data=False)
-        _io.write_table(
-            self.table, path, overwrite=overwrite, cards=cards, name=NAMES[0], others={NAMES[1]: realizations}
+        first, second = self._rows(slice(0, 0)), self.realizations
+        parts = (self._rows(slice(k, k + PART)).as_array() for k in range(0, len(self), PART))
+        about = {name: second[name].info.description or "" for name in second.colnames}
+        _io.write_fits_rows(
+            path,
+            _io.FitsRows(first.dtype, {**_io.table_cards(NAMES[0], first.colnames, TARGETS), **cards}, parts),
+            _io.FitsRows(second.dtype, _io.table_cards(NAMES[1], second.colnames, about), [second.as_array()]),
+            overwrite=overwrite,
         )
 
     @classmethod
