@@ -47,7 +47,7 @@ class SelectionFolder(RequestFolder):
         if not path.exists():
             return None
         try:
-            with np.load(path) as file:
+            with path.open("rb") as stream, np.load(stream) as file:
                 return {key: file[key] for key in file.files}
         except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
             warn(f"{path} is damaged ({error}); its tiles are planned again")
