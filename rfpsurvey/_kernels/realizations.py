@@ -8,6 +8,7 @@ mask stands for realization r of at most 32 realizations.
 import numpy as np
 
 from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.allocation import nominate
 from rfpsurvey._kernels.collisions import colliding_obstacles, colliding_pairs, halve
 
 # Largest number of realizations in one call.
@@ -24,20 +25,6 @@ def sort_by_distance(indptr, r2, nearest):
                 nearest[m] = nearest[m - 1]
                 m -= 1
             nearest[m] = k
-
-
-@kernel
-def open_pairs(indptr, owner, r2, left, realization, out_indptr, out_owner, out_r2, out_pair):
-    """List the pairs of the targets that require a visit in a realization; all targets keep their index."""
-    n = 0
-    for t in range(indptr.size - 1):
-        out_indptr[t] = n
-        if left[t, realization] > 0:
-            for k in range(indptr[t], indptr[t + 1]):
-                out_owner[n], out_r2[n], out_pair[n] = owner[k], r2[k], k
-                n += 1
-    out_indptr[indptr.size - 1] = n
-    return n
 
 
 @kernel
@@ -197,3 +184,133 @@ def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
                     continue
                 holder[i], chosen[r, i] = t, k
                 t = s
+
+
+@kernel
+def list_first(indptr, owner, r2, rank, order, left, realization, start, count, target, out_r2, in_reach):
+    """List the first targets of each positioner, sorted by class, then by subpriority, then by catalog order.
+
+    Only targets that require a visit in the realization are listed, and their number is written to ``in_reach``. At
+    most ``start[i + 1] - start[i]`` targets of positioner i are stored, beginning at the index ``start[i]``. The number
+    of stored targets is written to ``count[i]``.
+    """
+    count[:] = 0
+    in_reach[:] = 0
+    for t in range(indptr.size - 1):
+        if left[t, realization] == 0:
+            continue
+        c, v = rank[t], order[t]
+        for k in range(indptr[t], indptr[t + 1]):
+            i = owner[k]
+            in_reach[i] += 1
+            first = start[i]
+            m = first + count[i]
+            if m == start[i + 1]:
+                s = target[m - 1] if m > first else -1
+                if s < 0 or rank[s] < c or (rank[s] == c and order[s] >= v):
+                    continue
+                m -= 1
+            else:
+                count[i] += 1
+            while m > first and (rank[target[m - 1]] > c or (rank[target[m - 1]] == c and order[target[m - 1]] < v)):
+                target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
+                m -= 1
+            target[m], out_r2[m] = t, r2[k]
+
+
+@kernel
+def pair_of(indptr, owner, t, i):
+    """Return the index of the pair of a target and a positioner."""
+    k = indptr[t]
+    while owner[k] != i:
+        k += 1
+    return k
+
+
+@kernel
+def lamost(indptr, owner, r2, rank, n_ranks, key, seeds, left, start, chosen):
+    """Assign targets by nominations, in which each positioner nominates its target of the largest subpriority.
+
+    ``start`` has the beginning of the list of candidates of each positioner. Lists may be shorter than the number of
+    targets in reach, as long as one candidate is available if all targets that others can observe are assigned.
+    """
+    n, m = indptr.size - 1, chosen.shape[1]
+    order, t_indptr, t_owner = np.empty(n, np.uint64), np.empty(n + 1, np.int64), np.empty(owner.size, np.int64)
+    target, list_r2 = np.empty(start[m], np.int64), np.empty(start[m])
+    count, in_reach = np.empty(m, np.int64), np.empty(m, np.int64)
+    c_indptr, c_target, c_r2 = np.empty(m + 1, np.int64), np.empty(start[m], np.int64), np.empty(start[m])
+    nominee_of, nominee_r2, cursor = np.empty(n, np.int64), np.empty(n), np.empty(m, np.int64)
+    target_of, positioner_of = np.empty(m, np.int64), np.empty(n, np.int64)
+    for r in range(chosen.shape[0]):
+        for t in range(n):
+            order[t] = subpriority(seeds[r], key[t])
+        list_first(indptr, owner, r2, rank, order, left, r, start, count, target, list_r2, in_reach)
+        c_indptr[0] = 0
+        for i in range(m):  # the lists follow each other without gaps
+            c_indptr[i + 1] = c_indptr[i] + count[i]
+            for k in range(count[i]):
+                c_target[c_indptr[i] + k], c_r2[c_indptr[i] + k] = target[start[i] + k], list_r2[start[i] + k]
+        n_open = 0
+        for t in range(n):
+            t_indptr[t] = n_open
+            if left[t, r] > 0:
+                for k in range(indptr[t], indptr[t + 1]):
+                    t_owner[n_open] = owner[k]
+                    n_open += 1
+        t_indptr[n] = n_open
+        nominate(
+            c_indptr,
+            c_target,
+            c_r2,
+            rank,
+            n_ranks,
+            t_indptr,
+            t_owner,
+            in_reach,
+            nominee_of,
+            nominee_r2,
+            cursor,
+            target_of,
+            positioner_of,
+        )
+        for i in range(m):
+            chosen[r, i] = pair_of(indptr, owner, target_of[i], i) if target_of[i] >= 0 else -1
+
+
+@kernel
+def balanced(indptr, owner, r2, key, seeds, left, uniform, chosen):
+    """Add the targets to the shortest queues in the order of their subpriorities, and draw one target of each queue.
+
+    ``uniform`` contains a number in [0, 1) for each realization and positioner.
+    """
+    n, m = indptr.size - 1, chosen.shape[1]
+    order, queue_of = np.empty(n, np.uint64), np.empty(n, np.int64)
+    count, pick = np.empty(m, np.int64), np.empty(m, np.int64)
+    for r in range(chosen.shape[0]):
+        for t in range(n):
+            # sorted in ascending order; the sort is stable
+            order[t] = ~subpriority(seeds[r], key[t])
+        first = np.argsort(order, kind="mergesort")
+        count[:] = 0
+        chosen[r, :] = -1
+        for t in first:
+            best = -1
+            if left[t, r] > 0:
+                for k in range(indptr[t], indptr[t + 1]):
+                    if best < 0 or (
+                        count[owner[k]] < count[owner[best]]
+                        or (count[owner[k]] == count[owner[best]] and r2[k] < r2[best])
+                    ):
+                        best = k  # of equal pairs, the first one has the lowest index of the positioner
+            queue_of[t] = best
+            if best >= 0:
+                count[owner[best]] += 1
+        for i in range(m):
+            pick[i] = min(int(uniform[r, i] * count[i]), count[i] - 1)
+        count[:] = 0
+        for t in first:
+            k = queue_of[t]
+            if k >= 0:
+                if count[owner[k]] == pick[owner[k]]:
+                    chosen[r, owner[k]] = k
+                count[owner[k]] += 1

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from rfpsurvey._kernels.realizations import MOST
+from rfpsurvey.selection._rules import RULES
 from rfpsurvey.survey import Request
 
 __all__ = ["Block", "blocks_of", "in_batch", "request_of", "seeds_of"]
-
-RULES = ("balanced", "lamost", "nearest")
-"""Allocators whose realizations are planned together."""
 
 
 def seeds_of(seed: int, n: int) -> list[int]:

@@ -42,9 +42,9 @@ def plan_together(given: BlockJob) -> BlockDone:
     """Plan a tile for all realizations of a block; fields, reach and the poses of arms are computed once."""
     job, n = given.job, len(given.seeds)
     instrument, columns, pairs, xy, fiber_type = find_reach(job)
-    plane, targets = instrument.focal_plane, job.field.targets.columns
+    plane = instrument.focal_plane
     mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
-    field = Field.of(pairs, targets, job.field.targets.id, given)
+    field = Field.of(columns, pairs, job.field.targets, given)
     if len(field.pairs.owner) == 0:
         return BlockDone(mask, counts)
     chosen = np.empty((n, len(plane)), dtype=np.int64)
