@@ -7,9 +7,10 @@ mask stands for realization r of at most 32 realizations.
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.allocation import nominate
 from rfpsurvey._kernels.collisions import colliding_obstacles, colliding_pairs, halve
+from rfpsurvey._kernels.hashing import mix
 
 # Largest number of realizations in one call.
 MOST = 32
@@ -146,16 +147,28 @@ def to_masks(left, wanted, spends, mask):
 
 
 @kernel
-def subpriority(seed, key):
-    """Stand-in."""
-    z = key + seed * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
+def set_order(number, seed, order):
+    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger subpriorities are first."""
+    mixed = mix(seed)
+    for t in range(number.size):
+        order[t] = mix(number[t] ^ mixed) >> np.uint64(11)
+
+
+@inlined_kernel
+def precedes(rank, order, number, s, t):
+    """Return whether target s is served before target t.
+
+    Targets are served by class, then by subpriority, then by the number of their identifier, then by row.
+    """
+    if rank[s] != rank[t]:
+        return rank[s] < rank[t]
+    if order[s] != order[t]:
+        return order[s] > order[t]
+    return number[s] < number[t] or (number[s] == number[t] and s < t)
 
 
 @kernel
-def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
+def nearest(indptr, owner, closest, rank, number, seeds, left, chosen):
     """Serve the targets of one class after the other by subpriority; each is assigned to its closest free positioner.
 
     ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance: each
@@ -168,8 +181,9 @@ def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
     for r in range(chosen.shape[0]):
         holder[:] = -1
         chosen[r, :] = -1
+        set_order(number, seeds[r], order)
         for t in range(n):
-            order[t], cursor[t] = subpriority(seeds[r], key[t]), indptr[t]
+            cursor[t] = indptr[t]
         for first in range(n):
             t = first if left[first, r] > 0 else -1
             while t >= 0 and cursor[t] < indptr[t + 1]:
@@ -177,17 +191,14 @@ def nearest(indptr, owner, closest, rank, key, seeds, left, chosen):
                 cursor[t] += 1
                 i = owner[k]
                 s = holder[i]
-                if s >= 0 and (
-                    rank[s] < rank[t]
-                    or (rank[s] == rank[t] and (order[s] > order[t] or (order[s] == order[t] and s < t)))
-                ):
+                if s >= 0 and precedes(rank, order, number, s, t):
                     continue
                 holder[i], chosen[r, i] = t, k
                 t = s
 
 
 @kernel
-def list_first(indptr, owner, r2, rank, order, left, realization, start, count, target, out_r2, in_reach):
+def list_first(indptr, owner, r2, rank, order, number, left, realization, start, count, target, out_r2, in_reach):
     """List the first targets of each positioner, sorted by class, then by subpriority, then by catalog order.
 
     Only targets that require a visit in the realization are listed, and their number is written to ``in_reach``. At
@@ -199,20 +210,18 @@ def list_first(indptr, owner, r2, rank, order, left, realization, start, count, 
     for t in range(indptr.size - 1):
         if left[t, realization] == 0:
             continue
-        c, v = rank[t], order[t]
         for k in range(indptr[t], indptr[t + 1]):
             i = owner[k]
             in_reach[i] += 1
             first = start[i]
             m = first + count[i]
             if m == start[i + 1]:
-                s = target[m - 1] if m > first else -1
-                if s < 0 or rank[s] < c or (rank[s] == c and order[s] >= v):
+                if m == first or precedes(rank, order, number, target[m - 1], t):
                     continue
                 m -= 1
             else:
                 count[i] += 1
-            while m > first and (rank[target[m - 1]] > c or (rank[target[m - 1]] == c and order[target[m - 1]] < v)):
+            while m > first and precedes(rank, order, number, t, target[m - 1]):
                 target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
                 m -= 1
             target[m], out_r2[m] = t, r2[k]
@@ -228,7 +237,7 @@ def pair_of(indptr, owner, t, i):
 
 
 @kernel
-def lamost(indptr, owner, r2, rank, n_ranks, key, seeds, left, start, chosen):
+def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen):
     """Assign targets by nominations, in which each positioner nominates its target of the largest subpriority.
 
     ``start`` has the beginning of the list of candidates of each positioner. Lists may be shorter than the number of
@@ -242,9 +251,8 @@ def lamost(indptr, owner, r2, rank, n_ranks, key, seeds, left, start, chosen):
     nominee_of, nominee_r2, cursor = np.empty(n, np.int64), np.empty(n), np.empty(m, np.int64)
     target_of, positioner_of = np.empty(m, np.int64), np.empty(n, np.int64)
     for r in range(chosen.shape[0]):
-        for t in range(n):
-            order[t] = subpriority(seeds[r], key[t])
-        list_first(indptr, owner, r2, rank, order, left, r, start, count, target, list_r2, in_reach)
+        set_order(number, seeds[r], order)
+        list_first(indptr, owner, r2, rank, order, number, left, r, start, count, target, list_r2, in_reach)
         c_indptr[0] = 0
         for i in range(m):  # the lists follow each other without gaps
             c_indptr[i + 1] = c_indptr[i] + count[i]
@@ -278,7 +286,7 @@ def lamost(indptr, owner, r2, rank, n_ranks, key, seeds, left, start, chosen):
 
 
 @kernel
-def balanced(indptr, owner, r2, key, seeds, left, uniform, chosen):
+def balanced(indptr, owner, r2, number, seeds, left, uniform, chosen):
     """Add the targets to the shortest queues in the order of their subpriorities, and draw one target of each queue.
 
     ``uniform`` contains a number in [0, 1) for each realization and positioner.
@@ -287,10 +295,15 @@ def balanced(indptr, owner, r2, key, seeds, left, uniform, chosen):
     order, queue_of = np.empty(n, np.uint64), np.empty(n, np.int64)
     count, pick = np.empty(m, np.int64), np.empty(m, np.int64)
     for r in range(chosen.shape[0]):
+        set_order(number, seeds[r], order)
         for t in range(n):
-            # sorted in ascending order; the sort is stable
-            order[t] = ~subpriority(seeds[r], key[t])
+            order[t] = ~order[t]  # sorted in ascending order
         first = np.argsort(order, kind="mergesort")
+        for k in range(1, n):  # equal subpriorities are sorted by the number of the identifier
+            m = k
+            while m > 0 and order[first[m - 1]] == order[first[m]] and number[first[m - 1]] > number[first[m]]:
+                first[m - 1], first[m] = first[m], first[m - 1]
+                m -= 1
         count[:] = 0
         chosen[r, :] = -1
         for t in first:

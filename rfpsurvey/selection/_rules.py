@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
+from rfpsurvey.allocation import id_numbers
 from rfpsurvey.focal_plane import FocalPlaneArrays, Reach
 from rfpsurvey.pipeline import FieldTargets
 
@@ -22,7 +23,7 @@ class Field(NamedTuple):
     rank: np.ndarray
     """Class of each target; 0 is the most important."""
     n_ranks: int
-    key: np.ndarray
+    number: np.ndarray
     """Number that stands for the identifier of each target."""
     left: np.ndarray
     """Remaining visits, shape (n_targets, n_realizations)."""
@@ -48,11 +49,7 @@ class Field(NamedTuple):
             pairs = pairs.where(allowed[pairs.target])
         seeds = np.array(given.seeds, dtype=np.uint64)
         n_ranks = int(rank.max(initial=0)) + 1
-        return cls(pairs, rank, n_ranks, id_keys(targets.id), given.left, seeds, given.tile, plane.n_sharing)
-
-
-def id_keys(ids):
-    return ids.astype(np.uint64)
+        return cls(pairs, rank, n_ranks, id_numbers(targets.id), given.left, seeds, given.tile, plane.n_sharing)
 
 
 def balanced(field: Field, chosen: np.ndarray) -> None:
@@ -61,7 +58,7 @@ def balanced(field: Field, chosen: np.ndarray) -> None:
     streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
     uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
     pairs = field.pairs
-    kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, field.key, field.seeds, field.left, uniform, chosen)
+    kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, field.number, field.seeds, field.left, uniform, chosen)
 
 
 def lamost(field: Field, chosen: np.ndarray) -> None:
@@ -76,7 +73,7 @@ def lamost(field: Field, chosen: np.ndarray) -> None:
         pairs.r2,
         field.rank,
         field.n_ranks,
-        field.key,
+        field.number,
         field.seeds,
         field.left,
         start,
@@ -89,7 +86,7 @@ def nearest(field: Field, chosen: np.ndarray) -> None:
     pairs = field.pairs
     order = np.arange(len(pairs.owner))
     kernels.sort_by_distance(pairs.indptr, pairs.r2, order)
-    kernels.nearest(pairs.indptr, pairs.owner, order, field.rank, field.key, field.seeds, field.left, chosen)
+    kernels.nearest(pairs.indptr, pairs.owner, order, field.rank, field.number, field.seeds, field.left, chosen)
 
 
 RULES = {"balanced": balanced, "lamost": lamost, "nearest": nearest}
