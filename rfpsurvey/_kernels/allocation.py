@@ -57,9 +57,10 @@ def draw_configuration(indptr, queue, uniform, target_of_positioner):
 
 
 @kernel
-def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
+def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
     """List the best targets of each positioner, sorted by class (rank 0 first), then distance, then catalog order.
 
+    If ``in_order`` is true, the targets are sorted by class, then catalog order.
     The input lists the positioners that reach each target. At most ``start[i + 1] - start[i]`` targets of positioner i
     are stored, beginning at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
     """
@@ -71,12 +72,19 @@ def list_best(indptr, owner, r2, rank, start, count, target, out_r2):
             first = start[i]
             m = first + count[i]
             if m == start[i + 1]:
-                if m == first or rank[target[m - 1]] < c or (rank[target[m - 1]] == c and out_r2[m - 1] <= d):
+                last = m - 1
+                if (
+                    m == first
+                    or rank[target[last]] < c
+                    or (rank[target[last]] == c and (in_order or out_r2[last] <= d))
+                ):
                     continue
                 m -= 1
             else:
                 count[i] += 1
-            while m > first and (rank[target[m - 1]] > c or (rank[target[m - 1]] == c and out_r2[m - 1] > d)):
+            while m > first and (
+                rank[target[m - 1]] > c or (not in_order and rank[target[m - 1]] == c and out_r2[m - 1] > d)
+            ):
                 target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
                 m -= 1
             target[m], out_r2[m] = t, d
@@ -244,6 +252,27 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
                 if j >= 0:
                     target_of_positioner[j] = -1
                 i = j
+
+
+@kernel
+def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
+    """Assign each target, in the given order, to the closest free positioner that reaches it, if there is one.
+
+    If two positioners are equally close, the one with the lowest index is used.
+    """
+    target_of_positioner[:] = -1
+    positioner_of_target[:] = -1
+    for t in order:
+        best = -1
+        best_r2 = np.inf
+        for k in range(indptr[t], indptr[t + 1]):
+            i = owner[k]
+            if target_of_positioner[i] < 0 and (r2[k] < best_r2 or (r2[k] == best_r2 and i < best)):
+                best = i
+                best_r2 = r2[k]
+        if best >= 0:
+            positioner_of_target[t] = best
+            target_of_positioner[best] = t
 
 
 @kernel

@@ -8,6 +8,7 @@ from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_opti
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
+from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
 
 __all__ = [
     "ALLOCATORS",
@@ -27,6 +28,10 @@ __all__ = [
     "brief",
     "end_on_interrupt",
     "hint_of_name",
+    "id_numbers",
     "packages",
     "sentences",
+    "service_order",
+    "subpriorities",
+    "to_subpriorities",
 ]

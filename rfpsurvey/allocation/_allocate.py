@@ -15,6 +15,7 @@ from rfpsurvey.allocation._plugin import find_method
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
+from rfpsurvey.allocation._subpriority import check_values, service_order, to_subpriorities
 from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
@@ -37,6 +38,7 @@ def allocate(
     required: np.ndarray | None = None,
     forbidden: np.ndarray | None = None,
     avoid: u.Quantity | None = None,
+    subpriority: np.ndarray | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> Allocation:
     """Assign targets to positioners: at most one target per positioner, and one positioner per target.
@@ -69,6 +71,9 @@ def allocate(
     avoid : Quantity, shape (k, 2), optional
         Further points that sky positions must be at least ``sky_separation`` away from, such as stars that are not
         targets.
+    subpriority : array_like of float, shape (n_targets,), optional
+        Subpriority of each target: in a class, targets with larger values are served first. `AllocationOptions` has the
+        same parameter for random subpriorities; without identifiers, they depend on the row of each target.
     rng : int, Generator or None, optional
         Seed or generator for ``balanced``, which draws targets at random. With None, each call gives a different
         result.
@@ -118,8 +123,19 @@ def allocate(
     if columns.kind is not None:
         for word in np.unique(columns.kind):
             check_choice(str(word), KINDS, "kind of target")
+    order = None
+    if subpriority is not None and options.subpriority is not None:
+        raise InputError("subpriority must be given either as an array or in the options, got both")
+    if subpriority is not None or options.subpriority is not None:
+        rows = np.arange(n)
+        if subpriority is None:
+            values = to_subpriorities(options.subpriority, rows, None)
+        else:
+            values = check_values(subpriority, n, "subpriority")
+        columns, order = columns._replace(subpriority=values), service_order(values, rows)
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
-    return assign(focal_plane, points, columns, options, to_generator(rng), forbidden=forbidden, avoid=others)
+    rng = to_generator(rng)
+    return assign(focal_plane, points, columns, options, rng, forbidden=forbidden, avoid=others, order=order)
 
 
 def assign(
@@ -132,13 +148,19 @@ def assign(
     forbidden: np.ndarray | None = None,
     avoid: np.ndarray = NO_POINTS,
     tell: Callable[[float, str], None] | None = None,
+    order: np.ndarray | None = None,
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
-    During long searches, ``tell`` is called with the completed fraction and the current stage.
+    During long searches, ``tell`` is called with the completed fraction and the current stage. ``order``, which is
+    required if there are subpriorities, contains the rows of the targets in the order in which they are served.
     """
     begin = perf_counter()
     n = len(xy_mm)
+    if order is not None:
+        # Allocators break ties by the row of a target. In this order, plans do not depend on the rows of the catalog.
+        xy_mm = xy_mm[order]
+        columns = TargetColumns(*(None if values is None else values[order] for values in columns))
     reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
     middle = perf_counter()
     classes, rank = _classes(columns.priority, n)
@@ -152,7 +174,7 @@ def assign(
     problem = AllocationProblem(
         focal_plane,
         xy_mm,
-        _allowed(reach, forbidden, n),
+        _allowed(reach, forbidden, n, order),
         rank,
         classes,
         columns.kind,
@@ -162,17 +184,20 @@ def assign(
         options,
         rng,
         tell=tell,
+        subpriority=columns.subpriority,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
-    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered))
+    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
     answer = find_method(options.allocator)(problem)
-    found = _finish(problem, answer, n)
+    found, in_reach = _finish(problem, answer, n), reach.covered
+    if order is not None:
+        found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
     end = perf_counter()
     return Allocation(
         options.name,
         **found,
-        in_reach=reach.covered,
+        in_reach=in_reach,
         parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": end - middle},
     )
@@ -236,8 +261,8 @@ def _marked(required, n):
     return marked
 
 
-def _allowed(reach: Reach, forbidden, n) -> Reach:
-    """Remove the forbidden pairs from the reachable pairs."""
+def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
+    """Remove the forbidden pairs from the reachable pairs, whose targets are in the given order."""
     if forbidden is None:
         return reach
     try:
@@ -257,18 +282,23 @@ def _allowed(reach: Reach, forbidden, n) -> Reach:
             f"forbidden must name positioners 0 to {reach.n_positioners - 1} and targets 0 to {n - 1} by their rows"
         )
     own, target = pairs.T.astype(np.int64)
+    if order is not None:
+        target = _scatter(np.arange(n), order)[target]
     return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
 
 
-def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) -> AllocationAnswer:
-    """Return the plan from which `repair` starts."""
+def _make_start(
+    problem: AllocationProblem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None
+) -> AllocationAnswer:
+    """Return the plan from which `repair` starts; the targets of the problem are in the given order."""
     start = problem.options.start
     if isinstance(start, str):
         return find_method(start)(problem)
+    rows = slice(None) if order is None else order
     plane, points = problem.focal_plane, problem.xy[:n_given]
     same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)
-    same = same and np.array_equal(start.in_reach, in_reach)
-    same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given], points, equal_nan=True)
+    same = same and np.array_equal(start.in_reach[rows], in_reach)
+    same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given][rows], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
         columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
@@ -278,6 +308,8 @@ def _make_start(problem: AllocationProblem, n_given: int, in_reach: np.ndarray) 
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
+    if order is not None:
+        target_of = np.append(_scatter(np.arange(n_given), order), -1)[target_of]
     return AllocationAnswer(target_of, start.handedness)
 
 
@@ -316,3 +348,20 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
         "unmet": unmet,
         "meta": {} if answer.meta is None else answer.meta,
     }
+
+
+def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Return the values of targets that are given in an order, by the rows of the targets."""
+    out = np.empty_like(values)
+    out[order] = values
+    return out
+
+
+def _in_given_order(found: dict, order: np.ndarray) -> dict:
+    """Return the columns of an `Allocation` for targets in the order of the catalog; blank positions remain last."""
+    n = len(order)
+    row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
+    columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}
+    given = {name: None if values is None else _scatter(values, row_of[:-1]) for name, values in columns.items()}
+    queues = found["queues"] and (found["queues"][0], row_of[found["queues"][1]])
+    return {**found, **given, "target_of_positioner": row_of[found["target_of_positioner"]], "queues": queues}

@@ -1,5 +1,7 @@
 """The built-in allocators: functions that take an allocation problem and return its solution."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
@@ -28,8 +30,16 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the targets of one class after the other; in each class, assign the closest pairs first."""
+    """Assign the targets of one class after the other; in each class, assign the closest pairs first.
+
+    With subpriorities, assign each target of a class, in this order, to its closest free positioner.
+    """
     reach, rank, _ = _in_order(problem)
+    if problem.subpriority is not None:
+        target_of, owner_of = np.empty(reach.n_positioners, dtype=np.int64), np.empty(len(rank), dtype=np.int64)
+        order = np.argsort(rank, kind="stable")
+        kernels.serve(order, reach.indptr, reach.owner, reach.r2, target_of, owner_of)
+        return AllocationAnswer(_with_watched(problem, target_of))
     indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
@@ -51,15 +61,18 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances."""
+    """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
+
+    With subpriorities, their sum is maximized in place of the squared distances.
+    """
     with searching():
-        return decide(problem, collide=False, integral=False, squared_cost=True)
+        return decide(_with_cost(problem), collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets, one class after the other, such that no arms collide."""
+    """Maximize the number of targets, one class after the other, such that no arms collide; then subpriorities."""
     with searching():
-        return decide(problem, collide=True)
+        return decide(_with_cost(problem), collide=True, squared_cost=problem.subpriority is not None)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
@@ -89,6 +102,16 @@ METHODS = {
 """Allocators by name: functions that take an allocation problem and return its solution."""
 
 
+def _with_cost(problem):
+    """Return a problem with subpriorities in which each pair has a cost in place of its squared distance."""
+    if problem.subpriority is None:
+        return problem
+    order = np.arange(len(problem.rank))  # also makes the costs of equal subpriorities differ
+    cost = problem.subpriority.max(initial=0.0) - problem.subpriority
+    cost = np.round(cost / max(cost.max(initial=0.0), 1e-300), 6) + order * (1e-7 / max(len(order), 1))
+    return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))
+
+
 def _bounded(problem, target_of, blind):
     """Return the objectives of a plan; their bounds are the values of a second plan, whose arms may collide."""
     reached, most = problem.values(target_of), problem.values(blind)
@@ -113,6 +136,8 @@ def _in_order(problem):
 def _best(problem, reach, rank):
     """Return the candidates of each positioner, sorted by class, then distance, and its number of targets in reach.
 
+    With subpriorities, candidates of one class are sorted by subpriority.
+
     If k other positioners reach candidates of a positioner, they can observe at most k of these candidates. One of the
     first k + 1 candidates of the positioner is therefore always available, and its further candidates are omitted.
     """
@@ -120,7 +145,8 @@ def _best(problem, reach, rank):
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
     target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
     count = np.empty(reach.n_positioners, dtype=np.int64)
-    kernels.list_best(reach.indptr, reach.owner, reach.r2, rank, indptr, count, target, r2)
+    in_order = problem.subpriority is not None
+    kernels.list_best(reach.indptr, reach.owner, reach.r2, rank, in_order, indptr, count, target, r2)
     return indptr, target, r2, in_reach
 
 

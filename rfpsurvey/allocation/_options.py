@@ -11,6 +11,7 @@ from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
+from rfpsurvey.allocation._subpriority import check_seed
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -98,6 +99,17 @@ class AllocationOptions:
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
         allocators, an arm that covers a circle is counted as a collision. On the focal plane, an obstacle contains the
         whole image of its circle, even if the center of the circle is outside the field.
+    subpriority : int or str, optional
+        Order of the targets within each class; targets with larger subpriorities are served first. An integer is the
+        seed of random subpriorities, which depend only on the identifiers of targets
+        (`~rfpsurvey.allocation.subpriorities`). A text is the name of a further column of the catalog, such as
+        ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns each target of a class, in this order, to its closest
+        free positioner; ``balanced`` distributes the targets in this order; with ``lamost``, every positioner nominates
+        its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize the sum of the
+        subpriorities after all other objectives, ``sdss`` in place of the squared distances; differences below one
+        millionth of their range are ignored. In large fields, and after the time limit, ``optimal`` only finds an
+        approximate maximum of this sum. ``repair`` tests the targets in this order. The plan then does not depend on
+        the order of targets in the catalog, if identifiers are unique.
 
     Raises
     ------
@@ -127,6 +139,7 @@ class AllocationOptions:
     parked_obstacles: bool = True
     required: np.ndarray | list | tuple | int | str | None = ()
     keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
+    subpriority: int | str | None = None
 
     def __post_init__(self):
         check_allocator(self.allocator)
@@ -148,6 +161,8 @@ class AllocationOptions:
         object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
         object.__setattr__(self, "required", as_required(self.required))
         object.__setattr__(self, "keep_out", as_keep_out(self.keep_out))
+        if not isinstance(self.subpriority, str | None):
+            object.__setattr__(self, "subpriority", check_seed(self.subpriority))
 
     def __repr__(self):
         given = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
@@ -219,6 +234,11 @@ class AllocationOptions:
                 f"ids of required targets need a catalog, got {brief(self.required)}; use plan_tile, or pass rows "
                 "of targets as the argument required of allocate"
             )
+        if instrument is None and isinstance(self.subpriority, str):
+            raise InputError(
+                f"the column of subpriorities needs a catalog, got {self.subpriority!r}; use plan_tile, or pass the "
+                "values as the argument subpriority of allocate"
+            )
         if instrument is None and self.keep_out:
             raise InputError(
                 f"keep_out needs positions on the sky, got {len(self.keep_out)} circles; use plan_tile, or define "
@@ -255,6 +275,7 @@ class AllocationOptions:
             "parked_obstacles": self.parked_obstacles,
             "required": recorded([str(name) for name in self.required]),
             "keep_out": recorded([circle_text(region) for region in self.keep_out]),
+            **({} if self.subpriority is None else {"subpriority": self.subpriority}),
         }
 
 

@@ -52,6 +52,7 @@ class TargetColumns(NamedTuple):
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
     is_required: np.ndarray | None = None
+    subpriority: np.ndarray | None = None
 
 
 class AllocationAnswer(NamedTuple):
@@ -129,6 +130,9 @@ class AllocationProblem:
         no sky.
     tell : callable, optional
         Function that an allocator may call during a long search, with the completed fraction and the name of the stage.
+    subpriority : ndarray of float, shape (n_targets,), optional
+        Subpriority of each target, if the options have a ``subpriority``. The rows of the problem are then sorted such
+        that the target with the largest subpriority is the first; blank positions follow.
 
     Examples
     --------
@@ -161,9 +165,12 @@ class AllocationProblem:
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None
     tell: Callable[[float, str], None] | None = None
+    subpriority: np.ndarray | None = None
 
     def __post_init__(self):
         n = len(self.xy)
+        if self.subpriority is not None:
+            object.__setattr__(self, "subpriority", locked(self.subpriority))
         usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
         for name in ("xy", "rank", *usual):
             value = getattr(self, name)

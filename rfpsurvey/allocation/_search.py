@@ -43,8 +43,9 @@ TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 AT_LEAST = 0.1
 # Time in seconds for local moves after the deadline, which give targets to idle positioners.
 FOR_LAST = 0.1
-# Number of best targets of each positioner that are used if it takes too long to find all collisions.
-FEWER = (32, 8, 2, 1)
+# Number of best targets of each positioner that are used if it takes too long to find all collisions. Sorting the
+# targets of all positioners takes about PAIR_SECONDS per pair.
+FEWER, PAIR_SECONDS = (32, 8, 2, 1), 1e-7
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
 # The bounds of whole numbers are rounded down, unless they are this close to the next whole number.
@@ -104,7 +105,11 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
     for most in (None, *FEWER):
         last = most == FEWER[-1]
         size = np.minimum(count, MOST_TARGETS if most is None else most)
-        if not last and (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit:
+        sorting = 0.0 if most is None else PAIR_SECONDS * len(problem.pairs.owner)
+        if not last and (
+            sorting > FOR_CANDIDATES * left(deadline)
+            or (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit
+        ):
             continue
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
         seconds = np.inf if last else max(FOR_CANDIDATES * left(deadline), AT_LEAST)
@@ -124,7 +129,7 @@ def _best_pairs(problem, most):
     n = reach.n_positioners
     start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
     target, r2 = np.empty(n * most, dtype=np.int64), np.empty(n * most)
-    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, start, count, target, r2)
+    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, False, start, count, target, r2)
     own = np.repeat(np.arange(n), most)
     kept = np.arange(n * most) - start[own] < count[own]
     own, target, r2 = own[kept], target[kept], r2[kept]
@@ -315,20 +320,13 @@ def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
     problem = candidates.problem
     if problem.groups:  # the initial plan may exceed the maximum of a requirement
         return Solution(None, np.full(n_levels, -np.inf), np.full(n_levels, np.inf), 0, False)
-    in_use = np.zeros(len(candidates), dtype=bool)
-    in_use[start] = True
-    collides = in_use[edges].all(axis=0).any()
-    values = np.array(list(problem.values(_targets_of(problem, candidates.options, start)).values()))
-    best = np.array(list(problem.values(_targets_of(problem, candidates.options, blind[blind >= 0])).values()))
+    collides = np.isin(edges, start).all(axis=0).any()
+    # Without requirements, the values only depend on the targets in use.
+    values, best = (
+        np.array(list(problem.values(candidates.options.target[used]).values())) for used in (start, blind[blind >= 0])
+    )
     bounds = best if (values == best).all() else np.full(len(values), np.inf)
     return Solution(None if collides else start, values, bounds, 0, False)
-
-
-def _targets_of(problem, options, used):
-    """Return the target of each positioner for the given candidates in use."""
-    target = np.full(problem.pairs.n_positioners, -1)
-    target[options.own[used]] = options.target[used]
-    return target
 
 
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:

@@ -8,7 +8,14 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_lonlat
-from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
+from rfpsurvey.allocation import (
+    Allocation,
+    AllocationOptions,
+    TargetColumns,
+    assign,
+    service_order,
+    to_subpriorities,
+)
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
@@ -106,6 +113,9 @@ def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocat
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
     seconds = perf_counter() - begin
     columns = targets.columns._replace(fiber_type=fiber_type)
+    if options.subpriority is not None:
+        values = to_subpriorities(options.subpriority, targets.id, targets.extra)
+        columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
     allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
     allocation.seconds["projection"] = seconds
     return allocation

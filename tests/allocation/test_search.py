@@ -6,12 +6,10 @@ from itertools import combinations, product
 import astropy.units as u
 import numpy as np
 import pytest
-from scipy.optimize import Bounds, LinearConstraint, milp
-from scipy.sparse import csr_array
 
 import flat
 import rfpsurvey as rs
-from brute import bodies_of, conflicts_of, options_of
+from brute import edges_alone
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._reduction import reduced
 
@@ -76,30 +74,6 @@ def test_unproven_plans_are_honest(n_classes, objective, seed):
             if value != level.value:
                 break
         assert found.n_assigned > 0.8 * best.n_assigned
-
-
-def edges_alone(plane, xy, parked):
-    """Return the number of targets in the best plan, from an integer program with one row for each conflict."""
-    choices = options_of(plane, xy, None, both=False)
-    pairs, barred = conflicts_of(plane, bodies_of(plane, xy, choices, None, parked))
-    column = {(i, k): n for n, (i, k) in enumerate((i, k) for i, mine in enumerate(choices) for k in range(len(mine)))}
-    rows = [[column[a], column[b]] for a, b in pairs]
-    by_target = {}
-    for i, mine in enumerate(choices):
-        for k in range(1, len(mine)):
-            by_target.setdefault(mine[k][0], []).append(column[i, k])
-    rows += list(by_target.values())
-    own = [[column[i, k] for k in range(len(mine))] for i, mine in enumerate(choices)]
-    everything = rows + own
-    indptr = np.cumsum([0, *map(len, everything)], dtype=np.int32)
-    ones, indices = np.ones(indptr[-1]), np.concatenate(everything).astype(np.int32)
-    matrix = csr_array((ones, indices, indptr), shape=(len(everything), len(column)))
-    low = np.append(np.full(len(rows), -np.inf), np.ones(len(own)))
-    most = np.ones(len(column))
-    most[[column[c] for c in barred]] = 0
-    worth = np.array([k > 0 for _, k in column], dtype=float)
-    found = milp(-worth, constraints=LinearConstraint(matrix, low, 1), bounds=Bounds(0, most), integrality=most)
-    return round(-found.fun)
 
 
 @pytest.mark.parametrize("parked", [True, False])

@@ -2,11 +2,14 @@
 
 Run ``python tests/benchmarks/optimum_figures.py``, which takes about an hour on two cores. ``--only NAME`` runs one
 part: ``large`` (40,000 positioners), ``sizes`` (1,000 to 100,000 positioners), ``clock`` (random scenes and time
-limits) or ``quality`` (the number of targets against the time limit).
+limits), ``oracle`` (small scenes against an independent integer program) or ``quality`` (the number of targets against
+the time limit).
 """
 
 import argparse
 import resource
+import sys
+from pathlib import Path
 from time import perf_counter, process_time
 
 import astropy.units as u
@@ -14,6 +17,9 @@ import numpy as np
 
 import rfpsurvey as rs
 from rfpsurvey.allocation import _search
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+from brute import edges_alone
 
 # pitch, central and eccentric arm, minimum separation (mm)
 ARMS = {"LAMOST": (25.6, 8.25, 8.25, 4.5), "SDSS-V": (22.4, 7.4, 15, 5.0782)}
@@ -83,6 +89,25 @@ def clock(n_scenes, seed=0):
     print(f"{(np.array(over) > 0).sum()} of {n_scenes} later than promised, at worst {max(over):.2f} s")
 
 
+def oracle(n_scenes, seed=0):
+    """Compare plans and bounds in small scenes with the optimum of a program with one constraint per collision."""
+    rng, counts = np.random.default_rng(seed), dict.fromkeys(("proven", "not proven", "reference not solved"), 0)
+    for k in range(n_scenes):
+        reach, multiplicity = rng.uniform(0.5, 3.5), 10 ** rng.uniform(np.log10(0.2), np.log10(5))
+        share, separation, rings = rng.uniform(0.3, 0.7), rng.uniform(1, 3), int(rng.integers(1, 5))
+        plane, xy = hexagon((10.0, 10 * reach * share, 10 * reach * (1 - share), separation), rings, multiplicity, k)
+        best = edges_alone(plane, xy.value, True, seconds=5)
+        if best is None:
+            counts["reference not solved"] += 1
+            continue
+        for seconds in (0.02, 10 ** rng.uniform(-1, 0.5)):
+            found, _, _ = solve(plane, xy, seconds)
+            assert found.n_assigned <= best <= found.bound, (k, seconds, found.n_assigned, best, found.bound)
+            assert len(rs.find_collisions(plane, found).pairs) == 0
+            counts["proven" if found.gap == 0 else "not proven"] += 1
+    print(f"no plan above and no bound below the optimum of an independent program, {n_scenes} scenes: {counts}")
+
+
 def quality():
     print("number of targets against the time limit")
     for arms, multiplicity in ((ARMS["SDSS-V"], 1), (ARMS["SDSS-V"], 2), ((10.0, 10, 15, 3.0), 1)):
@@ -98,7 +123,7 @@ def quality():
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--only", choices=["large", "sizes", "clock", "quality"])
+    parser.add_argument("--only", choices=["large", "sizes", "clock", "oracle", "quality"])
     parser.add_argument("--scenes", type=int, default=200)
     given = parser.parse_args()
     largest, _search.LARGEST = _search.LARGEST, 0  # compiles all kernels
@@ -108,8 +133,9 @@ def main():
     for part in (large, sizes, quality):
         if given.only in (None, part.__name__):
             part()
-    if given.only in (None, "clock"):
-        clock(given.scenes)
+    for part in (clock, oracle):
+        if given.only in (None, part.__name__):
+            part(given.scenes)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from itertools import combinations, product
 
 import astropy.units as u
 import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import csr_array
 from shapely import LineString, Point
 
 from rfpsurvey.collision import place_arms
@@ -89,3 +91,31 @@ def best_plan(options, pairs, barred, value, cost):
 
     go(0, frozenset(), [])
     return best
+
+
+def edges_alone(plane, xy, parked, seconds=np.inf):
+    """Return the number of targets in the best plan, from an integer program with one row for each conflict.
+
+    The result is None if the program is not solved in time.
+    """
+    choices = options_of(plane, xy, None, both=False)
+    pairs, barred = conflicts_of(plane, bodies_of(plane, xy, choices, None, parked))
+    column = {(i, k): n for n, (i, k) in enumerate((i, k) for i, mine in enumerate(choices) for k in range(len(mine)))}
+    rows = [[column[a], column[b]] for a, b in pairs]
+    by_target = {}
+    for i, mine in enumerate(choices):
+        for k in range(1, len(mine)):
+            by_target.setdefault(mine[k][0], []).append(column[i, k])
+    rows += list(by_target.values())
+    own = [[column[i, k] for k in range(len(mine))] for i, mine in enumerate(choices)]
+    everything = rows + own
+    indptr = np.cumsum([0, *map(len, everything)], dtype=np.int32)
+    ones, indices = np.ones(indptr[-1]), np.concatenate(everything).astype(np.int32)
+    matrix = csr_array((ones, indices, indptr), shape=(len(everything), len(column)))
+    low = np.append(np.full(len(rows), -np.inf), np.ones(len(own)))
+    most = np.ones(len(column))
+    most[[column[c] for c in barred]] = 0
+    worth = np.array([k > 0 for _, k in column], dtype=float)
+    limits, options = Bounds(0, most), {"time_limit": seconds}
+    found = milp(-worth, constraints=LinearConstraint(matrix, low, 1), bounds=limits, integrality=most, options=options)
+    return round(-found.fun) if found.status == 0 else None

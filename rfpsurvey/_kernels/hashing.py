@@ -1,0 +1,60 @@
+"""Reproducible numbers from the identifiers of targets."""
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+# Offset and prime of the hash FNV-1a with 64 bits.
+FNV_OFFSET, FNV_PRIME = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
+# Increment and factors of the random number generator SplitMix64 (Steele, Lea & Flood 2014).
+GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+# Scale that converts 53 bits to a number in [0, 1).
+UNIT = 2.0**-53
+
+
+@kernel
+def mix(number):
+    """Return a number in which each bit depends on all bits of ``number``: the output function of SplitMix64."""
+    z = number + GOLDEN
+    z = (z ^ (z >> np.uint64(30))) * FIRST
+    z = (z ^ (z >> np.uint64(27))) * SECOND
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel
+def uniform(number, seed):
+    """Return a number in [0, 1) that depends on the number of a target and on a seed for which `mix` was called."""
+    return (mix(number ^ seed) >> np.uint64(11)) * UNIT
+
+
+@kernel
+def uniforms(numbers, seed, out):
+    """Return the numbers in [0, 1) of all targets for one seed."""
+    mixed = mix(seed)
+    for t in range(numbers.size):
+        out[t] = uniform(numbers[t], mixed)
+
+
+@kernel
+def numbers_of_texts(codes, out):
+    """Return one number for each text; ``codes`` are its Unicode code points, followed by zeros, shape (n, length).
+
+    The number of a text that is a decimal integer of at most 18 digits is this integer. The number of any other text is
+    its hash FNV-1a, computed from code points in place of bytes.
+    """
+    for t in range(codes.shape[0]):
+        n = 0
+        while n < codes.shape[1] and codes[t, n] != 0:
+            n += 1
+        begin = 1 if n > 1 and codes[t, 0] == 45 else 0
+        # Integers have no leading zeros, and there is no negative zero.
+        is_integer = begin < n <= begin + 18 and (codes[t, begin] != 48 or n == 1)
+        value = np.int64(0)
+        total = FNV_OFFSET
+        for k in range(n):
+            code = codes[t, k]
+            total = (total ^ np.uint64(code)) * FNV_PRIME
+            if k >= begin:
+                is_integer &= 48 <= code <= 57
+                value = value * 10 + (np.int64(code) - 48) if is_integer else value
+        out[t] = np.uint64(-value if begin else value) if is_integer else total

@@ -1,0 +1,154 @@
+"""Subpriorities: reproducible random numbers that give the order of the targets of each priority class."""
+
+import numpy as np
+
+from rfpsurvey._kernels import hashing
+from rfpsurvey._units import rows_of, to_plain
+from rfpsurvey.errors import InputError, InputTypeError
+
+__all__ = ["id_numbers", "service_order", "subpriorities", "to_subpriorities"]
+
+
+def id_numbers(ids: np.ndarray) -> np.ndarray:
+    """Return the number of each identifier, from which its subpriorities are computed.
+
+    Parameters
+    ----------
+    ids : ndarray of int or str, shape (n,)
+        Identifiers. An integer and the text of this integer have the same number.
+
+    Returns
+    -------
+    ndarray of uint64, shape (n,)
+        The numbers.
+    """
+    ids = np.asarray(ids)
+    if ids.dtype.kind in "iu":
+        return ids.astype(np.int64 if ids.dtype.kind == "i" else np.uint64).view(np.uint64)
+    texts = np.ascontiguousarray(ids.astype(str))
+    out = np.empty(len(texts), dtype=np.uint64)
+    length = texts.dtype.itemsize // 4
+    hashing.numbers_of_texts(texts.view(np.uint32).reshape(len(texts), length), out)
+    return out
+
+
+def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
+    """Return reproducible random subpriorities of targets, which depend only on their identifiers and a seed.
+
+    Parameters
+    ----------
+    ids : array_like of int or str, shape (n,)
+        Identifiers. An integer and the text of this integer have the same subpriority.
+    seed : int
+        Seed, 0 to 2^63 - 1.
+
+    Returns
+    -------
+    ndarray of float, shape (n,)
+        Subpriorities, which are uniformly distributed in [0, 1). They are the same on all computers.
+
+    Raises
+    ------
+    InputError
+        If the identifiers are neither integers nor text, or the seed is not an integer in this range.
+
+    Notes
+    -----
+    The number of an identifier is the identifier itself, or the hash FNV-1a of a text that is not an integer. The
+    output function of the generator SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195) combines this
+    number with the seed.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rs.allocation.subpriorities([7, 8], seed=1).round(4).tolist()
+    [0.1234, 0.5678]
+    """
+    ids = to_plain(ids, "ids")
+    if ids.ndim != 1 or ids.dtype.kind not in "iuUS":
+        raise InputError(f"ids must be integers or text, shape (n,), got {ids.dtype.name} of the shape {ids.shape}")
+    if ids.dtype.kind == "S":
+        ids = np.char.decode(ids, "utf-8")
+    return _of_numbers(id_numbers(ids), check_seed(seed))
+
+
+def check_seed(seed: object) -> int:
+    """Return a seed of subpriorities as an integer."""
+    if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer):
+        raise InputTypeError(f"the seed of subpriorities must be an integer, got {seed!r}")
+    if not 0 <= seed < 2**63:
+        raise InputError(f"the seed of subpriorities must be 0 to 2^63 - 1, got {seed}")
+    return int(seed)
+
+
+def _of_numbers(numbers, seed):
+    out = np.empty(len(numbers))
+    hashing.uniforms(numbers, np.uint64(seed), out)
+    return out
+
+
+def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> np.ndarray:
+    """Return the subpriorities of the targets of a field.
+
+    Parameters
+    ----------
+    given : int or str
+        Seed, or the name of a column of the catalog.
+    ids : ndarray of int or str, shape (n,)
+        Identifiers of the targets.
+    extra : dict or None
+        Values of further columns of the catalog, by name.
+
+    Returns
+    -------
+    ndarray of float, shape (n,)
+        The subpriorities.
+
+    Raises
+    ------
+    InputError
+        If there is no such column, or it does not contain one finite number per target.
+    """
+    if not isinstance(given, str):
+        return _of_numbers(id_numbers(ids), given)
+    if given not in (extra or {}):
+        known = ", ".join(extra) if extra else "none"
+        raise InputError(
+            f"subpriority must be a seed or the name of a further column of the catalog (keep= or --keep), got "
+            f"{given!r}; further columns: {known}"
+        )
+    return check_values(extra[given], len(ids), f"the subpriorities (column {given!r})")
+
+
+def check_values(values: object, n: int, what: str) -> np.ndarray:
+    """Return subpriorities as numbers, or raise an error unless each target has a finite number."""
+    try:
+        numbers = np.asarray(to_plain(values, what), dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be numbers, got {np.asarray(values).dtype.name}") from None
+    if numbers.shape != (n,):
+        raise InputError(f"{what} must have one value per target, shape ({n},), got {numbers.shape}")
+    if (lacking := ~np.isfinite(numbers)).any():
+        raise InputError(f"{what} must be finite numbers, but {rows_of(lacking)} have none")
+    return numbers
+
+
+def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """Return the rows of targets, the largest subpriority first; equal subpriorities are ordered by identifiers.
+
+    Parameters
+    ----------
+    values : ndarray of float, shape (n,)
+        Subpriorities.
+    ids : ndarray of int or str, shape (n,)
+        Identifiers.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        The rows.
+    """
+    order = np.argsort(-values, kind="stable")
+    if (np.diff(values[order]) == 0).any():
+        order = np.lexsort((id_numbers(ids), -values))
+    return order
