@@ -300,10 +300,10 @@ def balanced(indptr, owner, r2, number, seeds, left, uniform, chosen):
             order[t] = ~order[t]  # sorted in ascending order
         first = np.argsort(order, kind="mergesort")
         for k in range(1, n):  # equal subpriorities are sorted by the number of the identifier
-            m = k
-            while m > 0 and order[first[m - 1]] == order[first[m]] and number[first[m - 1]] > number[first[m]]:
-                first[m - 1], first[m] = first[m], first[m - 1]
-                m -= 1
+            j = k
+            while j > 0 and order[first[j - 1]] == order[first[j]] and number[first[j - 1]] > number[first[j]]:
+                first[j - 1], first[j] = first[j], first[j - 1]
+                j -= 1
         count[:] = 0
         chosen[r, :] = -1
         for t in first:

@@ -90,7 +90,7 @@ def test_fiber_types_kinds_required_targets_and_circles(allocator):
 
 def test_observing_conditions_and_losses_that_count():
     sky = sky_of(1.0, 3000)
-    conditions = rs.ObservingConditions("apo", hour_angle=30 * u.deg)
+    conditions = rs.ObservingConditions("kitt peak", hour_angle=30 * u.deg)
     tiles = tiles_of(0.6, 2).with_conditions(conditions)
     found = rs.selection_probabilities(sky, "moons", tiles, N, lost_in_collision=False)
     assert found.realizations["n_lost"].max() == 0
