@@ -28,7 +28,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.selection import _folder, _run, _work
+from rfpsurvey.selection import _folder, _run, _select, _work
 from rfpsurvey.selection._state import State
 from rfpsurvey.survey import Request
 
@@ -115,6 +115,8 @@ def in_batch(targets, tiling, options, folder):
         _work.RULES[name] = _timed(clock, rule, "rule (workers)")
     clock.wrap(_work._Poses, "__init__", "poses (workers)")
     clock.wrap(_work._Poses, "find_lost", "collisions (workers)")
+    clock.wrap(_select, "prepare_request", "index of the targets (main thread)")
+    clock.wrap(Request, "identity", "digest of the catalog (main thread)")
     clock.wrap(Request, "job", "fields (main thread)")
     clock.wrap(State, "take", "state (main thread)")
     clock.wrap(State, "enter", "state (main thread)")
@@ -186,7 +188,8 @@ def main():
     for name, value in stages.items():
         print(f"{name:<40}{value:>10.1f} s {1e3 * value / plans:>10.4f} ms per tile and realization")
     if len(tiling) < len(everything):
-        fixed = sum(value for name, value in stages.items() if "checkpoints" in name or "writing" in name)
+        once = ("index", "digest", "checkpoints", "writing")  # these times do not depend on the number of tiles
+        fixed = sum(value for name, value in stages.items() if name.startswith(once))
         ratio = len(everything) / len(tiling)
         full = fixed + (seconds - fixed) * ratio
         print(f"extrapolated to {len(everything)} tiles: {full / 60:.1f} min (times per tile are assumed to be equal)")
