@@ -8,7 +8,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from oracles import tangent_plane_mm
-from orders import RULES, observed_sets, pair_chances
+from orders import RULES, observed_sets, pair_chances, reaches_of
 from rfpsurvey.selection._bits import unpack_bits
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
@@ -16,6 +16,9 @@ SCALE = 200  # mm per deg
 UNIT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 PLANE = rs.FocalPlane([[-20.0, 0.0], [0.0, 3.0], [20.0, 0.0]] * u.mm, UNIT)
 INSTRUMENT = rs.Instrument("three", PLANE, plate_scale=SCALE * u.mm / u.deg)
+# The same positioners with arms so thin that no arms collide.
+THIN = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 0.001 * u.mm)
+THIN_ARMS = rs.Instrument("thin", rs.FocalPlane(PLANE.xy, THIN), plate_scale=SCALE * u.mm / u.deg)
 # Positions (mm) relative to the center. Targets at x < -16.5 are in reach of the first positioner only.
 POINTS = {
     "five": [[-24.0, 3.0], [-22.0, -6.0], [-10.0, 1.0], [-8.0, 5.0], [9.0, 2.0]],
@@ -70,3 +73,25 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
     assert sum(sets.values()) == pytest.approx(1)
     assert len(sets) > 1 or (rule, case) == ("lamost", "priorities")
     check(found, pair_chances(sets, 5))
+
+
+@pytest.mark.parametrize(
+    ("allocator", "n"),
+    [
+        ("sdss", 60),
+        ("repair", 60),
+        *(pytest.param(name, 10_000, marks=pytest.mark.exhaustive) for name in ("sdss", "optimal", "repair")),
+    ],
+)
+def test_rivals_for_one_positioner_are_observed_equally_often(allocator, n):
+    """Three targets are in reach of the first positioner only, and each of two tiles observes one of them.
+
+    The most targets are assigned if the other positioners observe the other targets. The order of the three rivals then
+    determines which two of them are observed.
+    """
+    coord, tiles, xy = scene("crowded")
+    reaches = np.array(reaches_of(PLANE, xy[0])) & np.array(reaches_of(PLANE, xy[1]))
+    np.testing.assert_array_equal(reaches[:, :3], [[True] * 3, [False] * 3, [False] * 3])
+    found = rs.selection_probabilities(rs.Catalog(coord), THIN_ARMS, tiles, n, allocator=allocator, order="given")
+    chances = np.array([[2, 1, 1, 2, 2], [1, 2, 1, 2, 2], [1, 1, 2, 2, 2], [2, 2, 2, 3, 3], [2, 2, 2, 3, 3]]) / 3
+    check(found, chances)
