@@ -149,12 +149,19 @@ def _timed(clock, function, stage):
 
 
 def alone(targets, tiling, options, seed):
-    """Return the time of one realization, planned as a survey on two workers, per tile."""
-    allocator = rs.AllocationOptions(options.allocator, subpriority=seed)
+    """Return the time per tile of one realization that is planned as a survey; the first tile is not included."""
+    allocator, times = rs.AllocationOptions(options.allocator, subpriority=seed), []
     with ThreadPoolExecutor(options.workers) as executor:
-        begin = perf_counter()
-        rs.plan_survey(targets, "desi", tiling, allocator=allocator, rng=seed, executor=executor)
-    return (perf_counter() - begin) / len(tiling)
+        rs.plan_survey(
+            targets,
+            "desi",
+            tiling,
+            allocator=allocator,
+            rng=seed,
+            executor=executor,
+            progress=lambda *_: times.append(perf_counter()),
+        )
+    return (times[-1] - times[0]) / (len(times) - 1)
 
 
 def main():
