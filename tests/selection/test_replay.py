@@ -132,7 +132,7 @@ def test_an_allocator_of_another_package(small):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
-@pytest.mark.parametrize(("instrument", "step", "n"), [("moons", 0.3, 20_000), ("desi", 1.4, 60_000)])
+@pytest.mark.parametrize(("instrument", "step", "n"), [("moons", 0.3, 60_000), ("desi", 1.4, 60_000)])
 def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
     tiles = tiles_of(step, 5)
     assert len(tiles) == 50
