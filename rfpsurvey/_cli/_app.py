@@ -235,6 +235,7 @@ def allocation_options(
     parked=True,
     required: list[str] | None = None,
     keep_out: list[str] | None = None,
+    subpriority: str | None = None,
 ) -> "rs.AllocationOptions":
     """Convert the options of a command to the options of an allocation."""
     own = require is not None and "instrument" in require
@@ -251,6 +252,7 @@ def allocation_options(
         parked_obstacles=parked,
         required=required,
         keep_out=[_parse_circle(text) for text in keep_out or []],
+        subpriority=int(subpriority) if subpriority and subpriority.isdecimal() else subpriority,
     )
 
 

@@ -90,6 +90,13 @@ UnitOption = Annotated[list[str] | None, typer.Option(help="ROLE=UNIT for a colu
 FillOption = Annotated[
     list[str] | None, typer.Option(help="ROLE=VALUE that replaces missing values, such as priority=0 or visits=1.")
 ]
+SubpriorityOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Order of the targets within each priority class: the seed of random subpriorities, which only depend on "
+        "the identifiers of targets, or the name of a further column of the catalog (--keep)."
+    ),
+]
 ParkedOption = Annotated[bool, typer.Option(help="Idle positioners whose arms have equal lengths are obstacles.")]
 OutputOption = Annotated[
     Path | None,

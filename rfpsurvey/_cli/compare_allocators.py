@@ -30,6 +30,7 @@ def compare_allocators(
     objective: _options.ObjectiveOption = "priority",
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
+    subpriority: _options.SubpriorityOption = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -53,6 +54,7 @@ def compare_allocators(
         parked=parked,
         required=required,
         keep_out=keep_out,
+        subpriority=subpriority,
     )
     table = rs.compare_allocators(
         targets,

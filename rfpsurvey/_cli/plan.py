@@ -34,6 +34,7 @@ def plan(
     objective: _options.ObjectiveOption = "priority",
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
+    subpriority: _options.SubpriorityOption = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -65,6 +66,7 @@ def plan(
         parked=parked,
         required=required,
         keep_out=keep_out,
+        subpriority=subpriority,
     )
     _app.check_text(sky, model, field, output)
     with end_on_interrupt() as interrupted:

@@ -24,6 +24,7 @@ def survey(
     keep_out: _options.KeepOutOption = None,
     sky_separation: _options.SkyOption = None,
     time_limit: _options.TimeLimitOption = 60.0,
+    subpriority: _options.SubpriorityOption = None,
     parked: _options.ParkedOption = True,
     lost: _options.LostOption = True,
     order: _options.OrderOption = "color",
@@ -49,7 +50,14 @@ def survey(
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
         "allocator": _app.allocation_options(
-            allocator, require, sky_separation, time_limit, parked=parked, required=required, keep_out=keep_out
+            allocator,
+            require,
+            sky_separation,
+            time_limit,
+            parked=parked,
+            required=required,
+            keep_out=keep_out,
+            subpriority=subpriority,
         ),
         "visits": visits,
         "passes": passes,

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import hashing
 from rfpsurvey._units import rows_of, to_plain
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, short
 
 __all__ = ["id_numbers", "service_order", "subpriorities", "to_subpriorities"]
 
@@ -62,7 +62,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
     --------
     >>> import rfpsurvey as rs
     >>> rs.allocation.subpriorities([7, 8], seed=1).round(4).tolist()
-    [0.1234, 0.5678]
+    [0.4652, 0.1724]
     """
     ids = to_plain(ids, "ids")
     if ids.ndim != 1 or ids.dtype.kind not in "iuUS":
@@ -75,7 +75,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
 def check_seed(seed: object) -> int:
     """Return a seed of subpriorities as an integer."""
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer):
-        raise InputTypeError(f"the seed of subpriorities must be an integer, got {seed!r}")
+        raise InputTypeError(f"the seed of subpriorities must be an integer, got {short(seed)}")
     if not 0 <= seed < 2**63:
         raise InputError(f"the seed of subpriorities must be 0 to 2^63 - 1, got {seed}")
     return int(seed)
@@ -122,14 +122,15 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
 
 def check_values(values: object, n: int, what: str) -> np.ndarray:
     """Return subpriorities as numbers, or raise an error unless each target has a finite number."""
+    plain = to_plain(values, what, "numbers")
     try:
-        numbers = np.asarray(to_plain(values, what), dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must be numbers, got {np.asarray(values).dtype.name}") from None
+        numbers = plain.astype(float)
+    except ValueError as error:
+        raise InputError(f"{what} must be numbers: {error}") from None
     if numbers.shape != (n,):
         raise InputError(f"{what} must have one value per target, shape ({n},), got {numbers.shape}")
     if (lacking := ~np.isfinite(numbers)).any():
-        raise InputError(f"{what} must be finite numbers, but {rows_of(lacking)} have none")
+        raise InputError(f"{what} must be a finite number for every target, but {rows_of(lacking)} have none")
     return numbers
 
 

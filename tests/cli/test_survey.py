@@ -70,6 +70,8 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
         (["--kept"], "lost_in_collision", False),
         ([], "lost_in_collision", True),
         (["--no-parked"], "allocator", rs.AllocationOptions(parked_obstacles=False)),
+        (["--subpriority", "3"], "allocator", rs.AllocationOptions(subpriority=3)),
+        (["--subpriority", "SUB"], "allocator", rs.AllocationOptions(subpriority="SUB")),
         (["--order", "given"], "order", "given"),
         (["--visits", 3], "visits", 3),
         (["--pass", 2, "--pass", 1], "passes", [2, 1]),

@@ -86,8 +86,11 @@ def balanced_owner(xy, centers, reaches):
     return owner
 
 
-def lamost_target(xy, centers, reaches, priority):
-    """Return the target of each positioner by a literal implementation of ``lamost``."""
+def lamost_target(xy, centers, reaches, priority, place=None):
+    """Return the target of each positioner by a literal implementation of ``lamost``.
+
+    A positioner nominates the target with the smallest ``place``; without it, the nearest target.
+    """
     n, m = len(centers), len(xy)
     target, taken = [-1] * n, [False] * m
     for value in sorted(set(priority), reverse=True):
@@ -96,7 +99,11 @@ def lamost_target(xy, centers, reaches, priority):
             for i in range(n):
                 mine = [t for t in range(m) if reaches[i][t] and not taken[t] and priority[t] == value]
                 if target[i] < 0 and mine:
-                    nominations.setdefault(min(mine, key=lambda t: (squared_apart(xy[t], centers[i]), t)), []).append(i)
+                    if place is None:
+                        first = min(mine, key=lambda t: (squared_apart(xy[t], centers[i]), t))
+                    else:
+                        first = min(mine, key=lambda t: place[t])
+                    nominations.setdefault(first, []).append(i)
             if not nominations:
                 break
             choices = [sum(reaches[i][t] and not taken[t] for t in range(m)) for i in range(n)]
@@ -254,6 +261,16 @@ def closest_pairs_first(xy, centers, can, priority):
                 break
             _, i, t = min(left)
             target_of[i] = t
+    return target_of
+
+
+def targets_in_order(xy, centers, can, order):
+    """Assign each target, in the given order, to the closest free positioner that reaches it."""
+    target_of = [-1] * len(centers)
+    for t in order:
+        free = [i for i in range(len(centers)) if can[i, t] and target_of[i] < 0]
+        if free:
+            target_of[min(free, key=lambda i: (squared_apart(xy[t], centers[i]), i))] = int(t)
     return target_of
 
 
