@@ -13,7 +13,7 @@ from rfpsurvey.pipeline import project_field, with_keep_out
 from rfpsurvey.selection._rules import RULES, Field
 from rfpsurvey.survey import Job, projection_of, work
 
-__all__ = ["BlockDone", "BlockJob", "find_reach", "plan_alone", "plan_together", "reach_counts"]
+__all__ = ["BlockDone", "BlockJob", "Poses", "find_reach", "plan_alone", "plan_together", "reach_counts"]
 
 
 class BlockJob(NamedTuple):
@@ -51,7 +51,7 @@ def plan_together(given: BlockJob) -> BlockDone:
     RULES[job.model.options.allocator](field, chosen)
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
-        poses = _Poses(plane, columns, xy, fiber_type, field.pairs, job.model.options.parked_obstacles)
+        poses = Poses(plane, columns, xy, fiber_type, field.pairs, job.model.options.parked_obstacles)
         poses.find_lost(chosen, lost)
     kernels.mark_visits(chosen, lost, field.pairs.target, mask, counts)
     return BlockDone(mask, counts)
@@ -79,7 +79,7 @@ def plan_alone(given: BlockJob) -> BlockDone:
     return BlockDone(mask, np.array([[len(done.observed), np.count_nonzero(~done.observed)]]))
 
 
-class _Poses:
+class Poses:
     """The poses of the arms of all pairs in reach, and the collisions of realizations.
 
     Parameters

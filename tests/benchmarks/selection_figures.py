@@ -113,8 +113,8 @@ def in_batch(targets, tiling, options, folder):
     for name in list(_work.RULES):
         rule = _work.RULES[name]
         _work.RULES[name] = _timed(clock, rule, "rule (workers)")
-    clock.wrap(_work._Poses, "__init__", "poses (workers)")
-    clock.wrap(_work._Poses, "find_lost", "collisions (workers)")
+    clock.wrap(_work.Poses, "__init__", "poses (workers)")
+    clock.wrap(_work.Poses, "find_lost", "collisions (workers)")
     clock.wrap(_select, "prepare_request", "index of the targets (main thread)")
     clock.wrap(Request, "identity", "digest of the catalog (main thread)")
     clock.wrap(Request, "job", "fields (main thread)")
