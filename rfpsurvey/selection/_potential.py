@@ -14,7 +14,7 @@ from astropy.time import Time
 from rfpsurvey import _io
 from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import count_tiles, count_type, in_order
 from rfpsurvey.selection._work import find_reach
@@ -105,6 +105,8 @@ def potential_assignments(
     """
     if survey is not None and not isinstance(survey, Survey):
         raise InputTypeError(f"survey must be a Survey, got {short(survey)}")
+    if not callable(progress):
+        check_switch(progress, "progress")
     request = prepare_request(
         points,
         instrument,
