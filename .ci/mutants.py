@@ -62,6 +62,8 @@ TESTS = {
     "rfpsurvey/_kernels/repair.py": (
         "allocation/repair allocation/quotas allocation/random_quotas allocation/sky allocation/allocate"
     ),
+    "rfpsurvey/_kernels/realizations.py": "selection/work selection/replay selection/enumeration",
+    "rfpsurvey/selection/*": "selection/bits selection/work selection/potential selection/replay selection/run",
     "rfpsurvey/observing/*": "observing/observing observing/models",
     "rfpsurvey/instrument/_compare_projections.py": "observing/models",
     "rfpsurvey/projection/_distortion_map.py": "projection/distortion_map",

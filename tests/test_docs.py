@@ -51,7 +51,7 @@ def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (DOCS / "cheatsheet.rst").read_text()
     commands = re.findall("^    rfpsurvey (.*)$", text, re.MULTILINE)
-    assert len(commands) == 10
+    assert len(commands) == 11
     assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more columns would not fit on a page
     for command in commands:
         code, out, err = run(*shlex.split(command, comments=True))

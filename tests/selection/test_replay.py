@@ -1,0 +1,85 @@
+"""Realizations, compared bit for bit with surveys that have the same subpriorities."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from realizations import check, sky_of, tiles_of
+
+# the last two realizations are in the second block
+N, SOME = 34, (0, 31, 33)
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+@pytest.mark.parametrize("text", [False, True])
+def test_rules_with_visits_and_priorities(small, allocator, text):
+    sky, tiles = sky_of(1.2, 1500, text=text), tiles_of(0.5)
+    found = rs.selection_probabilities(sky, small, tiles, N, allocator=allocator)
+    assert found.realizations["n_lost"].min() > 0
+    check(found, sky, small, tiles, allocator, SOME if text else SOME[:1])
+
+
+@pytest.mark.filterwarnings("ignore:required targets never observed")
+@pytest.mark.parametrize("allocator", ["nearest", "lamost"])
+def test_fiber_types_kinds_required_targets_and_circles(allocator):
+    sky, tiles = sky_of(1.4, 1600, kinds=True, fiber_types=("BOSS", "APOGEE", "")), tiles_of(0.9, 2)
+    circles = [rs.Region.cap(where, 0.02 * u.deg) for where in sky.coord[:40]]
+    options = rs.AllocationOptions(allocator, required=sky.id[::30], keep_out=circles)
+    found = rs.selection_probabilities(sky, "sdss_apo", tiles, N, allocator=options, order="given")
+    assert found.realizations["n_lost"].min() > 0
+    check(found, sky, "sdss_apo", tiles, options, SOME[1:], order="given")
+
+
+def test_observing_conditions_and_losses_that_count():
+    sky = sky_of(1.0, 3000)
+    conditions = rs.ObservingConditions("kitt peak", hour_angle=30 * u.deg)
+    tiles = tiles_of(0.6, 2).with_conditions(conditions)
+    found = rs.selection_probabilities(sky, "moons", tiles, N, lost_in_collision=False)
+    assert found.realizations["n_lost"].max() == 0
+    check(found, sky, "moons", tiles, "nearest", SOME[:1], lost_in_collision=False)
+
+
+@pytest.mark.filterwarnings("ignore:.*requirement")
+@pytest.mark.parametrize(
+    "options",
+    [
+        rs.AllocationOptions("lamost", requirements=["standard=3"]),
+        rs.AllocationOptions("repair"),
+        rs.AllocationOptions("sdss"),
+        pytest.param(rs.AllocationOptions("optimal"), marks=pytest.mark.exhaustive),
+        pytest.param(
+            rs.AllocationOptions("nearest", requirements=["sky=2"], sky_separation=20 * u.arcsec),
+            marks=pytest.mark.exhaustive,
+        ),
+    ],
+    ids=lambda options: f"{options.name}-{len(options.requirements)}",
+)
+def test_allocators_that_plan_one_realization_after_the_other(small, options):
+    sky, tiles = sky_of(0.8, 400, kinds=True), tiles_of(0.5, 2)
+    found = rs.selection_probabilities(sky, small, tiles, 3, allocator=options)
+    check(found, sky, small, tiles, options, (0, 2))
+
+
+def test_an_allocator_of_another_package(small):
+    def first(problem):
+        target_of = np.full(len(problem.focal_plane), -1)
+        for own in range(len(target_of)):
+            target_of[own] = next((t for t in problem.reachable[[own]].indices if t not in target_of), -1)
+        return target_of
+
+    sky, tiles = sky_of(0.6, 200), tiles_of(0.5, 2)
+    found = rs.selection_probabilities(sky, small, tiles, 2, allocator=first)
+    check(found, sky, small, tiles, first, (0, 1))
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+@pytest.mark.parametrize(("instrument", "step", "n"), [("moons", 0.3, 60_000), ("desi", 1.4, 60_000)])
+def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
+    tiles = tiles_of(step, 5)
+    assert len(tiles) == 50
+    sky = sky_of(4 * step, n)
+    found = rs.selection_probabilities(sky, instrument, tiles, 64, allocator=allocator)
+    assert found.summary["n_sometimes_observed"] > 1000
+    check(found, sky, instrument, tiles, allocator, range(0, 60, 3))

@@ -1,0 +1,76 @@
+"""The work on one tile: collisions that rounding could decide, and repeated identifiers."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from realizations import check, sky_of, tiles_of
+from rfpsurvey.selection import _work
+from rfpsurvey.selection._work import Poses
+
+D = 4.5
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Return a list to which the number of decisions in exact arithmetic is added."""
+    found, find = [], _work.find_collisions
+
+    def counted(*args, **kwargs):
+        found.append(len(found))
+        return find(*args, **kwargs)
+
+    monkeypatch.setattr(_work, "find_collisions", counted)
+    return found
+
+
+@pytest.mark.parametrize(("gap", "collides"), [(D, False), (np.nextafter(D, 0), True), (D + 1, False), (D - 1, True)])
+def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, D / 2 * u.mm, arm_model="fiber_tip")
+    plane = rs.FocalPlane([[-5.0, 0.0], [9.0, 0.0], [90.0, 0.0]] * u.mm, unit)
+    xy = np.array([[0.0, 0.0], [gap, 0.0]])
+    pairs = plane.arrays.reach(xy)
+    k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
+    chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
+    lost = np.empty(chosen.shape, dtype=bool)
+    Poses(plane, plane.arrays, xy, None, pairs, parked_obstacles=False).find_lost(chosen, lost)
+    assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
+    assert len(calls) == (abs(gap - D) < 0.1)
+
+
+@pytest.mark.parametrize(("gap", "collides"), [(0.0, False), (-1e-15, True), (0.5, False), (-0.5, True)])
+def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, D / 2 * u.mm, arm_model="fiber_tip")
+    plane = rs.FocalPlane([[-5.0, 0.0], [90.0, 0.0]] * u.mm, unit, obstacles=[[4.25, 0.0, 2.0]] * u.mm)
+    xy = np.array([[-gap, 0.0]])
+    lost = np.empty((1, 2), dtype=bool)
+    poses = Poses(plane, plane.arrays, xy, None, plane.arrays.reach(xy), parked_obstacles=False)
+    poses.find_lost(np.array([[0, -1]]), lost)
+    assert lost.tolist() == [[collides, False]]
+    assert len(calls) == (abs(gap) < 0.1)
+
+
+def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
+    """If all realizations are uncertain, the result is the same."""
+    sky, tiles = sky_of(1.0, 1200), tiles_of(0.5, 2)
+    expected = rs.selection_probabilities(sky, small, tiles, 5)
+    assert expected.realizations["n_lost"].min() > 0
+    assert not calls
+
+    def unsure(*args):
+        args[-2][:], args[-1][:] = False, True
+
+    monkeypatch.setattr(_work.kernels, "find_lost", unsure)
+    found = rs.selection_probabilities(sky, small, tiles, 5)
+    assert len(calls) == 5 * len(tiles)
+    np.testing.assert_array_equal(found.bits, expected.bits)
+
+
+@pytest.mark.filterwarnings("ignore:some targets have the same id")
+@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+def test_targets_with_the_same_identifier_are_served_by_row(small, allocator):
+    sky, tiles = sky_of(0.8, 800), tiles_of(0.5, 2)
+    sky = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 5)
+    found = rs.selection_probabilities(sky, small, tiles, 2, allocator=allocator)
+    check(found, sky, small, tiles, allocator, (0, 1))
