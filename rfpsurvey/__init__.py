@@ -21,10 +21,28 @@ from rfpsurvey.tile import Tile, plan_tile, score_tile
 
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
-    from rfpsurvey import benchmark, compare, design, plans, plot, probability, report, reproduction, survey, tiling  # noqa: F401
+    from rfpsurvey import (
+        benchmark,
+        compare,
+        design,
+        plans,
+        plot,
+        probability,
+        report,
+        reproduction,
+        selection,
+        survey,
+        tiling,
+    )
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
+    from rfpsurvey.selection import (
+        PotentialAssignments,
+        SelectionProbabilities,
+        potential_assignments,
+        selection_probabilities,
+    )
     from rfpsurvey.survey import Survey, plan_survey
     from rfpsurvey.tiling import Tiling, place_tiles
 
@@ -50,11 +68,13 @@ __all__ = [
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
+    "PotentialAssignments",
     "ProjectionComparison",
     "RadialMap",
     "Region",
     "Requirement",
     "RfpsurveyWarning",
+    "SelectionProbabilities",
     "Survey",
     "TangentPlane",
     "Tile",
@@ -74,7 +94,9 @@ __all__ = [
     "place_tiles",
     "plan_survey",
     "plan_tile",
+    "potential_assignments",
     "score_tile",
+    "selection_probabilities",
     "synthetic_catalog",
     "write_report",
 ]
@@ -88,6 +110,12 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),
     "reproduction": (),
+    "selection": (
+        "PotentialAssignments",
+        "SelectionProbabilities",
+        "potential_assignments",
+        "selection_probabilities",
+    ),
     "survey": ("Survey", "plan_survey"),
     "tiling": ("Tiling", "place_tiles"),
 }
@@ -106,5 +134,5 @@ def __getattr__(name):
 def __dir__():
     # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
     # names.
-    hidden = {"compare", "report", "survey"}
+    hidden = {"compare", "report", "selection", "survey"}
     return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)

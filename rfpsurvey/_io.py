@@ -12,9 +12,11 @@ import os
 import secrets
 import shutil
 import tempfile
+from collections.abc import Iterable
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from astropy.table import QTable
@@ -23,7 +25,9 @@ from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of,
 from rfpsurvey.errors import InputError, check_switch
 
 __all__ = [
+    "META_KEY",
     "TEMPORARY_PREFIX",
+    "FitsRows",
     "check_fits_text",
     "check_output",
     "fits_bytes",
@@ -36,12 +40,15 @@ __all__ = [
     "temporary_folder",
     "to_path",
     "write_bytes",
+    "write_fits_rows",
     "write_table",
 ]
 
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
 TEMPORARY_PREFIX = ".rfpsurvey-"
+# Number of bytes of a block of a FITS file, and of the primary header without data.
+BLOCK = PRIMARY = 2880
 
 
 def write_table(
@@ -236,14 +243,56 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     (or a value and a comment). In the header of each table, the given ``cards`` replace the cards of the same name or
     are added.
     """
-    primary, header, places, disk = _fits_template(rows.dtype, fixed)
+    body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
+    return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % BLOCK)])
+
+
+class FitsRows(NamedTuple):
+    """A table that is written to a FITS file part after part."""
+
+    dtype: np.dtype
+    cards: dict
+    """Cards of the header: a value, or a value and a comment."""
+    parts: Iterable[np.ndarray]
+    """Rows."""
+
+
+def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:
+    """Write tables to a FITS file, part after part, and return the number of rows of each table.
+
+    The memory is that of one part.
+    """
+    counts = []
+    with output_path(path, (".fits",), overwrite=overwrite) as temporary, temporary.open("wb") as file:
+        for dtype, cards, parts in tables:
+            fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
+            disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0
+            file.write(_fits_header(dtype, {"NAXIS2": 0}, fixed)[skipped:])
+            for rows in parts:
+                n_bytes += file.write(_fits_body(rows, disk))
+                n_rows += len(rows)
+            end = file.tell() + file.write(bytes(-n_bytes % BLOCK))
+            file.seek(begin)
+            file.write(_fits_header(dtype, {"NAXIS2": n_rows}, fixed)[skipped:])
+            file.seek(end)
+            counts.append(n_rows)
+    return counts
+
+
+def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
+    """Return the primary HDU and the header of a table; its length does not depend on values of a fixed length."""
+    primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
-    for name, card in {"NAXIS2": len(rows), **cards}.items():
+    for name, card in cards.items():
         value, comment = card if isinstance(card, tuple) else (card, "")
         place = places.get(name, len(image))  # new cards follow the existing cards
         image[place : place + 80] = fits_card(name, value, comment)
     image += f"{'END':80}".encode("ascii")
-    image += b" " * (-len(image) % 2880)
+    return primary + bytes(image) + b" " * (-len(image) % BLOCK)
+
+
+def _fits_body(rows: np.ndarray, disk: np.dtype) -> bytes:
+    """Return rows in the form of a FITS file."""
     body = np.empty(len(rows), disk)
     for name in rows.dtype.names:
         column = rows[name]
@@ -253,7 +302,7 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
             raise InputError(
                 f"FITS files can contain only ASCII text, but the column {name!r} has other characters: {error}"
             ) from None
-    return b"".join([primary, bytes(image), body.tobytes(), bytes(-body.nbytes % 2880)])
+    return body.tobytes()
 
 
 @lru_cache(maxsize=32)

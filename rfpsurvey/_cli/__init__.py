@@ -12,6 +12,7 @@ from rfpsurvey._cli import (
     probability,
     reproduce,
     score,
+    select,
     survey,
     tile,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "probability",
     "reproduce",
     "score",
+    "select",
     "survey",
     "tile",
 ]

@@ -5,7 +5,7 @@ collision probabilities uses the first steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._constraints import are_among, mark_required
+from rfpsurvey.pipeline._constraints import are_among, mark_required, with_keep_out
 from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 
@@ -24,4 +24,5 @@ __all__ = [
     "plan_field",
     "priority_classes",
     "project_field",
+    "with_keep_out",
 ]

@@ -1,6 +1,21 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
-from rfpsurvey.survey._plan import plan_survey
+from rfpsurvey.survey._folder import RequestFolder
+from rfpsurvey.survey._plan import plan_survey, prepare_request
+from rfpsurvey.survey._request import Request
+from rfpsurvey.survey._run import IN_FLIGHT, told
 from rfpsurvey.survey._survey import Survey
+from rfpsurvey.survey._work import Job, projection_of, work
 
-__all__ = ["Survey", "plan_survey"]
+__all__ = [
+    "IN_FLIGHT",
+    "Job",
+    "Request",
+    "RequestFolder",
+    "Survey",
+    "plan_survey",
+    "prepare_request",
+    "projection_of",
+    "told",
+    "work",
+]

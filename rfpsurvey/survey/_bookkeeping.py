@@ -61,10 +61,11 @@ class Bookkeeping:
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # all tiles with requirements for sky positions and standards may use them
         self.left = self.wanted.copy()
-        self._spend = None
+        # whether visits of each target count; None if those of all targets do
+        self.spends = None
         if science is not None and others is not None:
             self.left[~science & others] = 1
-            self._spend = science
+            self.spends = science
         self.flags = np.zeros(len(visits), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
         classes = category_classes(category, self.wanted)
@@ -84,8 +85,8 @@ class Bookkeeping:
         self.flags[slot[~observed]] |= LOST
         slot = slot[observed]
         self.flags[slot] |= DONE
-        if self._spend is not None:
-            slot = slot[self._spend[slot]]
+        if self.spends is not None:
+            slot = slot[self.spends[slot]]
         self.left[slot] -= 1
         complete, last = slot[self.left[slot] == 0], number
         if self._last is not None:
@@ -98,8 +99,8 @@ class Bookkeeping:
     def done(self) -> np.ndarray:
         """Return the number of visits that count, for each target."""
         done = self.wanted - self.left
-        if self._spend is not None:
-            done[~self._spend] = 0
+        if self.spends is not None:
+            done[~self.spends] = 0
         return done
 
     def outcomes(self) -> np.ndarray:

@@ -19,7 +19,7 @@ from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
 from rfpsurvey._readers import content_of, parse_json
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["TABLES", "Folder", "part_name", "read_index", "read_verified"]
+__all__ = ["TABLES", "Folder", "RequestFolder", "part_name", "read_index", "read_verified"]
 
 REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -28,29 +28,31 @@ MOST_REQUEST = 10_000_000
 LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
 
 
-class Folder:
-    """The folder of a survey, which is locked while the survey is planned.
+class RequestFolder:
+    """A folder for the results of long work, which contains its request and is locked while the work is done.
 
     Parameters
     ----------
     path : str or path-like
         Path of the folder, which need not exist.
     request : dict
-        The request of the survey; a survey can only be continued with the same request.
-    n_tiles : int
-        Number of tiles.
+        The request of the work; it can only be continued with the same request.
     resume : bool
-        Whether to continue an unfinished survey.
+        Whether to continue unfinished work.
     """
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
+    request_name = REQUEST
+    """Name of the file of the request."""
+    work, parts = "survey", "tiles"
+    """What the folder holds, and the parts of this work, for error messages."""
+
+    def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
         if self.path.exists() and not self.path.is_dir():
-            raise InputError(f"{self.path} is a file; the output of a survey is a folder")
+            raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
         if not self.path.parent.is_dir():
             raise InputError(f"{self.path}: the folder {self.path.parent} does not exist")
-        self._request, self._n, self._resume = json.loads(json.dumps(request)), n_tiles, resume
-        self._known: dict[str, tuple[int, str]] = {}
+        self._request, self._resume = json.loads(json.dumps(request)), resume
 
     def __enter__(self):
         with self._told():
@@ -75,7 +77,7 @@ class Folder:
 
     @property
     def _begun(self) -> bool:
-        return (self.path / REQUEST).is_file()
+        return (self.path / self.request_name).is_file()
 
     def _refuse_others(self):
         others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
@@ -85,33 +87,73 @@ class Folder:
 
     def _open(self):
         if self._begun and not self._resume:
-            raise InputError(f"{self.path} holds a survey; continue it (--resume, resume=True) or give another folder")
+            raise InputError(
+                f"{self.path} holds a {self.work}; continue it (--resume, resume=True) or give another folder"
+            )
         if self._begun:
-            self._compare(_load(self.path / REQUEST))
-            known, n_strange = _read_index(self.path)
-            self._known = {name: entry for name, entry in known.items() if _belongs(name, self._n)}
-            if n_strange or len(self._known) < len(known):
-                text = f"{self.path / INDEX} is damaged: tiles without a line in this file are planned again"
-                warn(text)
+            self._compare(_load(self.path / self.request_name))
+            self._read()
         for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # left by a process that was killed
             if left_over.is_dir():
                 shutil.rmtree(left_over, ignore_errors=True)
             else:
                 left_over.unlink(missing_ok=True)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
-        write_bytes(self.path / REQUEST, content, sync=True)
+        write_bytes(self.path / self.request_name, content, sync=True)
+
+    def _read(self):
+        """Read what the folder of unfinished work contains."""
+
+    def _compare(self, before: dict):
+        """Raise an error if the request differs from that of the unfinished work."""
+        now = dict(self._request)
+        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), self.parts)
+        if "method" in before:
+            raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
+        check_request(self.path, before, now, self.work, "folder")
+
+    @contextmanager
+    def _told(self):
+        """Convert errors of the operating system to an InputError."""
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
+
+
+class Folder(RequestFolder):
+    """The folder of a survey, which is locked while the survey is planned.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Path of the folder, which need not exist.
+    request : dict
+        The request of the survey; a survey can only be continued with the same request.
+    n_tiles : int
+        Number of tiles.
+    resume : bool
+        Whether to continue an unfinished survey.
+    """
+
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
+        super().__init__(path, request, resume=resume)
+        self._n = n_tiles
+        self._known: dict[str, tuple[int, str]] = {}
+
+    def _open(self):
+        super()._open()
         self._write_index(self._known.items())
+
+    def _read(self):
+        known, n_strange = _read_index(self.path)
+        self._known = {name: entry for name, entry in known.items() if _belongs(name, self._n)}
+        if n_strange or len(self._known) < len(known):
+            text = f"{self.path / INDEX} is damaged: tiles without a line in this file are planned again"
+            warn(text)
 
     def _write_index(self, entries):
         write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
-
-    def _compare(self, before: dict):
-        """Raise an error if the request differs from that of the unfinished survey."""
-        now = dict(self._request)
-        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), "tiles")
-        if "method" in before:
-            raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
-        check_request(self.path, before, now, "survey", "folder")
 
     def part(self, tile: int) -> bytes | None:
         """Return the part (stored result) of the tile in a row of the tiling, or None if there is no valid part."""
@@ -142,14 +184,6 @@ class Folder:
         self._known[name] = len(content), hashlib.sha256(content).hexdigest()
         with self._told(), (self.path / INDEX).open("a") as file:
             file.write(_line(name, self._known[name]))
-
-    @contextmanager
-    def _told(self):
-        """Convert errors of the operating system to an InputError."""
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
 
     def finish(self) -> None:
         """Sort the lines of the index, so that they do not depend on the order in which tiles were planned."""
@@ -207,4 +241,4 @@ def _load(path: Path) -> dict:
         content = content_of(path, most=MOST_REQUEST)
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
     except InputError as error:
-        raise InputError(f"{path} is damaged ({error}); start the survey again in another folder") from None
+        raise InputError(f"{path} is damaged ({error}); start again in another folder") from None

@@ -24,13 +24,13 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._order import ORDERS
-from rfpsurvey.survey._request import make_request
+from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, as_tiling, warn_of_targets
 
-__all__ = ["plan_survey"]
+__all__ = ["plan_survey", "prepare_request"]
 
 log = logging.getLogger("rfpsurvey")
 
@@ -140,6 +140,34 @@ def plan_survey(
     (3, 0)
     """
     begin = perf_counter()
+    if check_switch(resume, "resume") and folder is None:
+        raise InputError("resume needs the folder of the survey to continue")
+    request = prepare_request(
+        catalog,
+        instrument,
+        tiling,
+        allocator=allocator,
+        visits=visits,
+        passes=passes,
+        epoch=epoch,
+        lost_in_collision=lost_in_collision,
+        order=order,
+        executor=executor,
+        rng=rng,
+    )
+    survey = run(request, folder, executor, progress, resume=resume)
+    if request.visits.any() and not survey.summary["n_visits_observed"]:
+        warn("no target was observed: check that tiles and targets are in the same part of the sky")
+    for text in survey.summary["unmet"]:
+        warn(text)
+    log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
+    return survey
+
+
+def prepare_request(
+    catalog, instrument, tiling, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
+) -> Request:
+    """Return the validated request of a survey; the parameters are those of `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     asked = as_options(allocator)
@@ -149,8 +177,6 @@ def plan_survey(
             f"allocator must be a name, such as that of an entry point, if other processes plan tiles, got "
             f"{asked.allocator!r}"
         )
-    if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume needs the folder of the survey to continue")
     instrument = as_instrument(instrument)
     if epoch is not None:
         to_time(epoch, "epoch")
@@ -177,13 +203,7 @@ def plan_survey(
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
     )
     _warn_of_lacks(request)
-    survey = run(request, folder, executor, progress, resume=resume)
-    if request.visits.any() and not survey.summary["n_visits_observed"]:
-        warn("no target was observed: check that tiles and targets are in the same part of the sky")
-    for text in survey.summary["unmet"]:
-        warn(text)
-    log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
-    return survey
+    return request
 
 
 def _warn_of_lacks(request) -> None:

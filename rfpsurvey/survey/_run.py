@@ -18,7 +18,7 @@ from rfpsurvey.survey._result import completeness_table, outcome_table, tile_tab
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import COUNTS, N_FIELD, Done, in_reach, work
 
-__all__ = ["run"]
+__all__ = ["IN_FLIGHT", "run", "told"]
 
 # Number of tiles that are submitted before the first result is awaited.
 IN_FLIGHT = 256
@@ -84,7 +84,7 @@ def _plan_round(request, tiles, state, folder, executor) -> Iterator:
 
 def _begin(job, executor):
     """Do the work of a job, or submit the job to an executor."""
-    with _told(job):
+    with told(job):
         if executor is None:
             return work(job)
         # workers do not require the slots of targets
@@ -95,13 +95,13 @@ def _take(waiting: deque):
     """Wait for the first of the submitted tiles, and return its result."""
     tile, job, done, fresh = waiting.popleft()
     if not isinstance(done, Done):
-        with _told(job):
+        with told(job):
             done = done.result()
     return tile, job.field, done, fresh
 
 
 @contextmanager
-def _told(job):
+def told(job):
     """Add the name of the tile to errors, and a remedy if a worker ended abruptly."""
     try:
         yield

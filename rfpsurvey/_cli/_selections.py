@@ -1,0 +1,68 @@
+"""Options and output of the command ``select``."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+import rfpsurvey as rs
+
+RealizationsOption = Annotated[
+    int, typer.Option("--realizations", help="Number of realizations; a multiple of 64 uses all bits.", min=1)
+]
+SelectAllocatorOption = Annotated[
+    str,
+    typer.Option(
+        help="Allocator of all realizations. nearest, lamost and balanced plan 32 realizations together; sdss, "
+        "optimal, repair and allocators of installed packages plan one after the other."
+    ),
+]
+SelectOutputOption = Annotated[Path | None, typer.Option(help="Write the bits and probabilities (.fits).")]
+SelectFolderOption = Annotated[
+    Path | None, typer.Option(help="Folder for checkpoints and for the result, selection.fits.")
+]
+SelectResumeOption = Annotated[bool, typer.Option(help="Continue the work in --folder.")]
+
+SELECT_EXAMPLES = """\b
+Examples:
+  rfpsurvey select --realizations 64 --output selection.fits
+  rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection
+  rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection --resume
+  rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --order given --kept --output selection.fits
+"""
+
+
+def with_visits(targets, visits: int):
+    """Return a catalog whose targets require the given number of visits."""
+    if isinstance(targets, rs.PartitionedCatalog):
+        raise rs.InputError("--visits cannot replace the visits of a catalog in partitions; give a column of visits")
+    return replace(targets, visits=np.full(len(targets), visits))
+
+
+LINES = {
+    "n_realizations": "realizations",
+    "n_tiles": "tiles",
+    "n_targets": "targets",
+    "n_unreachable": "targets in reach of no tile",
+    "n_never_observed": "targets never observed",
+    "n_sometimes_observed": "targets sometimes observed",
+    "n_always_observed": "targets always observed",
+    "mean_probability": "mean probability",
+    "n_assigned": "assigned fibers",
+    "n_lost": "lost to collisions",
+    "n_observed": "visits observed",
+}
+
+
+def print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
+    """Print the summary of selection probabilities, one value per line."""
+    s = found.summary
+    print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
+    print(f"model: {s['model']}")
+    for name, label in LINES.items():
+        value = s[name]
+        print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    plans = s["n_tiles"] * s["n_realizations"]
+    print(f"{seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per plan of a tile")

@@ -1,0 +1,78 @@
+"""``rfpsurvey select``."""
+
+import sys
+from time import perf_counter
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _options, _selections, _surveys
+from rfpsurvey._io import check_output
+from rfpsurvey.instrument import as_instrument
+
+
+@_app.app.command(epilog=_selections.SELECT_EXAMPLES)
+def select(
+    catalog: _options.SurveyCatalogArgument = None,
+    tiles: _options.TilesOption = None,
+    instrument: _options.InstrumentOption = "lamost",
+    realizations: _selections.RealizationsOption = 128,
+    allocator: _selections.SelectAllocatorOption = "nearest",
+    visits: _options.VisitsOption = None,
+    passes: _options.SomePassesOption = None,
+    epoch: _options.EpochOption = None,
+    require: _options.RequireOption = None,
+    required: _options.RequiredOption = None,
+    keep_out: _options.KeepOutOption = None,
+    sky_separation: _options.SkyOption = None,
+    time_limit: _options.TimeLimitOption = 60.0,
+    parked: _options.ParkedOption = True,
+    lost: _options.LostOption = True,
+    order: _options.OrderOption = "color",
+    output: _selections.SelectOutputOption = None,
+    folder: _selections.SelectFolderOption = None,
+    resume: _selections.SelectResumeOption = False,
+    workers: _options.WorkersOption = 1,
+    processes: _options.ProcessesOption = False,
+    scheduler: _options.SchedulerOption = None,
+    seed: _options.SeedOption = 0,
+    column: _options.ColumnOption = None,
+    unit: _options.UnitOption = None,
+    frame: _options.FrameOption = "icrs",
+    fill: _options.FillOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Plan a survey many times with random subpriorities, and write the probability that it observes each target."""
+    if output is not None:
+        check_output(output, (".fits",), overwrite=overwrite)
+    model = as_instrument(instrument)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
+    if visits is not None:
+        targets = _selections.with_visits(targets, visits)
+    options = {
+        "allocator": _app.allocation_options(
+            allocator, require, sky_separation, time_limit, parked=parked, required=required, keep_out=keep_out
+        ),
+        "passes": passes,
+        "epoch": epoch,
+        "lost_in_collision": lost,
+        "order": order,
+        "folder": folder,
+        "resume": resume,
+        "rng": seed,
+    }
+    tiling = _surveys.tiles_of(tiles, targets, model)
+    begin = perf_counter()
+    with _surveys.workers(workers, scheduler, processes=processes) as executor:
+        try:
+            found = rs.selection_probabilities(
+                targets, model, tiling, realizations, executor=executor, progress=True, **options
+            )
+        except KeyboardInterrupt:
+            kept = "checkpoints are kept: continue with --resume" if folder else "without --folder, nothing is kept"
+            print(f"rfpsurvey: interrupted; {kept}", file=sys.stderr)
+            raise
+    if output is not None:
+        found.write(output, overwrite=overwrite)
+    _selections.print_selection(found, allocator, perf_counter() - begin)
+    for path in (output, None if folder is None else folder / "selection.fits"):
+        if path is not None:
+            print(f"wrote {path}")

@@ -1,0 +1,28 @@
+"""Estimates of selection probabilities and of their inverse from counts of realizations."""
+
+import numpy as np
+
+__all__ = ["inverse_probability", "inverse_probability_error", "probability_error"]
+
+
+def inverse_probability(count: np.ndarray, n: int) -> np.ndarray:
+    """Return the estimate ``(n + 1) / (count + 1)`` of the inverse probability of targets that a survey observed.
+
+    The survey itself counts as one more realization that observed the target. If the probability is p, the expected
+    value is ``(1 - (1 - p)**(n + 1)) / p``.
+    """
+    return (n + 1) / (np.asarray(count) + 1.0)
+
+
+def probability_error(count: np.ndarray, n: int) -> np.ndarray:
+    """Return the standard error of the probability ``count / n``.
+
+    It is the standard deviation of the probability for a uniform prior, which is never 0.
+    """
+    a, b = np.asarray(count) + 1.0, n - np.asarray(count) + 1.0
+    return np.sqrt(a * b / (a + b + 1.0)) / (a + b)
+
+
+def inverse_probability_error(count: np.ndarray, n: int) -> np.ndarray:
+    """Return the standard error of `inverse_probability`, by first-order propagation of `probability_error`."""
+    return inverse_probability(count, n) ** 2 * probability_error(count, n)

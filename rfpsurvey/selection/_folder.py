@@ -1,0 +1,98 @@
+"""The folder of unfinished selection probabilities: the state of the realizations, and finally the result."""
+
+import zipfile
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from rfpsurvey._io import output_path
+from rfpsurvey.errors import InputError, warn
+from rfpsurvey.selection._state import State
+from rfpsurvey.survey import RequestFolder
+
+__all__ = ["NAME", "SelectionFolder"]
+
+EVERY = 60.0
+"""Least time between two checkpoints of a block, in seconds."""
+NAME = "selection.fits"
+"""Name of the file with the result."""
+
+
+class SelectionFolder(RequestFolder):
+    """The folder of selection probabilities, which is locked while they are computed.
+
+    Finished blocks and the state of the unfinished block are NumPy files, whose content has checksums. They are removed
+    when the result is written.
+    """
+
+    request_name = "selection.json"
+    work, parts = "computation of selection probabilities", "realizations"
+
+    @property
+    def result(self) -> Path | None:
+        """The path of the result; None if it is not finished."""
+        return self.path / NAME if (self.path / NAME).is_file() else None
+
+    def _read(self):
+        self._last = monotonic()
+
+    def _open(self):
+        super()._open()
+        self._last = monotonic()
+
+    def load(self, name: str) -> dict[str, np.ndarray] | None:
+        """Return the arrays of a file, or None if it is not there or damaged."""
+        path = self.path / f"{name}.npz"
+        if not path.exists():
+            return None
+        try:
+            with path.open("rb") as stream, np.load(stream) as file:
+                return {key: file[key] for key in file.files}
+        except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+            warn(f"{path} is damaged ({error}); its tiles are planned again")
+            return None
+
+    def save(self, name: str, **arrays: np.ndarray) -> None:
+        """Write arrays to a file, which is never incomplete."""
+        with self._told(), output_path(self.path / f"{name}.npz", (".npz",), overwrite=True) as temporary:
+            np.savez(temporary, **arrays)
+
+    def save_state(self, number: int, state: State) -> None:
+        """Write the state of an unfinished block, unless it was written recently."""
+        if monotonic() - self._last >= EVERY:
+            self.save(_state(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
+            self._last = monotonic()
+
+    def load_state(self, number: int, state: State) -> None:
+        """Continue from the state of an unfinished block, if there is one."""
+        found = self.load(_state(number))
+        if found is not None:
+            if found["left"].shape != state.left.shape or found["counts"].shape != state.counts.shape:
+                raise InputError(f"{self.path} is damaged: the state of block {number} has other targets")
+            state.restore(found["left"], found["counts"], int(found["n_rounds"]))
+
+    def save_block(self, number: int, state: State) -> None:
+        """Write a finished block, and remove its state."""
+        self.save(_block(number), mask=state.masks(), counts=state.counts)
+        with self._told():
+            (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
+
+    def load_block(self, number: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the masks of all targets and the counts of a finished block, or None if it is not finished."""
+        found = self.load(_block(number))
+        return None if found is None else (found["mask"], found["counts"])
+
+    def finish(self) -> None:
+        """Remove the files that only unfinished work requires."""
+        with self._told():
+            for path in self.path.glob("*.npz"):
+                path.unlink()
+
+
+def _block(number: int) -> str:
+    return f"block-{number:04d}"
+
+
+def _state(number: int) -> str:
+    return f"state-{number:04d}"

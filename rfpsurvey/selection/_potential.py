@@ -1,0 +1,276 @@
+"""Potential assignments: the tiles and positioners that can reach the points of a random catalog."""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table, vstack
+from astropy.time import Time
+
+from rfpsurvey import _io
+from rfpsurvey._progress import Progress
+from rfpsurvey.catalog import Catalog, PartitionedCatalog
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.selection._run import count_tiles, count_type, in_order
+from rfpsurvey.selection._work import find_reach
+from rfpsurvey.survey import Job, Request, Survey, prepare_request
+from rfpsurvey.tiling import Tiling
+
+__all__ = ["PotentialAssignments", "potential_assignments"]
+
+COLUMNS = {
+    "tile": "identifier of the tile",
+    "positioner": "identifier of the positioner",
+    "point": "row of the point in the catalog of points",
+}
+NO_ROWS = np.empty(0, dtype=np.int64)
+
+
+class ReachJob(NamedTuple):
+    """The input of the work on a tile."""
+
+    job: Job
+    excluded: np.ndarray
+    """Rows of the positioners that are not used."""
+
+
+@check_keywords
+def potential_assignments(
+    points: Catalog | PartitionedCatalog | SkyCoord | Table,
+    instrument: Instrument | str,
+    tiles: Tiling | Table | SkyCoord,
+    *,
+    passes: list[int] | None = None,
+    epoch: Time | str | float | None = None,
+    survey: Survey | None = None,
+    executor: Executor | None = None,
+    progress: bool | Callable = False,
+) -> "PotentialAssignments":
+    """Find which tiles and positioners can reach each point of a random catalog.
+
+    Disabled and stuck positioners reach no point, and hidden circles of the focal plane, joint limits and fiber types
+    are taken into account. Collisions are only considered if a survey is given.
+
+    Parameters
+    ----------
+    points : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
+        The points.
+    instrument : Instrument or str
+        Instrument, name of a preset, or path of a TOML file.
+    tiles : Tiling, Table or SkyCoord
+        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
+    passes : list of int, optional
+        Passes of the tiling to use; by default all passes.
+    epoch : Time, str or float, optional
+        Epoch to which the points are moved by their proper motions.
+    survey : Survey, optional
+        A plan of these tiles. In each tile, positioners whose target is lost to a collision reach no point.
+    executor : concurrent.futures.Executor, optional
+        Executor for several tiles at the same time, such as threads.
+    progress : bool or callable, optional
+        Show the progress on the standard error, or call a function with the number of finished tiles and of all
+        tiles.
+
+    Returns
+    -------
+    PotentialAssignments
+        An object that computes the assignments tile by tile when they are read, so that the memory is limited.
+
+    Raises
+    ------
+    InputError
+        If the points or the tiles are empty, a name is unknown, or the survey was planned with other tiles or another
+        instrument.
+
+    See Also
+    --------
+    selection_probabilities : Compute the probabilities with which targets are observed.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> found.table.colnames
+    ['tile', 'positioner', 'point']
+    >>> int(found.n_tiles().max())
+    2
+    """
+    if survey is not None and not isinstance(survey, Survey):
+        raise InputTypeError(f"survey must be a Survey, got {short(survey)}")
+    request = prepare_request(
+        points,
+        instrument,
+        tiles,
+        allocator="nearest",
+        visits=None,
+        passes=passes,
+        epoch=epoch,
+        lost_in_collision=False,
+        order="color",
+        executor=executor,
+        rng=0,
+    )
+    found = PotentialAssignments(request, survey, executor, progress)
+    if survey is not None:
+        _check_survey(request, survey)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class PotentialAssignments:
+    """The tiles and positioners that can reach points, which are computed tile by tile when they are read.
+
+    Iteration gives a table for each tile. Each call of a method computes all tiles again.
+
+    Parameters
+    ----------
+    request : Request
+        Points, tiles and instrument.
+    survey : Survey or None
+        Plan of the tiles.
+    executor : concurrent.futures.Executor or None
+        Executor for several tiles at the same time.
+    progress : bool or callable
+        Whether to show the progress.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> sum(len(table) for table in found) == len(found.table)
+    True
+    """
+
+    request: Request
+    survey: Survey | None
+    executor: Executor | None
+    progress: object
+
+    def n_tiles(self) -> np.ndarray:
+        """Return the number of tiles in which at least one positioner reaches each point.
+
+        Returns
+        -------
+        ndarray of int, shape (n_points,)
+            Number of tiles, in the order of the catalog of points.
+        """
+        if self.survey is None:
+            with Progress(self.progress, len(self), "tiles") as tell:
+                return self.request.source.by_row(count_tiles(self.request, self.executor, tell))
+        n_tiles = np.zeros(len(self.request.source), dtype=count_type(len(self)))
+        for _, _, rows in self._pairs():
+            n_tiles[np.unique(rows)] += 1
+        return n_tiles
+
+    @property
+    def table(self) -> QTable:
+        """All potential assignments: ``tile``, ``positioner``, and ``point`` (row in the catalog of points).
+
+        For many points, iterate over the tables of tiles, or use `write`.
+        """
+        return vstack(list(self), metadata_conflicts="silent")
+
+    def __iter__(self) -> Iterator[QTable]:
+        return (QTable({name: rows[name] for name in COLUMNS}) for rows in self._rows())
+
+    def __len__(self):
+        return len(self.request.tiling)
+
+    def __repr__(self):
+        points = number_of(len(self.request.source), "point")
+        return f"<PotentialAssignments of {points} in {number_of(len(self), 'tile')}>"
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> int:
+        """Write all potential assignments to a FITS file, tile by tile.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path that ends in ``.fits``.
+        overwrite : bool, optional
+            Whether to replace an existing file.
+
+        Returns
+        -------
+        int
+            Number of rows.
+
+        Raises
+        ------
+        InputError
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
+        """
+        self.request.check_text()
+        cards = {
+            **_io.table_cards("POTENTIAL", list(COLUMNS), COLUMNS),
+            "INSTRUME": (self.request.instrument.name, "instrument"),
+            "NTILES": (len(self), "number of tiles"),
+            "NPOINTS": (len(self.request.source), "number of points"),
+        }
+        return _io.write_fits_rows(path, _io.FitsRows(self._dtype, cards, self._rows()), overwrite=overwrite)[0]
+
+    @property
+    def _dtype(self) -> np.dtype:
+        tile, positioner = np.asarray(self.request.tiling.table["tile"]), self.request.instrument.focal_plane.id
+        return np.dtype([("tile", tile.dtype), ("positioner", positioner.dtype), ("point", np.int64)])
+
+    def _rows(self) -> Iterator[np.ndarray]:
+        """Yield the rows of each tile, sorted by point, then by positioner."""
+        names, ids = np.asarray(self.request.tiling.table["tile"]), self.request.instrument.focal_plane.id
+        for tile, own, point in self._pairs():
+            rows = np.empty(len(own), dtype=self._dtype)
+            rows["tile"], rows["positioner"], rows["point"] = names[tile], ids[own], point
+            yield rows
+
+    def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield each tile (by row), and positioners and points (by row) of its pairs."""
+        request = self.request
+        everything = np.ones(len(request.source), dtype=np.uint8)
+        jobs = (
+            ReachJob(request.job(tile, everything, as_file=False), self._colliding(tile)) for tile in range(len(self))
+        )
+        with Progress(self.progress, len(self), "tiles") as tell:
+            found = in_order(self.executor, reachable, jobs, lambda given: given.job)
+            for tile, (given, (own, target)) in enumerate(found):
+                yield tile, own, given.job.field.row[target]
+                tell(tile + 1)
+
+    def _colliding(self, tile: int) -> np.ndarray:
+        """Return the rows of the positioners that lose their target to a collision in a tile."""
+        if self.survey is None:
+            return NO_ROWS
+        visits = self.survey.visits(self.request.tiling.table["tile"][tile])
+        ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
+        return np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))
+
+
+def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positioners and the targets (by index in the field) of all pairs in reach."""
+    pairs = find_reach(given.job)[2]
+    if len(given.excluded):
+        pairs = pairs.where(~np.isin(pairs.owner, given.excluded))
+    return pairs.owner, pairs.target
+
+
+def _check_survey(request: Request, survey: Survey) -> None:
+    """Raise an error unless a survey was planned with the same tiles and instrument."""
+    there = set(np.asarray(survey.tiles["tile"]).tolist())
+    missing = [name for name in np.asarray(request.tiling.table["tile"]).tolist() if name not in there]
+    if missing:
+        raise InputError(
+            f"survey must contain all tiles, but it has no tile {missing[0]} ({len(missing)} of {len(request.tiling)})"
+        )
+    planned, own = survey.provenance["instrument"], request.instrument.provenance
+    if planned.get("digest") != own["digest"]:
+        raise InputError(f"survey must be a plan for {request.instrument.name}, got one for {planned.get('name')}")

@@ -1,0 +1,302 @@
+"""The class `SelectionProbabilities`."""
+
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey import _io
+from rfpsurvey._display import to_html
+from rfpsurvey.errors import InputError, check_whole, number_of
+from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
+from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error
+from rfpsurvey.selection._result import TARGETS
+from rfpsurvey.tile import describe
+
+__all__ = ["SelectionProbabilities"]
+
+COLUMNS = ("target_id", "requested", "n_tiles", "BITWEIGHTS")
+NAMES = "SELECTION", "REALIZATIONS"
+# Number of rows that are written together.
+PART = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class SelectionProbabilities:
+    """The realizations of a survey that observed each target, and the probabilities that follow from them.
+
+    Parameters
+    ----------
+    target_id : ndarray of int or str, shape (n_targets,)
+        Identifiers of the targets, in the order of the catalog.
+    requested : ndarray of int, shape (n_targets,)
+        Requested number of visits; 0 for standards and sky positions, which are never counted as observed.
+    n_tiles : ndarray of int, shape (n_targets,)
+        Number of tiles in which at least one positioner reaches the target.
+    bits : ndarray of uint64, shape (n_targets, n_words)
+        Realization r observed a target if bit ``r % 64`` of the integer ``r // 64`` is 1, where bit 0 is the least
+        significant bit. Bits without a realization are 0.
+    realizations : QTable
+        Table with a row for each realization: ``realization``, ``seed``, ``n_assigned`` (positioners with a target in
+        all tiles), ``n_lost`` (targets lost to collisions), and ``n_observed`` (visits that count). Its ``meta``
+        contains ``summary`` and ``provenance``.
+
+    See Also
+    --------
+    selection_probabilities : Plan the realizations.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> found = rs.selection_probabilities(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), n_realizations=64)
+    >>> found.bits.shape, bool(found.observed_in(3).sum() == found.realizations["n_observed"][3])
+    ((4000, 1), True)
+    """
+
+    target_id: np.ndarray
+    requested: np.ndarray
+    n_tiles: np.ndarray
+    bits: np.ndarray
+    realizations: QTable
+
+    @property
+    def n_realizations(self) -> int:
+        """Number of realizations."""
+        return len(self.realizations)
+
+    @cached_property
+    def n_observed(self) -> np.ndarray:
+        """Number of realizations that observed each target, shape (n_targets,)."""
+        return count_bits(self.bits)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """Fraction of the realizations that observed each target, shape (n_targets,)."""
+        return self.n_observed / self.n_realizations
+
+    @property
+    def probability_error(self) -> np.ndarray:
+        """Standard error of `probability`: the standard deviation for a uniform prior, shape (n_targets,)."""
+        return probability_error(self.n_observed, self.n_realizations)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Inverse probability (n + 1) / (k + 1), for k of n realizations that observed a target, shape (n_targets,).
+
+        This is the weight of a target that the survey observed. The survey itself counts as one more realization.
+        """
+        return inverse_probability(self.n_observed, self.n_realizations)
+
+    @property
+    def weight_error(self) -> np.ndarray:
+        """Standard error of `weight`, shape (n_targets,)."""
+        return inverse_probability_error(self.n_observed, self.n_realizations)
+
+    @property
+    def unreachable(self) -> np.ndarray:
+        """Whether no positioner reaches the target in any tile, shape (n_targets,)."""
+        return self.n_tiles == 0
+
+    @property
+    def never_observed(self) -> np.ndarray:
+        """Whether no realization observed the target, shape (n_targets,)."""
+        return ~self.bits.any(axis=1)
+
+    def observed_in(self, realization: int) -> np.ndarray:
+        """Return which targets a realization observed.
+
+        Parameters
+        ----------
+        realization : int
+            Number of the realization, from 0.
+
+        Returns
+        -------
+        ndarray of bool, shape (n_targets,)
+            Whether the realization observed each target.
+
+        Raises
+        ------
+        InputError
+            If there is no such realization.
+        """
+        check_whole(realization, "realization", 0, self.n_realizations - 1)
+        word, bit = divmod(int(realization), PER_WORD)
+        return (self.bits[:, word] >> np.uint64(bit) & np.uint64(1)).astype(bool)
+
+    def pair_counts(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return the numbers of realizations that observed both targets of pairs.
+
+        Parameters
+        ----------
+        first, second : array_like of int, shape (k,)
+            Rows of the targets of each pair.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            Number of realizations that observed both targets. The weight of a pair that the survey observed is
+            ``(n_realizations + 1) / (pair_counts + 1)``.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> from astropy.coordinates import SkyCoord
+        >>> import rfpsurvey as rs
+        >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+        >>> found = rs.selection_probabilities(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), n_realizations=64)
+        >>> bool((found.pair_counts([0, 1, 2], [0, 1, 2]) == found.n_observed[:3]).all())
+        True
+        """
+        return count_bits(self.bits[np.asarray(first)] & self.bits[np.asarray(second)])
+
+    @cached_property
+    def summary(self) -> dict:
+        """Numbers of realizations, tiles, fibers, visits and targets.
+
+        ``n_targets`` is the number of targets with requested visits. Of these, ``n_unreachable`` are reached in no
+        tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` in all of them, and
+        ``n_sometimes_observed`` in some of them.
+        """
+        asked = self.requested > 0
+        never, always = self.never_observed & asked, (self.n_observed == self.n_realizations) & asked
+        n = int(asked.sum())
+        table = self.realizations
+        return {
+            **table.meta["summary"],
+            "n_targets": n,
+            "n_unreachable": int((self.unreachable & asked).sum()),
+            "n_never_observed": int(never.sum()),
+            "n_always_observed": int(always.sum()),
+            "n_sometimes_observed": n - int(never.sum()) - int(always.sum()),
+            **{name: int(table[name].sum()) for name in ("n_assigned", "n_lost", "n_observed")},
+            "mean_probability": float(self.probability[asked].mean()) if n else float("nan"),
+        }
+
+    @property
+    def provenance(self) -> dict:
+        """Versions of the software, instrument, catalog and parameters."""
+        return self.realizations.meta["provenance"]
+
+    @property
+    def table(self) -> QTable:
+        """Table with a row for each target, as it is written to files.
+
+        Columns: ``target_id``, ``requested``, ``n_tiles``, ``BITWEIGHTS`` (the bits as 64-bit signed integers),
+        ``n_observed``, ``probability``, ``probability_error``, ``weight``, ``weight_error``, ``unreachable`` and
+        ``never_observed``.
+        """
+        return describe(self._rows(slice(None)), TARGETS)
+
+    def _rows(self, rows: slice) -> QTable:
+        """Return rows of the table."""
+        n, count = self.n_realizations, self.n_observed[rows]
+        values = {
+            "target_id": self.target_id[rows],
+            "requested": self.requested[rows],
+            "n_tiles": self.n_tiles[rows].astype(np.int32),
+            "BITWEIGHTS": self.bits[rows].view(np.int64),
+            "n_observed": count.astype(np.int32),
+            "probability": (count / n).astype(np.float32),
+            "probability_error": probability_error(count, n).astype(np.float32),
+            "weight": inverse_probability(count, n).astype(np.float32),
+            "weight_error": inverse_probability_error(count, n).astype(np.float32),
+            "unreachable": self.unreachable[rows],
+            "never_observed": count == 0,
+        }
+        return QTable(values, copy=False, meta={"summary": self.summary, "provenance": self.provenance})
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the bits and probabilities of all targets, and the table of realizations, to a FITS file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path that ends in ``.fits``.
+        overwrite : bool, optional
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        InputError
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
+        """
+        meta = json.dumps({"summary": self.summary, "provenance": self.provenance}, separators=(",", ":"))
+        cards = {
+            "NREALIZ": (self.n_realizations, "number of realizations"),
+            "BITORDER": ("LSB", "realization r is bit r%64 of element r//64"),
+            _io.META_KEY: meta,
+        }
+        first, second = self._rows(slice(0, 0)), self.realizations
+        parts = (self._rows(slice(k, k + PART)).as_array() for k in range(0, len(self), PART))
+        about = {name: second[name].info.description or "" for name in second.colnames}
+        _io.write_fits_rows(
+            path,
+            _io.FitsRows(first.dtype, {**_io.table_cards(NAMES[0], first.colnames, TARGETS), **cards}, parts),
+            _io.FitsRows(second.dtype, _io.table_cards(NAMES[1], second.colnames, about), [second.as_array()]),
+            overwrite=overwrite,
+        )
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> "SelectionProbabilities":
+        """Read selection probabilities from a FITS file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path of the file, or of the folder in which `selection_probabilities` wrote it.
+
+        Returns
+        -------
+        SelectionProbabilities
+            The selection probabilities.
+
+        Raises
+        ------
+        InputError
+            If the file does not contain selection probabilities, or is damaged.
+        """
+        path = _io.to_path(path)
+        path = path / "selection.fits" if path.is_dir() else path
+        table = _io.read_table(path)
+        meta = table.meta
+        lacking = [name for name in COLUMNS if name not in table.colnames]
+        if lacking or not all(isinstance(meta.get(name), dict) for name in ("summary", "provenance")):
+            what = f"a table without {', '.join(lacking)}" if lacking else "a table without provenance"
+            raise InputError(f"{path} must contain selection probabilities, got {what}")
+        realizations = _io.read_table(path, number=1)
+        bits = np.asarray(table["BITWEIGHTS"]).astype(np.int64, copy=False).reshape(len(table), -1).view(np.uint64)
+        if bits.shape[1] != n_words(len(realizations)):
+            raise InputError(
+                f"{path} must have {number_of(n_words(len(realizations)), 'integer')} of bits per target, got "
+                f"{bits.shape[1]}"
+            )
+        kept = ("n_realizations", "n_tiles", "n_rounds", "n_fibers", "model")
+        realizations.meta = {
+            "summary": {name: meta["summary"].get(name) for name in kept},
+            "provenance": meta["provenance"],
+        }
+        n_tiles = np.asarray(table["n_tiles"])
+        n_tiles = n_tiles.astype(np.uint16 if n_tiles.max(initial=0) < 1 << 16 else np.uint32)
+        requested = np.asarray(table["requested"]).astype(np.uint8)
+        return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations)
+
+    def __len__(self):
+        return len(self.target_id)
+
+    def _repr_html_(self) -> str:
+        return to_html(self, self.summary, self.realizations)
+
+    def __repr__(self):
+        s = self.summary
+        return (
+            f"<SelectionProbabilities of {number_of(s['n_targets'], 'target')} in "
+            f"{number_of(s['n_realizations'], 'realization')}: {s['n_never_observed']} never observed, "
+            f"{s['n_always_observed']} always>"
+        )

@@ -1,0 +1,53 @@
+"""The realizations of a survey: their seeds, and their division into blocks that are planned together."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rfpsurvey._kernels.realizations import MOST
+from rfpsurvey.selection._rules import RULES
+from rfpsurvey.survey import Request
+
+__all__ = ["Block", "blocks_of", "in_batch", "request_of", "seeds_of"]
+
+
+def seeds_of(seed: int, n: int) -> list[int]:
+    """Return the seeds of n realizations; the first seeds do not depend on n."""
+    return [int(word) >> 1 for word in np.random.SeedSequence(seed).generate_state(n, np.uint64)]
+
+
+def request_of(request: Request, seed: int) -> Request:
+    """Return the request of the survey of one realization."""
+    return replace(request, options=replace(request.options, subpriority=seed), seed=seed)
+
+
+def in_batch(request: Request) -> bool:
+    """Return whether all realizations of a block can be planned together."""
+    options = request.options
+    # ``lamost`` fills requirements, but ``nearest`` and ``balanced`` ignore them.
+    simple = options.sky_separation is None and not (options.name == "lamost" and options.requirements)
+    return options.allocator in RULES and simple
+
+
+class Block:
+    """Realizations that are planned together.
+
+    Parameters
+    ----------
+    number : int
+        Number of the block.
+    first, last : int
+        The first realization, and the realization after the last one.
+    """
+
+    def __init__(self, number: int, first: int, last: int):
+        self.number, self.first, self.last = number, first, last
+
+    def __len__(self):
+        return self.last - self.first
+
+
+def blocks_of(n: int, *, together: bool) -> list[Block]:
+    """Return the blocks of n realizations."""
+    size = MOST if together else 1
+    return [Block(k, first, min(first + size, n)) for k, first in enumerate(range(0, n, size))]

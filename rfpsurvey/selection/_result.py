@@ -1,0 +1,48 @@
+"""Tables of selection probabilities: the realizations, and a row for each target."""
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.tile import describe, model_sentence
+
+__all__ = ["TARGETS", "realization_table"]
+
+REALIZATIONS = {
+    "realization": "number of the realization, which is the number of its bit",
+    "seed": "seed of the subpriorities and of the random numbers of the realization",
+    "n_assigned": "number of positioners with a target, in all tiles",
+    "n_lost": "number of targets lost to collisions, in all tiles",
+    "n_observed": "number of visits that count",
+}
+TARGETS = {
+    "target_id": "identifier of the target",
+    "requested": "number of requested visits",
+    "n_tiles": "number of tiles in which at least one positioner reaches it",
+    "BITWEIGHTS": "bit r is 1 if realization r observed the target",
+    "n_observed": "number of realizations that observed the target",
+    "probability": "n_observed divided by the number of realizations",
+    "probability_error": "standard error of probability",
+    "weight": "inverse probability (n_realizations+1)/(n_observed+1)",
+    "weight_error": "standard error of weight",
+    "unreachable": "whether no positioner reaches it in any tile",
+    "never_observed": "whether no realization observed it",
+}
+
+
+def realization_table(request, seeds: list[int], counts: np.ndarray, *, together: bool) -> QTable:
+    """Return a table with a row for each realization, and with the provenance in its meta."""
+    table = QTable({"realization": np.arange(len(seeds)), "seed": np.array(seeds, dtype=np.int64)})
+    for name, column in zip(("n_assigned", "n_lost", "n_observed"), counts.T, strict=True):
+        table[name] = column
+    n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
+    table.meta = {
+        "summary": {
+            "n_realizations": len(seeds),
+            "n_tiles": len(request.tiling),
+            "n_rounds": len(request.rounds),
+            "n_fibers": n_usable * len(request.tiling),
+            "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
+        },
+        "provenance": request.provenance,
+    }
+    return describe(table, REALIZATIONS)

@@ -1,0 +1,93 @@
+"""The rules of allocators for all realizations of a block.
+
+A rule is a function of a `Field` and of an array ``chosen``, to which it writes the index of the pair that each
+positioner uses in each realization, or -1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._kernels import realizations as kernels
+from rfpsurvey.allocation import id_numbers
+from rfpsurvey.focal_plane import FocalPlaneArrays, Reach
+from rfpsurvey.pipeline import FieldTargets
+
+__all__ = ["RULES", "Field"]
+
+
+class Field(NamedTuple):
+    """The targets of a field and the pairs that may be assigned to each other."""
+
+    pairs: Reach
+    rank: np.ndarray
+    """Class of each target; 0 is the most important."""
+    n_ranks: int
+    number: np.ndarray
+    """Number that stands for the identifier of each target."""
+    left: np.ndarray
+    """Remaining visits, shape (n_targets, n_realizations)."""
+    seeds: np.ndarray
+    tile: int
+
+    n_sharing: np.ndarray
+    """Largest number of other positioners that can share a target with each positioner."""
+
+    @classmethod
+    def of(cls, plane: FocalPlaneArrays, pairs: Reach, targets: FieldTargets, given) -> "Field":
+        """Return the field of a tile; ``given`` is its `BlockJob`."""
+        columns, n = targets.columns, len(targets.id)
+        allowed = np.ones(n, dtype=bool) if columns.kind is None else columns.kind == "science"
+        rank = np.zeros(n, dtype=np.int64)
+        if given.job.model.options.name != "balanced":
+            if columns.priority is not None:
+                rank = np.unique(-columns.priority, return_inverse=True)[1].reshape(-1).astype(np.int64)
+            if columns.is_required is not None:
+                rank = np.where(columns.is_required, 0, rank + 1)
+                allowed = allowed | columns.is_required
+        if not allowed.all():
+            pairs = pairs.where(allowed[pairs.target])
+        seeds = np.array(given.seeds, dtype=np.uint64)
+        n_ranks = int(rank.max(initial=0)) + 1
+        return cls(pairs, rank, n_ranks, id_numbers(targets.id), given.left, seeds, given.tile, plane.n_sharing)
+
+
+def balanced(field: Field, chosen: np.ndarray) -> None:
+    """Distribute targets to queues in the order of their subpriorities, and draw one target from each queue."""
+    # each realization has the random numbers of the survey with its seed
+    streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
+    uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
+    pairs = field.pairs
+    kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, field.number, field.seeds, field.left, uniform, chosen)
+
+
+def lamost(field: Field, chosen: np.ndarray) -> None:
+    """Assign the targets of one class after the other by nominations of positioners."""
+    pairs = field.pairs
+    in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
+    # If k other positioners reach candidates of a positioner, one of its first k + 1 candidates is always available.
+    start = np.concatenate([[0], np.cumsum(np.minimum(in_reach, field.n_sharing + 1))])
+    kernels.lamost(
+        pairs.indptr,
+        pairs.owner,
+        pairs.r2,
+        field.rank,
+        field.n_ranks,
+        field.number,
+        field.seeds,
+        field.left,
+        start,
+        chosen,
+    )
+
+
+def nearest(field: Field, chosen: np.ndarray) -> None:
+    """Serve targets by class, then by subpriority; each is assigned to its closest free positioner."""
+    pairs = field.pairs
+    order = np.arange(len(pairs.owner))
+    kernels.sort_by_distance(pairs.indptr, pairs.r2, order)
+    kernels.nearest(pairs.indptr, pairs.owner, order, field.rank, field.number, field.seeds, field.left, chosen)
+
+
+RULES = {"balanced": balanced, "lamost": lamost, "nearest": nearest}
+"""Rules by the name of the allocator."""

@@ -1,0 +1,151 @@
+"""The loop over the blocks of realizations, and over the tiles of each block."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor
+from contextlib import nullcontext
+
+import numpy as np
+
+from rfpsurvey._executors import submit
+from rfpsurvey._progress import Progress
+from rfpsurvey.selection._bits import n_words
+from rfpsurvey.selection._folder import NAME, SelectionFolder
+from rfpsurvey.selection._probabilities import SelectionProbabilities
+from rfpsurvey.selection._realizations import Block, blocks_of, in_batch, request_of, seeds_of
+from rfpsurvey.selection._result import realization_table
+from rfpsurvey.selection._state import State
+from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
+from rfpsurvey.survey import Request, told
+
+__all__ = ["count_tiles", "count_type", "in_order", "run"]
+
+IN_FLIGHT = 32
+"""Number of tiles that are submitted before the first result is awaited."""
+
+
+def run(
+    request: Request, n: int, path: object, executor: Executor | None, progress, *, resume: bool
+) -> SelectionProbabilities:
+    """Plan all realizations of a survey, and write the result if a path is given."""
+    where = nullcontext()
+    if path is not None:
+        request.check_text()
+        where = SelectionFolder(path, {**request.identity(), "n_realizations": n}, resume=resume)
+    with where as folder:
+        if folder is not None and folder.result is not None:
+            return SelectionProbabilities.read(folder.result)
+        together = in_batch(request)
+        seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)
+        book = request.open_state()
+        bits = np.zeros((len(book.wanted), n_words(n)), dtype=np.uint64)
+        counts = []
+        tiles = len(request.tiling)
+        with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
+            n_tiles = _tiles_of_targets(request, folder, executor, tell)
+            for block in blocks:
+                own = seeds[block.first : block.last]
+                done = None if folder is None else folder.load_block(block.number)
+                fresh = done is None
+                if fresh:
+                    state = State(book.wanted, book.left, book.spends, len(block))
+                    one = request if together else request_of(request, own[0])
+                    begin = tiles * (1 + block.first)
+                    _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
+                    done = state.masks(), state.counts
+                    if folder is not None:
+                        folder.save_block(block.number, state)
+                word, shift = divmod(block.first, 64)
+                bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
+                counts.append(done[1])
+                tell(tiles * (1 + block.last), new=False)
+        source = request.source
+        result = SelectionProbabilities(
+            source.ids(),
+            source.by_row(book.wanted),
+            source.by_row(n_tiles),
+            source.by_row(bits),
+            realization_table(request, seeds, np.concatenate(counts), together=together),
+        )
+        if folder is not None:
+            result.write(folder.path / NAME, overwrite=True)
+            folder.finish()
+    return result
+
+
+def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
+    """Return in how many tiles at least one positioner reaches each target, by slot."""
+    found = None if folder is None else folder.load("reach")
+    if found is not None:
+        tell(len(request.tiling), new=False)
+        return found["n_tiles"]
+    n_tiles = count_tiles(request, executor, tell)
+    if folder is not None:
+        folder.save("reach", n_tiles=n_tiles)
+    return n_tiles
+
+
+def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
+    """Return in how many tiles at least one positioner reaches each target, by slot."""
+    n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
+    everything = np.ones(len(request.source), dtype=np.uint8)
+    jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))
+    for k, (job, found) in enumerate(in_order(executor, reach_counts, jobs, lambda job: job), 1):
+        n_tiles[job.field.slot[found > 0]] += 1
+        tell(k)
+    return n_tiles
+
+
+def count_type(n: int) -> type:
+    """Return the type of numbers up to n."""
+    return np.uint16 if n < 1 << 16 else np.uint32
+
+
+def _plan_block(request, block: Block, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
+    """Plan all tiles for the realizations of a block."""
+    if folder is not None:
+        folder.load_state(block.number, state)
+    done = begin + len(block) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
+    tell(done, new=False)
+    plan = plan_together if together else plan_alone
+    for tiles in request.rounds[state.n_rounds :]:
+        jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
+        for given, found in in_order(executor, plan, jobs, lambda given: given.job):
+            state.enter(given.job.field.slot, found.mask, found.counts)
+            done += len(block)
+            tell(done)
+        state.n_rounds += 1
+        if folder is not None and state.n_rounds < len(request.rounds):
+            folder.save_state(block.number, state)
+
+
+def _job(request, tile: int, state: State, seeds) -> BlockJob:
+    job = request.job(tile, state.is_open, as_file=False)
+    job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+    return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
+
+
+def in_order(executor: Executor | None, function: Callable, jobs: Iterable, job_of: Callable) -> Iterator:
+    """Yield each job and its result, in the order of the jobs; jobs are made when they are submitted."""
+    waiting = deque()
+    try:
+        for job in jobs:
+            with told(job_of(job)):
+                done = function(job) if executor is None else submit(executor, function, job)
+            waiting.append((job, done))
+            if executor is None or len(waiting) >= IN_FLIGHT:
+                yield _take(waiting, executor, job_of)
+        while waiting:
+            yield _take(waiting, executor, job_of)
+    finally:
+        for _, done in waiting:
+            if executor is not None:
+                done.cancel()
+
+
+def _take(waiting, executor, job_of):
+    job, done = waiting.popleft()
+    if executor is not None:
+        with told(job_of(job)):
+            done = done.result()
+    return job, done

@@ -1,0 +1,153 @@
+"""The function that computes selection probabilities."""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Executor
+from time import perf_counter
+
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from astropy.time import Time
+
+from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.catalog import Catalog, PartitionedCatalog
+from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, warn
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.selection._probabilities import SelectionProbabilities
+from rfpsurvey.selection._run import run
+from rfpsurvey.survey import prepare_request
+from rfpsurvey.tiling import Tiling
+
+__all__ = ["selection_probabilities"]
+
+log = logging.getLogger("rfpsurvey")
+MOST = 1 << 20
+
+
+@check_keywords
+def selection_probabilities(
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
+    instrument: Instrument | str,
+    tiles: Tiling | Table | SkyCoord,
+    n_realizations: int = 128,
+    *,
+    allocator: AllocationOptions | str | Callable = "nearest",
+    passes: list[int] | None = None,
+    epoch: Time | str | float | None = None,
+    lost_in_collision: bool = True,
+    order: str = "color",
+    folder: object = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: bool | Callable = False,
+    rng: int = 0,
+) -> SelectionProbabilities:
+    """Plan a survey many times with different subpriorities, and return which realizations observed each target.
+
+    Realization r is the survey that `plan_survey` plans with ``subpriority=seed`` of `AllocationOptions` and
+    ``rng=seed``, where ``seed`` is the r-th seed of the table ``realizations``. The seeds follow from ``rng``, and the
+    first seeds do not depend on the number of realizations. For the allocators ``nearest``, ``lamost`` and
+    ``balanced``, fields, projections, reach and poses are computed once for 32 realizations; other allocators and
+    plans with requirements take the time of complete surveys.
+
+    Parameters
+    ----------
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
+        The targets, with their numbers of visits.
+    instrument : Instrument or str
+        Instrument, name of a preset, or path of a TOML file.
+    tiles : Tiling, Table or SkyCoord
+        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
+    n_realizations : int, optional
+        Number of realizations, at least 1.
+    allocator : AllocationOptions or str or callable, optional
+        The allocator with its options for every tile, or only the allocator. The option ``subpriority`` must not be
+        given.
+    passes : list of int, optional
+        Passes of the tiling to plan, in this order; by default all passes in ascending order.
+    epoch : Time, str or float, optional
+        Epoch to which the targets are moved by their proper motions.
+    lost_in_collision : bool, optional
+        Whether targets whose arms collide count as not observed, so that they are observed again.
+    order : {"color", "given"}, optional
+        Order of the tiles, as in `plan_survey`.
+    folder : str or path-like, optional
+        Folder for checkpoints of unfinished work, and for the result as ``selection.fits``.
+    resume : bool, optional
+        Whether to continue unfinished work in the folder.
+    executor : concurrent.futures.Executor, optional
+        Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``. Threads need
+        the least memory, and the compiled code of a tile runs without the lock of the interpreter.
+    progress : bool or callable, optional
+        Show the progress on the standard error, or call a function with the number of finished plans of tiles and of
+        all plans. One more plan of each tile counts the targets in reach.
+    rng : int, Generator or None, optional
+        Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
+
+    Returns
+    -------
+    SelectionProbabilities
+        The bits and probabilities, which do not depend on the number of workers or on interruptions.
+
+    Raises
+    ------
+    InputError
+        If the catalog or the tiling is empty, a name or a required identifier is unknown, a number is out of range, a
+        subpriority is given, or the folder is in use, contains other work, or is not writable.
+    concurrent.futures.BrokenExecutor
+        If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
+
+    Warns
+    -----
+    RfpsurveyWarning
+        If no target was observed, identifiers occur twice, no target meets a requirement, an option has no effect, the
+        tiles were placed for fields of another size, or a table of tiles looks like a catalog of targets; on resuming,
+        if the versions of the software differ or files are damaged.
+
+    See Also
+    --------
+    plan_survey : Plan the survey once.
+    potential_assignments : Find the points of a random catalog that positioners reach.
+
+    References
+    ----------
+    Bianchi & Percival 2017, MNRAS 472, 1106. Percival & Bianchi 2017, MNRAS 472, L40. Bianchi et al. 2018, MNRAS 481,
+    2338. Lasker et al. 2024, arXiv:2404.03006.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> tiles = SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg)
+    >>> found = rs.selection_probabilities(sky, "desi", tiles, n_realizations=64)
+    >>> found
+    <SelectionProbabilities of 4000 targets in 64 realizations: ...>
+    """
+    begin = perf_counter()
+    check_whole(n_realizations, "n_realizations", 1, MOST)
+    if check_switch(resume, "resume") and folder is None:
+        raise InputError("resume needs the folder of the work to continue")
+    if getattr(allocator, "subpriority", None) is not None:
+        raise InputError(
+            f"subpriority must not be given, because each realization has its own, got {allocator.subpriority}"
+        )
+    request = prepare_request(
+        catalog,
+        instrument,
+        tiles,
+        allocator=allocator,
+        visits=None,
+        passes=passes,
+        epoch=epoch,
+        lost_in_collision=lost_in_collision,
+        order=order,
+        executor=executor,
+        rng=rng,
+    )
+    found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
+    if request.visits.any() and found.never_observed.all():
+        warn("no target was observed: check that tiles and targets are in the same part of the sky")
+    log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)
+    return found

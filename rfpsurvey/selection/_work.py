@@ -1,0 +1,148 @@
+"""The work on one tile: the visits of all realizations of a block."""
+
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import arms
+from rfpsurvey._kernels import realizations as kernels
+from rfpsurvey.collision import find_collisions, make_setup, make_workspace
+from rfpsurvey.focal_plane import FocalPlaneArrays, Reach, elbow_names
+from rfpsurvey.pipeline import project_field, with_keep_out
+from rfpsurvey.selection._rules import RULES, Field
+from rfpsurvey.survey import Job, projection_of, work
+
+__all__ = ["BlockDone", "BlockJob", "find_reach", "plan_alone", "plan_together", "reach_counts"]
+
+
+class BlockJob(NamedTuple):
+    """The input of the work on a tile for all realizations of a block."""
+
+    job: Job
+    """The field, which contains the targets with remaining visits in at least one realization."""
+    tile: int
+    """Row of the tile."""
+    left: np.ndarray
+    """Remaining visits of each target of the field, shape (n, n_realizations)."""
+    seeds: tuple[int, ...]
+    """Seed of each realization."""
+
+
+class BlockDone(NamedTuple):
+    """The result of the work on a tile."""
+
+    mask: np.ndarray
+    """For each target of the field, the mask of the realizations that visit it."""
+    counts: np.ndarray
+    """For each realization, the numbers of positioners with a target, and of those that are lost to a collision."""
+
+
+def plan_together(given: BlockJob) -> BlockDone:
+    """Plan a tile for all realizations of a block; fields, reach and the poses of arms are computed once."""
+    job, n = given.job, len(given.seeds)
+    instrument, columns, pairs, xy, fiber_type = find_reach(job)
+    plane = instrument.focal_plane
+    mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
+    field = Field.of(columns, pairs, job.field.targets, given)
+    if len(field.pairs.owner) == 0:
+        return BlockDone(mask, counts)
+    chosen = np.empty((n, len(plane)), dtype=np.int64)
+    RULES[job.model.options.allocator](field, chosen)
+    lost = np.zeros(chosen.shape, dtype=bool)
+    if job.model.lost_in_collision:
+        poses = _Poses(plane, columns, xy, fiber_type, field.pairs, job.model.options.parked_obstacles)
+        poses.find_lost(chosen, lost)
+    kernels.mark_visits(chosen, lost, field.pairs.target, mask, counts)
+    return BlockDone(mask, counts)
+
+
+def find_reach(job: Job):
+    """Return the instrument with the obstacles of a field, its arrays, pairs in reach, positions, and fiber types."""
+    projection, model = projection_of(job), job.model
+    instrument = with_keep_out(model.instrument, projection, model.options)
+    columns, targets = instrument.focal_plane.arrays, job.field.targets
+    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
+    return instrument, columns, columns.reach(xy, fiber_type), xy, fiber_type
+
+
+def reach_counts(job: Job) -> np.ndarray:
+    """Return the number of positioners that reach each target of a field."""
+    return np.diff(find_reach(job)[2].indptr)
+
+
+def plan_alone(given: BlockJob) -> BlockDone:
+    """Plan a tile for a single realization, by the code of surveys."""
+    done = work(given.job)
+    mask = np.zeros(len(given.left), dtype=np.uint32)
+    mask[done.target[(done.target >= 0) & done.observed]] = 1
+    return BlockDone(mask, np.array([[len(done.observed), np.count_nonzero(~done.observed)]]))
+
+
+class _Poses:
+    """The poses of the arms of all pairs in reach, and the collisions of realizations.
+
+    Parameters
+    ----------
+    plane : FocalPlane
+        The positioners.
+    columns : FocalPlaneArrays
+        Their arrays.
+    xy : ndarray, shape (n_targets, 2)
+        Positions of the targets, mm.
+    fiber_type : ndarray of str, shape (n_targets,), or None
+        Required fiber types.
+    pairs : Reach
+        The pairs.
+    parked_obstacles : bool
+        Whether idle positioners with equal arms are obstacles.
+    """
+
+    def __init__(self, plane, columns: FocalPlaneArrays, xy, fiber_type, pairs: Reach, parked_obstacles: bool):
+        own, self._plane, self._columns = pairs.owner, plane, columns
+        self._parked = parked_obstacles
+        self._points, self._fiber = xy[pairs.target], columns.first_index[own]
+        if fiber_type is not None:
+            self._fiber = columns.index_of(fiber_type[pairs.target], own)
+        self._side = columns.sides(self._points, own, self._fiber)
+        self._segments = np.empty((4, len(own)))
+        arms.place(self._points, columns.geometry_of(own, self._fiber), self._side, self._segments)
+        arms.shape(self._segments, columns.model, columns.length, *columns.angles_of(own, self._fiber))
+        self._idle = columns.idle(parked_obstacles).segments.copy()
+        arms.shape(self._idle, columns.model, columns.length, *columns.angles)
+
+    def find_lost(self, chosen: np.ndarray, lost: np.ndarray) -> None:
+        """Mark the positioners that lose their target to a collision, in each realization (row of ``chosen``)."""
+        columns = self._columns
+        if len(columns.runs) + len(columns.obstacle_pairs) == 0:
+            return
+        setup = make_setup(columns, self._parked)
+        uncertain = np.empty(len(chosen), dtype=bool)
+        kernels.find_lost(
+            chosen,
+            self._segments,
+            self._idle,
+            setup,
+            columns.obstacle_slack,
+            make_workspace(self._plane),
+            lost,
+            uncertain,
+        )
+        for r in np.flatnonzero(uncertain):
+            lost[r] = self._lost_exactly(chosen[r])
+
+    def _lost_exactly(self, pair: np.ndarray) -> np.ndarray:
+        """Return which positioners lose their target, decided in exact arithmetic where rounding could matter."""
+        used = np.flatnonzero(pair >= 0)
+        tips, side = np.full((len(pair), 2), np.nan), np.ones(len(pair))
+        tips[used], side[used] = self._points[pair[used]], self._side[pair[used]]
+        types = self._columns.first_type.astype(object)
+        types[used] = np.array(self._plane.fiber_types, dtype=object)[self._fiber[pair[used]]]
+        report = find_collisions(
+            self._plane,
+            tips << u.mm,
+            handedness=elbow_names(side),
+            fiber_type=types.astype(str),
+            parked_obstacles=self._parked,
+        )
+        return report.in_collision & (pair >= 0)

@@ -1,0 +1,61 @@
+"""Packed bits of realizations, and the estimates that follow from counts of them."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rfpsurvey.selection import _bits, _estimates
+
+
+def lss_columns(observed):
+    """Return the columns that desihub's LSS writes: one bit per realization, added to signed 64-bit integers."""
+    n, m = observed.shape
+    columns = np.zeros((n, -(-m // 64)), dtype=np.int64)
+    for t in range(n):
+        for r in range(m):
+            if observed[t, r]:
+                value = 1 << (r % 64)
+                columns[t, r // 64] |= np.int64(value - (1 << 64) if value >= 1 << 63 else value)
+    return columns
+
+
+@pytest.mark.parametrize("n", [1, 7, 63, 64, 65, 128, 200])
+def test_bits_round_trip_in_the_order_of_lss(rng, n):
+    observed = rng.random((40, n)) < 0.4
+    observed[0], observed[1] = True, False
+    bits = _bits.pack_bits(observed)
+    assert bits.dtype == np.uint64
+    assert bits.shape == (40, _bits.n_words(n))
+    np.testing.assert_array_equal(bits.view(np.int64), lss_columns(observed))
+    np.testing.assert_array_equal(_bits.unpack_bits(bits, n), observed)
+    np.testing.assert_array_equal(_bits.count_bits(bits), observed.sum(axis=1))
+
+
+def test_weights_are_those_of_desi_and_nearly_unbiased():
+    """The expected value of the weight of an observed target is (1 - (1 - p)^(n + 1)) / p."""
+    n = 128
+    count = np.arange(n + 1)
+    np.testing.assert_allclose(_estimates.inverse_probability(count, n), 129 / (1 + 128 * (count / 128)), rtol=1e-15)
+    for p in (0.004, 0.1, 0.7, 1.0):
+        expected = stats.binom.pmf(count, n, p) @ _estimates.inverse_probability(count, n)
+        assert expected == pytest.approx((1 - (1 - p) ** (n + 1)) / p, rel=1e-10)
+
+
+def test_standard_errors_are_those_of_a_uniform_prior():
+    n = 64
+    count = np.arange(n + 1)
+    error = _estimates.probability_error(count, n)
+    np.testing.assert_allclose(error, stats.beta(count + 1, n - count + 1).std(), rtol=1e-12)
+    step = 1e-6  # the error of the weight follows from the derivative of 1 / p
+    p = 1 / _estimates.inverse_probability(count, n)
+    slope = (1 / (p - step) - 1 / (p + step)) / (2 * step)
+    np.testing.assert_allclose(_estimates.inverse_probability_error(count, n), slope * error, rtol=1e-6)
+
+
+@pytest.mark.parametrize("p", [0.05, 0.3, 0.9])
+def test_standard_errors_cover_the_truth(rng, p):
+    """The estimate is within two standard errors in about 95% of all cases."""
+    n = 128
+    count = rng.binomial(n, p, size=20_000)
+    inside = np.abs(count / n - p) < 2 * _estimates.probability_error(count, n)
+    assert 0.92 < inside.mean() < 0.98

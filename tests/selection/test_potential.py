@@ -1,0 +1,115 @@
+"""Potential assignments, compared with all pairs of points and positioners in numpy and astropy."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from oracles import tangent_plane_mm
+from rfpsurvey.selection import PotentialAssignments
+
+CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
+SCALE = 200  # mm per deg
+
+
+@pytest.fixture(scope="module")
+def instrument():
+    """Return an instrument with unequal arms and with disabled and stuck positioners."""
+    unit = rs.Positioner(8 * u.mm, 12 * u.mm, 3 * u.mm)
+    n = 37
+    stuck = np.full((n, 2), np.nan)
+    stuck[5] = 0.3, 1.0
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=25.6 * u.mm)
+    plane = rs.FocalPlane(plane.xy, unit, id=1000 + np.arange(n), disabled=np.arange(n) % 11 == 3, stuck=stuck * u.rad)
+    return rs.Instrument("toy", plane, plate_scale=SCALE * u.mm / u.deg)
+
+
+@pytest.fixture(scope="module")
+def points():
+    return rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=3000, rng=4)
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    lon, lat = [0, 0.3, 0.1, 0], [0, 0, 0.4, 5]
+    centers = SkyCoord(lon * u.deg, lat * u.deg, frame=CENTER.skyoffset_frame()).icrs
+    table = QTable({"ra": centers.ra, "dec": centers.dec, "position_angle": [0, 10, 0, -40] * u.deg})
+    table["tile"], table["pass"] = ["a", "b", "c", "far"], [1, 1, 2, 2]
+    return rs.Tiling.from_table(table)
+
+
+def brute(points, instrument, tiles):
+    """Return all pairs in reach as a set of (tile, positioner, point)."""
+    plane, found = instrument.focal_plane, set()
+    usable = ~plane.disabled & ~np.isfinite(plane.stuck.value).all(axis=1)
+    for row in tiles.table:
+        near = np.flatnonzero(points.coord.separation(SkyCoord(row["ra"], row["dec"])) < 5 * u.deg)
+        if len(near) == 0:
+            continue
+        center = SkyCoord(row["ra"], row["dec"])
+        xy = tangent_plane_mm(points.coord[near], center, SCALE, row["position_angle"].to_value("deg"))
+        far = np.hypot(*(xy[:, None] - plane.xy.to_value("mm")[None]).transpose(2, 0, 1))
+        for p, i in np.argwhere((far >= 4) & (far <= 20) & usable):
+            found.add((str(row["tile"]), int(plane.id[i]), int(near[p])))
+    return found
+
+
+def as_set(table):
+    rows = zip(*(table[name].tolist() for name in ("tile", "positioner", "point")), strict=True)
+    return set(rows)
+
+
+def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
+    found = rs.potential_assignments(points, instrument, tiles)
+    expected = brute(points, instrument, tiles)
+    assert len(expected) > 1000
+    table = found.table
+    assert len(table) == len(expected)
+    assert as_set(table) == expected
+    assert [len(one) for one in found][-1] == 0
+    counts = np.zeros(len(points), dtype=int)
+    for _, point in {(tile, point) for tile, _, point in expected}:
+        counts[point] += 1
+    np.testing.assert_array_equal(found.n_tiles(), counts)
+    assert found.write(tmp_path / "pairs.fits") == len(expected)
+    written = QTable.read(tmp_path / "pairs.fits")
+    assert written.meta["NPOINTS"] == 3000
+    assert as_set(written) == expected
+
+
+def test_one_pass_and_workers(points, instrument, tiles):
+    expected = {row for row in brute(points, instrument, tiles) if row[0] in "ab"}
+    with ThreadPoolExecutor(2) as executor:
+        found = rs.potential_assignments(points, instrument, tiles, passes=[1], executor=executor)
+        assert as_set(found.table) == expected
+        assert found.n_tiles().max() == 2
+    assert repr(found) == "<PotentialAssignments of 3000 points in 2 tiles>"
+    assert isinstance(found, PotentialAssignments)
+
+
+def test_positioners_that_collide_in_a_survey_reach_no_point(points, instrument, tiles):
+    targets = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=120, rng=5)
+    survey = rs.plan_survey(targets, instrument, tiles)
+    lost = {(str(row["tile"]), int(row["positioner"])) for row in survey.targets if row["in_collision"]}
+    assert len(lost) > 3
+    found = rs.potential_assignments(points, instrument, tiles, survey=survey)
+    expected = {row for row in brute(points, instrument, tiles) if row[:2] not in lost}
+    assert as_set(found.table) == expected
+    counts = np.zeros(len(points), dtype=int)
+    for _, point in {(tile, point) for tile, _, point in expected}:
+        counts[point] += 1
+    np.testing.assert_array_equal(found.n_tiles(), counts)
+
+
+def test_refusals(points, instrument, tiles):
+    survey = rs.plan_survey(points[:20], instrument, tiles, passes=[1])
+    with pytest.raises(rs.InputError, match="survey must contain all tiles, but it has no tile c"):
+        rs.potential_assignments(points, instrument, tiles, survey=survey)
+    with pytest.raises(rs.InputError, match="survey must be a plan for moons, got one for toy"):
+        rs.potential_assignments(points, "moons", tiles, passes=[1], survey=survey)
+    with pytest.raises(TypeError, match="survey must be a Survey, got 'plan'"):
+        rs.potential_assignments(points, instrument, tiles, survey="plan")

@@ -1,0 +1,224 @@
+"""Selection probabilities on disk: any number of workers, interruptions, damaged files, and refused requests."""
+
+import multiprocessing
+import os
+import shutil
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey.selection import _folder
+
+CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
+N = 40  # two blocks of realizations that are planned together
+
+
+@pytest.fixture(scope="module")
+def case(small):
+    """Return targets with several visits and kinds, an instrument, and tiles of two passes."""
+    sky = rs.synthetic_catalog("poisson", CENTER, 3 * u.deg, density=200 / u.deg**2, rng=3)
+    rng = np.random.default_rng(1)
+    n = len(sky)
+    kind = rng.choice(["science", "standard"], n, p=[0.9, 0.1])
+    sky = rs.Catalog(sky.coord, id=5 * np.arange(n), visits=rng.integers(0, 3, n), kind=kind)
+    lon, lat = (a.ravel() for a in np.meshgrid(0.8 * np.arange(-1, 2), 0.8 * np.arange(-1, 2)))
+    centers = SkyCoord(lon * u.deg, lat * u.deg, frame=CENTER.skyoffset_frame()).icrs
+    table = QTable({"ra": np.tile(centers.ra, 2), "dec": np.tile(centers.dec, 2)})
+    table["pass"] = np.repeat([0, 1], len(centers))
+    return sky, small, rs.Tiling.from_table(table)
+
+
+def compute(case, folder, n=N, **options):
+    return rs.selection_probabilities(*case, n, folder=folder, **options)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(case, tmp_path_factory):
+    """Return the content of all files of a computation without interruption."""
+    folder = tmp_path_factory.mktemp("undisturbed") / "selection"
+    compute(case, folder)
+    return content(folder)
+
+
+def content(folder):
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != "lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def same(one, other):
+    for name in ("target_id", "requested", "n_tiles", "bits", "n_observed", "weight", "weight_error"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for name in one.realizations.colnames:
+        np.testing.assert_array_equal(one.realizations[name], other.realizations[name], err_msg=name)
+    assert one.summary == other.summary
+    assert one.provenance == other.provenance
+
+
+def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
+    assert set(undisturbed) == {"selection.json", "selection.fits"}
+    held = compute(case, None)
+    same(held, compute(case, tmp_path / "one"))
+    same(held, rs.SelectionProbabilities.read(tmp_path / "one"))
+    same(held, rs.SelectionProbabilities.read(tmp_path / "one" / "selection.fits"))
+    held.write(tmp_path / "two.fits")
+    assert (tmp_path / "two.fits").read_bytes() == undisturbed["selection.fits"]
+    table = QTable.read(tmp_path / "two.fits", hdu=1)
+    assert table.colnames == held.table.colnames
+    assert table["BITWEIGHTS"].dtype.kind == "i"
+    assert table.meta["NREALIZ"] == N
+    for name in table.colnames:
+        shown = np.asarray(table[name]).reshape(np.shape(held.table[name]))
+        np.testing.assert_array_equal(shown, np.asarray(held.table[name]), err_msg=name)
+
+
+def test_counts_are_consistent(case):
+    found = compute(case, None)
+    sky, asked = case[0], found.requested > 0
+    np.testing.assert_array_equal(asked, (sky.visits > 0) & (sky.kind == "science"))
+    assert not found.bits[~asked].any()
+    assert found.never_observed[found.unreachable].all()
+    np.testing.assert_array_equal(found.n_tiles, rs.potential_assignments(*case).n_tiles())
+    s = found.summary
+    parts = [s[f"n_{name}_observed"] for name in ("never", "sometimes", "always")]
+    assert sum(parts) == s["n_targets"] == asked.sum()
+    assert s["n_assigned"] - s["n_lost"] == s["n_observed"]
+    times = np.array([found.observed_in(r).sum() for r in range(N)])
+    assert (times <= np.asarray(found.realizations["n_observed"])).all()
+    assert (times > 0).all()
+    assert s["n_sometimes_observed"] > 50
+    assert len(np.unique(found.realizations["seed"])) == N
+
+
+def test_first_realizations_do_not_depend_on_their_number(case):
+    few, many = compute(case, None, 5), compute(case, None)
+    for r in range(5):
+        np.testing.assert_array_equal(few.observed_in(r), many.observed_in(r))
+    assert (compute(case, None, 5, rng=1).bits != few.bits).any()
+
+
+def test_threads_and_processes(case, tmp_path, undisturbed):
+    with ThreadPoolExecutor(3) as executor:
+        compute(case, tmp_path / "threads", executor=executor)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=context) as executor:
+        compute(case, tmp_path / "processes", executor=executor)
+    assert content(tmp_path / "threads") == undisturbed
+    assert content(tmp_path / "processes") == undisturbed
+
+
+class InterruptError(Exception):
+    pass
+
+
+def stop_after(n):
+    """Return a function that ends a run after the progress was reported n times."""
+    calls = []
+
+    def stop(done, total):
+        calls.append(done)
+        if len(calls) > n:
+            raise InterruptError
+
+    return stop
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "repair"])
+def test_interrupted_after_any_number_of_plans(case, tmp_path, monkeypatch, undisturbed, allocator):
+    """Each run ends after a few more plans of tiles; the checkpoints are those after each round."""
+    monkeypatch.setattr(_folder, "EVERY", 0.0)
+    options, expected = {}, undisturbed
+    if allocator != "nearest":
+        options = {"n": 2, "allocator": allocator}
+        compute(case, tmp_path / "whole", **options)
+        expected = content(tmp_path / "whole")
+    folder, runs, seen = tmp_path / "selection", 0, set()
+    while True:
+        try:
+            compute(case, folder, resume=True, progress=stop_after(24), **options)
+            break
+        except InterruptError:
+            runs += 1
+            seen |= {path.name.partition("-")[0] for path in folder.glob("*.npz")}
+        assert runs < 20
+    assert runs > 1
+    assert seen >= {"reach.npz", "state", "block"}
+    assert content(folder) == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("n", [3, pytest.param(20, marks=pytest.mark.exhaustive)])
+def test_killed_at_random_moments(case, tmp_path, monkeypatch, undisturbed, rng, n):
+    monkeypatch.setattr(_folder, "EVERY", 0.0)
+    context = multiprocessing.get_context("fork")
+    begin = time.perf_counter()
+    compute(case, tmp_path / "clock")
+    whole = time.perf_counter() - begin
+    killed, run = 0, 0
+    while killed < n:
+        run += 1
+        folder = tmp_path / f"selection-{run}"
+        for attempt in range(4):
+            process = context.Process(target=compute, args=(case, folder), kwargs={"resume": attempt > 0})
+            process.start()
+            process.join(rng.uniform(0, whole))
+            killed += process.is_alive()
+            process.kill()
+            process.join()
+        compute(case, folder, resume=True)
+        assert content(folder) == undisturbed
+
+
+def test_damaged_checkpoints_are_computed_again(case, tmp_path, monkeypatch, undisturbed):
+    monkeypatch.setattr(_folder, "EVERY", 0.0)
+    folder = tmp_path / "selection"
+    with pytest.raises(InterruptError):
+        compute(case, folder, progress=stop_after(45))
+    good = (folder / "block-0000.npz").read_bytes()
+    for k, damaged in enumerate((good[:-100], b"", good[:3000] + b"x" + good[3001:])):
+        copy = shutil.copytree(folder, tmp_path / f"copy-{k}")
+        (copy / "block-0000.npz").write_bytes(damaged)
+        with pytest.warns(rs.RfpsurveyWarning, match=r"block-0000\.npz is damaged"):
+            compute(case, copy, resume=True)
+        assert content(copy) == undisturbed
+
+
+def test_refused_folders(case, tmp_path):
+    folder = tmp_path / "selection"
+    with pytest.raises(rs.InputError, match="resume needs the folder of the work to continue"):
+        compute(case, None, resume=True)
+    compute(case, folder, 2)
+    same(compute(case, folder, 2, resume=True), rs.SelectionProbabilities.read(folder))
+    with pytest.raises(rs.InputError, match="holds a computation of selection probabilities; continue it"):
+        compute(case, folder, 2)
+    with pytest.raises(rs.InputError, match="n_realizations differ .n_realizations was 2, and is 3"):
+        compute(case, folder, 3, resume=True)
+    with pytest.raises(rs.InputError, match="lost_in_collision differ"):
+        compute(case, folder, 2, resume=True, lost_in_collision=False)
+    case[0].write(tmp_path / "sky.fits")
+    with pytest.raises(rs.InputError, match="must contain selection probabilities, got a table without target_id"):
+        rs.SelectionProbabilities.read(tmp_path / "sky.fits")
+
+
+def test_refused_arguments(case):
+    with pytest.raises(rs.InputError, match="n_realizations must be a whole number from 1"):
+        compute(case, None, 0)
+    with pytest.raises(TypeError, match="n_realizations must be a whole number from 1"):
+        compute(case, None, "many")
+    with pytest.raises(rs.InputError, match="subpriority must not be given"):
+        compute(case, None, 2, allocator=rs.AllocationOptions("nearest", subpriority=3))
+    with pytest.raises(rs.InputError, match="realization must be a whole number from 0 to 1, got 2"):
+        compute(case, None, 2).observed_in(2)
+
+
+def test_warning_if_nothing_is_observed(case):
+    with pytest.warns(rs.RfpsurveyWarning, match="no target was observed"):
+        found = rs.selection_probabilities(case[0], case[1], SkyCoord([20] * u.deg, [-30] * u.deg), 3)
+    assert found.unreachable.all()
+    assert repr(found).endswith("never observed, 0 always>")
