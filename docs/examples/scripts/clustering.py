@@ -28,9 +28,11 @@ def thomas(rng, per_parent):
     return xy[(np.abs(xy) < HALF).all(axis=1)]
 
 
-def thomas_correlation(theta):
-    """Return the angular correlation function of the process, in closed form."""
-    return np.exp(-((theta / SIGMA) ** 2) / 4) / (4 * np.pi * SIGMA**2 * PARENTS)
+def thomas_correlation():
+    """Return the angular correlation function of the process, in closed form, averaged over the area of each bin."""
+    scale = 4 * SIGMA**2
+    low, high = EDGES[:-1] ** 2 / scale, EDGES[1:] ** 2 / scale
+    return (np.exp(-low) - np.exp(-high)) / (high - low) / (np.pi * scale * PARENTS)
 
 
 def make_mock(seed):
@@ -42,6 +44,7 @@ def make_mock(seed):
 
 
 def to_sky(xy):
+    """Return the coordinates of positions (deg) in the square."""
     return SkyCoord(CENTER.ra + xy[:, 0] * u.deg, CENTER.dec + xy[:, 1] * u.deg)
 
 
@@ -74,8 +77,11 @@ def chord(theta):
 
 def count(first, second):
     """Return weighted numbers of pairs in each bin: for all points, then without one of the regions each."""
+
     def between(a, b):
-        return np.diff(a[0].count_neighbors(b[0], chord(EDGES), weights=(a[1], b[1]), cumulative=True))
+        if not (a[0].n and b[0].n):
+            return np.zeros(len(EDGES) - 1)
+        return np.diff(a[0].count_neighbors(b[0], chord(EDGES), weights=(a[1], b[1])))
 
     everything = between(first.trees[0], second.trees[0])
     found = [everything]
@@ -101,6 +107,7 @@ def count_weighted_pairs(points, weight_of):
 
 def totals(first, second, same=False):
     """Return the sums of the weights of all pairs: for all points, then without one of the regions each."""
+
     def sums(points, power):
         parts = np.bincount(points.region, points.weight**power, N_REGIONS)
         return parts.sum() - np.append(0.0, parts)
@@ -140,7 +147,7 @@ def nearest_neighbor_weights(vectors, observed, rows):
 
 
 def measure(catalog, in_slice, tiles, random, found, observed):
-    """Return the correlation function of the slice and its covariance, for the complete sample and for each method."""
+    """Yield the name of each method, and its correlation function of the slice with the covariance."""
     able = ~found.unreachable
     r = Points(random, np.flatnonzero(rs.potential_assignments(random, "desi", tiles).n_tiles() > 0))
     rr = count(r, r) / totals(r, r, same=True)[:, None]
@@ -150,24 +157,27 @@ def measure(catalog, in_slice, tiles, random, found, observed):
         return d, count(d, d) / totals(d, d, same=True)[:, None], count(d, r) / totals(d, r)[:, None]
 
     _, dd, dr = simple(np.flatnonzero(in_slice & able))
-    results = {"complete": correlation(dd, dr, rr)}
+    yield "complete", correlation(dd, dr, rr)
     rows = np.flatnonzero(in_slice & observed)
     _, dd, dr = simple(rows)
-    results["observed"] = correlation(dd, dr, rr)
-    weight = nearest_neighbor_weights(catalog.arrays.vectors[able], observed[able], np.searchsorted(np.flatnonzero(able), rows))
+    yield "observed", correlation(dd, dr, rr)
+    weight = nearest_neighbor_weights(
+        catalog.arrays.vectors[able], observed[able], np.searchsorted(np.flatnonzero(able), rows)
+    )
     _, dd, dr = simple(rows, weight)
-    results["nearest neighbor"] = correlation(dd, dr, rr)
+    yield "nearest neighbor", correlation(dd, dr, rr)
     d, dd, dr = simple(rows, found.weight[rows])
-    results["individual"] = correlation(dd, dr, rr)
+    yield "individual", correlation(dd, dr, rr)
     dd = count_weighted_pairs(d, pair_weights(found, rows)) / totals_of_pairs(found, d, rows)[:, None]
-    results["pairwise"] = correlation(dd, dr, rr)
+    yield "pairwise", correlation(dd, dr, rr)
     # Angular weights: all targets, whose positions are known, against all observed targets (Percival & Bianchi 2017).
     everything = np.flatnonzero(observed)
     _, all_dd, all_dr = simple(np.flatnonzero(able))
     a, _, seen_dr = simple(everything, found.weight[everything])
     seen_dd = count_weighted_pairs(a, pair_weights(found, everything)) / totals_of_pairs(found, a, everything)[:, None]
-    results["pairwise, angular"] = correlation(dd * all_dd[0] / seen_dd[0], dr * all_dr[0] / seen_dr[0], rr)
-    return results
+    # NaN in bins in which no pair was observed
+    dd = dd * np.divide(all_dd[0], seen_dd[0], out=np.full(len(EDGES) - 1, np.nan), where=seen_dd[0] > 0)
+    yield "pairwise, angular", correlation(dd, dr * all_dr[0] / seen_dr[0], rr)
 
 
 def survey(catalog, tiles, seed=0):
@@ -179,16 +189,17 @@ def survey(catalog, tiles, seed=0):
 
 
 def main(n_passes=3, seed=0):
+    """Print the correlation function of one mock."""
     catalog, in_slice = make_mock(seed)
     xy = np.random.default_rng(10**6).uniform(-HALF, HALF, (20_000, 2))
     random, tiles = rs.Catalog(to_sky(xy)), tiles_of(n_passes)
     found, observed = survey(catalog, tiles, seed)
-    results = measure(catalog, in_slice, tiles, random, found, observed)
+    results = dict(measure(catalog, in_slice, tiles, random, found, observed))
     print(f"{observed.sum()} of {len(catalog)} targets observed in {n_passes} passes")
     theta = np.sqrt(EDGES[1:] * EDGES[:-1])
     print(f"{'deg':<20}", *(f"{value:7.4f}" for value in theta))
-    print(f"{'closed form':<20}", *(f"{value:7.3f}" for value in thomas_correlation(theta)))
-    for name, (w, covariance) in results.items():
+    print(f"{'closed form':<20}", *(f"{value:7.3f}" for value in thomas_correlation()))
+    for name, (w, _) in results.items():
         print(f"{name:<20}", *(f"{value:7.3f}" for value in w))
     print(f"{'error, complete':<20}", *(f"{value:7.3f}" for value in np.sqrt(np.diag(results["complete"][1]))))
 
