@@ -26,6 +26,7 @@ __all__ = ["html_of"]
 
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
 MOST_ITEMS = 30  # largest number of values of a list in the provenance
+NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts of a view
 MAX_ROWS = 1000  # largest number of rows of a table, by default
 
 
@@ -83,7 +84,8 @@ def _template() -> "Template":
 @cache
 def _script(kinds: tuple[str, ...]) -> str:
     """Return the script of a page with the given kinds of views; without views, it only sorts tables."""
-    names = ["page.js", *(["scripts/shared.js"] if kinds else []), *(f"scripts/{kind}.js" for kind in kinds)]
+    parts = [part for kind in kinds for part in (*NEEDS.get(kind, ()), kind)]
+    names = ["page.js", *(f"scripts/{part}.js" for part in (["shared", *parts] if kinds else []))]
     return "\n" + "\n".join(_asset(name) for name in names)
 
 

@@ -10,6 +10,7 @@ from rfpsurvey.report._html import html_of
 from rfpsurvey.report._sky_view import sky_view
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
+from rfpsurvey.tiling import Tiling
 
 __all__ = ["NotebookView", "notebook_view"]
 
@@ -42,12 +43,12 @@ class NotebookView:
         return f"<NotebookView of {self.title}>"
 
 
-def notebook_view(result: Tile | Survey, *, plans: dict | None = None, height: int = 1000) -> NotebookView:
-    """Return the interactive view of a tile or of a survey.
+def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, height: int = 1000) -> NotebookView:
+    """Return the interactive view of a tile, a survey or a tiling.
 
     Parameters
     ----------
-    result : Tile or Survey
+    result : Tile, Survey or Tiling
         Result to show.
     plans : dict of str to Tile, optional
         Other plans of a tile by name.
@@ -80,7 +81,9 @@ def notebook_view(result: Tile | Survey, *, plans: dict | None = None, height: i
     elif isinstance(result, Survey):
         radius = result.provenance["parameters"]["radius_deg"]
         title, view = f"a survey with {result.provenance['instrument']['name']}", sky_view(result.tiles, radius, [])
+    elif isinstance(result, Tiling):
+        title, view = "a tiling", sky_view(result.table, result.summary.get("radius_deg", 1.0), [])
     else:
-        raise InputTypeError(f"a view is of a Tile or a Survey, got {type(result).__name__}")
+        raise InputTypeError(f"a view is of a Tile, a Survey or a Tiling, got {type(result).__name__}")
     page = Page("View", title[0].upper() + title[1:], "", {}, [Section(view.caption, [view])], {})
     return NotebookView(title, html_of(page, None), int(height))

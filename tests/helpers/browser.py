@@ -42,7 +42,7 @@ def open_browser(ignored=""):
                     route.abort()
 
             context.route("**/*", guard)
-            context.set_default_timeout(10_000)
+            context.set_default_timeout(60_000)
             page = context.new_page()
             page.on("console", lambda message: problems.append(f"console: {message.text}"))
             page.on("pageerror", lambda error: problems.append(f"error: {error}"))

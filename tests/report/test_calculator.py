@@ -5,17 +5,10 @@ import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from browser import open_browser
 
 SCATTER = "document.querySelector('[data-view=designs]').view"
 VIEW = "document.querySelector('[data-view=calculator]').view"
 MM = u.mm
-
-
-@pytest.fixture(scope="module")
-def visit():
-    with open_browser() as function:
-        yield function
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from browser import open_browser
 from pages import Reader
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -42,25 +41,24 @@ def test_a_view_is_a_sandboxed_frame(views, name):
 
 
 @pytest.mark.parametrize("name", ["tile", "survey"])
-def test_a_view_runs_in_its_frame_and_cannot_leave_it(views, tile, tmp_path, name):
+def test_a_view_runs_in_its_frame_and_cannot_leave_it(visit, views, tmp_path, name):
     path = tmp_path / "notebook.html"
     frame = views[name]._repr_html_()
     path.write_text(f"<!DOCTYPE html><title>notebook</title><link rel=icon href='data:,'><body>{frame}</body>")
-    with open_browser() as visit:
-        page = visit(path)
-        inside = page.frames[1]
-        inside.wait_for_function("document.querySelector('.view')?.view")
-        assert inside.locator("canvas").first.is_visible()
-        assert inside.evaluate("window.origin") == "null"
-        if name == "tile":
-            view = "document.querySelector('.view').view"
-            inside.evaluate(f"{view}.choose({view}.plan.target_id.findIndex(Boolean))")
-            assert "onerror" in inside.locator(".panel").inner_text()
-        assert page.title() == "notebook"
+    page = visit(path)
+    inside = page.frames[1]
+    inside.wait_for_function("document.querySelector('.view')?.view")
+    assert inside.locator("canvas").first.is_visible()
+    assert inside.evaluate("window.origin") == "null"
+    if name == "tile":
+        view = "document.querySelector('.view').view"
+        inside.evaluate(f"{view}.choose({view}.plan.target_id.findIndex(Boolean))")
+        assert "onerror" in inside.locator(".panel").inner_text()
+    assert page.title() == "notebook"
 
 
 def test_what_cannot_be_shown_is_refused(tile):
-    with pytest.raises(rs.InputTypeError, match="a view is of a Tile or a Survey, got int"):
+    with pytest.raises(rs.InputTypeError, match="a view is of a Tile, a Survey or a Tiling, got int"):
         rs.report.notebook_view(3)
     with pytest.raises(rs.InputError, match="height"):
         tile.show(height=0)

@@ -7,17 +7,10 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from browser import open_browser
 from rfpsurvey.report._sky_view import sky_view
 
 CENTER = SkyCoord(95, 23, unit="deg")
 VIEW = "document.querySelector('.view').view"
-
-
-@pytest.fixture(scope="module")
-def visit():
-    with open_browser() as function:
-        yield function
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +20,9 @@ def survey(small):
 
 
 @pytest.fixture(scope="module")
-def page(visit, survey, tmp_path_factory):
+def page(visit, write_view, survey, tmp_path_factory):
     path = tmp_path_factory.mktemp("sky") / "survey.html"
-    rs.write_report(survey, path)
+    write_view(survey, path)
     return visit(path)
 
 
@@ -82,14 +75,14 @@ def test_tiles_are_found_and_selected_with_keys(page, survey):
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_the_projection_has_equal_areas_and_keeps_the_edges_of_fields(visit, tmp_path, small, whole):
+def test_the_projection_has_equal_areas_and_keeps_the_edges_of_fields(visit, write_view, tmp_path, whole):
     rng = np.random.default_rng(1)
     n = 60
     lon = rng.uniform(0, 360, n) if whole else rng.uniform(80, 110, n)
     lat = np.rad2deg(np.arcsin(rng.uniform(-0.95, 0.95, n))) if whole else rng.uniform(5, 40, n)
     table = QTable({"tile": np.arange(n), "ra": lon * u.deg, "dec": lat * u.deg, "pass": np.ones(n, int)})
     table["position_angle"] = np.zeros(n) * u.deg
-    rs.write_report(rs.Tiling.from_table(table), tmp_path / "tiles.html")
+    write_view(rs.Tiling.from_table(table), tmp_path / "tiles.html")
     page = visit(tmp_path / "tiles.html")
     assert page.evaluate(f"{VIEW}.data.whole") == whole
     rims = page.evaluate(

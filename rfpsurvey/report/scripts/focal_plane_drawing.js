@@ -1,0 +1,193 @@
+// The drawing of a focal plane: dots or arms, obstacles, the selection, and the compass.
+
+const STATES = {
+  science: ["science target", "c-arm"], standard: ["standard star", "c-star"], sky: ["blank sky", "c-sky"],
+  collision: ["in collision", "c-collision"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle"],
+  unusable: ["disabled or stuck", "c-obstacle"],
+};
+const CHANGES = { same: ["same target", "c-idle"], other: ["different target", "c-star"], first: ["", "c-arm"], second: ["", "c-other"] };
+const ARMS_FROM = 9; // pixels: arms are drawn if the radius of a patrol area is larger
+
+class FocalPlaneDrawing {
+  colorName(k) {
+    return this.compared ? CHANGES[this.change(k)][1] : STATES[this.plan.state[k]][1];
+  }
+
+  paint(context, stage) {
+    const [ax, ay] = stage.toWorld(0, stage.height), [bx, by] = stage.toWorld(stage.width, 0);
+    const rows = [];
+    for (let k = 0; k < this.n; k += 1) {
+      const r = this.outer[k];
+      if (this.x[k] + r > Math.min(ax, bx) && this.x[k] - r < Math.max(ax, bx) && this.y[k] + r > ay && this.y[k] - r < by) rows.push(k);
+    }
+    this.paintObstacles(context, stage);
+    const groups = new Map();
+    for (const k of rows) {
+      const name = this.visible[k] ? this.colorName(k) : "faint";
+      if (!groups.has(name)) groups.set(name, []);
+      groups.get(name).push(k);
+    }
+    const order = ["faint", "c-idle"];
+    const sorted = [...groups].sort(([a], [b]) => (order.includes(b) - order.includes(a)) || (a === "faint" ? -1 : 0));
+    const large = this.outer[0] * stage.scale > ARMS_FROM;
+    if (large) this.paintPatrol(context, stage, rows);
+    for (const [name, members] of sorted) {
+      context.fillStyle = context.strokeStyle = stage.color(name);
+      if (!large) this.paintDots(context, stage, members);
+      else this.paintArms(context, stage, members, this.plan);
+    }
+    if (large && this.compared) {
+      context.strokeStyle = context.fillStyle = stage.color("c-other");
+      context.setLineDash([4, 3]);
+      this.paintArms(context, stage, rows.filter((k) => this.visible[k] && this.change(k) !== "same"), this.compared);
+      context.setLineDash([]);
+    }
+    this.paintSelection(context, stage);
+    this.paintCompass(context, stage);
+  }
+
+  paintDots(context, stage, rows) {
+    const size = Math.max(1.6, Math.min(3.5, this.outer[0] * stage.scale * 0.5));
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      if (this.plan.state[k] === "collision") { // a diamond
+        context.moveTo(px, py - 2 * size);
+        context.lineTo(px + 2 * size, py);
+        context.lineTo(px, py + 2 * size);
+        context.lineTo(px - 2 * size, py);
+        context.closePath();
+      } else context.rect(px - size, py - size, 2 * size, 2 * size);
+    }
+    context.fill();
+  }
+
+  paintPatrol(context, stage, rows) {
+    context.strokeStyle = stage.color("c-patrol");
+    context.lineWidth = 0.5;
+    context.globalAlpha = 0.6;
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      const r = this.outer[k] * stage.scale;
+      context.moveTo(px + r, py);
+      context.arc(px, py, r, 0, 2 * Math.PI);
+    }
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  // Thin lines are the arms; the translucent band is as wide as the minimum separation: two arms collide where bands overlap.
+  paintArms(context, stage, rows, plan) {
+    const path = (points, closed) => {
+      context.beginPath();
+      for (const k of rows) {
+        const [first, ...others] = points(k);
+        if (!Number.isFinite(first[0])) continue;
+        context.moveTo(...stage.toScreen(...first));
+        for (const point of others) context.lineTo(...stage.toScreen(...point));
+      }
+      if (closed) context.fill(); else context.stroke();
+    };
+    const tip = (k) => [plan.tip_x[k], plan.tip_y[k]];
+    const elbow = (k) => [plan.elbow_x[k], plan.elbow_y[k]];
+    const end = (k) => [plan.arm_x?.[k] ?? plan.tip_x[k], plan.arm_y?.[k] ?? plan.tip_y[k]];
+    context.lineJoin = context.lineCap = "round";
+    if (this.data.arm_model !== "outline") {
+      context.lineWidth = Math.max(this.data.separation * stage.scale, 1);
+      context.globalAlpha = 0.25;
+      const start = this.data.arm_model === "fiber_tip" ? tip : elbow;
+      path((k) => [start(k), end(k)]);
+    }
+    context.globalAlpha = 1;
+    context.lineWidth = Math.max(1, Math.min(0.3 * stage.scale, 2.5));
+    path((k) => [[this.x[k], this.y[k]], elbow(k), tip(k)]);
+    this.paintTips(context, stage, rows.filter((k) => plan.target_id[k]), tip);
+    context.fill();
+    this.paintTips(context, stage, rows.filter((k) => !plan.target_id[k]), (k) => [this.x[k], this.y[k]]);
+    context.stroke(); // circles are positioners without a target
+  }
+
+  paintTips(context, stage, rows, place) {
+    context.beginPath();
+    for (const k of rows) {
+      const [px, py] = stage.toScreen(...place(k));
+      context.moveTo(px + 3, py);
+      context.arc(px, py, 3, 0, 2 * Math.PI);
+    }
+  }
+
+  paintObstacles(context, stage) {
+    context.fillStyle = stage.color("c-obstacle");
+    context.globalAlpha = 0.5;
+    context.beginPath();
+    for (const [x, y, r] of this.data.obstacles) {
+      const [px, py] = stage.toScreen(x, y);
+      context.moveTo(px + r * stage.scale, py);
+      context.arc(px, py, r * stage.scale, 0, 2 * Math.PI);
+    }
+    for (const polygon of this.data.polygons) {
+      polygon.forEach((point, i) => (i ? context.lineTo(...stage.toScreen(...point)) : context.moveTo(...stage.toScreen(...point))));
+      context.closePath();
+    }
+    context.fill();
+    context.globalAlpha = 1;
+  }
+
+  paintSelection(context, stage) {
+    const ring = (k, width) => {
+      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+      context.lineWidth = width;
+      context.strokeStyle = stage.color("c-mark");
+      context.beginPath();
+      context.arc(px, py, Math.max(this.outer[k] * stage.scale, 7), 0, 2 * Math.PI);
+      context.stroke();
+    };
+    if (stage.hovered >= 0) ring(stage.hovered, 1);
+    if (this.selected < 0) return;
+    ring(this.selected, 2.5);
+    for (const [, x, y, , possible] of this.plan.free.get(this.selected) ?? []) { // crosses are free targets
+      const [px, py] = stage.toScreen(x, y);
+      context.strokeStyle = stage.color(possible ? "c-good" : "c-collision");
+      context.lineWidth = 2;
+      context.beginPath();
+      context.moveTo(px - 5, py - 5);
+      context.lineTo(px + 5, py + 5);
+      context.moveTo(px - 5, py + 5);
+      context.lineTo(px + 5, py - 5);
+      context.stroke();
+    }
+  }
+
+  // Arrows toward north and east. The position angle is that of +y, from north toward east.
+  compass() {
+    const angle = this.data.position_angle;
+    if (angle === null) return null;
+    const [s, c] = [Math.sin(angle * Math.PI / 180), Math.cos(angle * Math.PI / 180)];
+    return { N: [-this.stage.flip * s, c], E: [this.stage.flip * c, s] }; // on the screen, up is positive
+  }
+
+  paintCompass(context, stage) {
+    const [left, bottom] = [44, stage.height - 44];
+    context.strokeStyle = context.fillStyle = stage.color("ink");
+    context.lineWidth = 1.5;
+    context.font = "12px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    for (const [name, [dx, dy]] of Object.entries(this.compass() ?? {})) {
+      context.beginPath();
+      context.moveTo(left, bottom);
+      context.lineTo(left + 22 * dx, bottom - 22 * dy);
+      context.stroke();
+      context.fillText(name, left + 31 * dx, bottom - 31 * dy);
+    }
+    const length = 10 ** Math.floor(Math.log10(120 / stage.scale));
+    const [right, low] = [stage.width - 14, stage.height - 16];
+    context.beginPath();
+    context.moveTo(right, low);
+    context.lineTo(right - length * stage.scale, low);
+    context.stroke();
+    context.textAlign = "right";
+    context.fillText(`${length} mm`, right, low - 11);
+  }
+}
