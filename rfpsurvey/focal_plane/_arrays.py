@@ -238,7 +238,6 @@ class FocalPlaneArrays:
         pairs = cKDTree(self.xy).query_pairs(limit, output_type="ndarray")
         if np.ptp(self.arm_reach):  # otherwise, all of these pairs can touch
             pairs = pairs[self.can_touch(pairs, self.touch_slack)]
-        # Each pair is in ascending order. Sorting one number per pair is faster than sorting by two columns.
         numbers = np.sort(pairs[:, 0].astype(np.int64) * len(self.xy) + pairs[:, 1])
         return locked(np.column_stack(np.divmod(numbers, max(len(self.xy), 1))))
 
