@@ -34,9 +34,6 @@ class SelectionFolder(RequestFolder):
         """The path of the result; None if it is not finished."""
         return self.path / NAME if (self.path / NAME).is_file() else None
 
-    def _read(self):
-        self._last = monotonic()
-
     def _open(self):
         super()._open()
         self._last = monotonic()

@@ -34,6 +34,7 @@ def run(
         where = SelectionFolder(path, {**request.identity(), "n_realizations": n}, resume=resume)
     with where as folder:
         if folder is not None and folder.result is not None:
+            folder.finish()  # the earlier run may have ended between writing the result and removing the checkpoints
             return SelectionProbabilities.read(folder.result)
         together = in_batch(request)
         seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)

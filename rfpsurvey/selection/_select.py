@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from time import perf_counter
 
+import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
@@ -40,7 +41,7 @@ def selection_probabilities(
     resume: bool = False,
     executor: Executor | None = None,
     progress: bool | Callable = False,
-    rng: int = 0,
+    rng: int | np.random.Generator | None = 0,
 ) -> SelectionProbabilities:
     """Plan a survey many times with different subpriorities, and return which realizations observed each target.
 

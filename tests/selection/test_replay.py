@@ -6,9 +6,12 @@ import pytest
 
 import rfpsurvey as rs
 from realizations import check, sky_of, tiles_of
+from scenes import SCENES
 
 # the last two realizations are in the second block
 N, SOME = 34, (0, 31, 33)
+# the scenes of the default tests
+FEW = ("troubles", "capsules", "both hands")
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
@@ -83,3 +86,40 @@ def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
     found = rs.selection_probabilities(sky, instrument, tiles, 64, allocator=allocator)
     assert found.summary["n_sometimes_observed"] > 1000
     check(found, sky, instrument, tiles, allocator, range(0, 60, 3))
+
+
+@pytest.mark.parametrize("allocator", ["nearest", pytest.param("lamost", marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    "scene",
+    [scene if scene in FEW else pytest.param(scene, marks=pytest.mark.exhaustive) for scene in SCENES],
+)
+def test_arms_of_all_kinds(scene, allocator):
+    """The segments of arms are computed for all pairs in reach, and not for the arms of one plan."""
+    plane, others = SCENES[scene]
+    types = [name for name in plane.fiber_types if name]
+    instrument = rs.Instrument("scene", plane, plate_scale=150 * u.mm / u.deg)
+    sky, tiles = sky_of(1.0, 500, fiber_types=[*types, ""] if types else ()), tiles_of(0.4, 2)
+    options = rs.AllocationOptions(allocator, parked_obstacles=others.get("parked_obstacles", True))
+    found = rs.selection_probabilities(sky, instrument, tiles, 3, allocator=options)
+    assert found.realizations["n_lost"].min() > 0
+    check(found, sky, instrument, tiles, options, (0, 2))
+
+
+def test_outlines_of_arms():
+    instrument = rs.Instrument.preset("desi").with_arm_model("outline")
+    sky, tiles = sky_of(0.4, 3000), tiles_of(0.2, 2)
+    found = rs.selection_probabilities(sky, instrument, tiles, 2)
+    assert found.realizations["n_lost"].min() > 0
+    check(found, sky, instrument, tiles, "nearest", (0, 1))
+
+
+def test_catalogs_in_partitions(small, tmp_path):
+    sky, tiles = sky_of(1.2, 1500), tiles_of(0.5)
+    parts = rs.partition_catalog(sky, tmp_path / "sky", order=6)
+    found = rs.selection_probabilities(parts, small, tiles, 3, executor=None)
+    expected = rs.selection_probabilities(sky, small, tiles, 3)
+    row_of = np.argsort(expected.target_id)[np.searchsorted(np.sort(expected.target_id), found.target_id)]
+    for name in ("target_id", "requested", "n_tiles", "bits"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[row_of], err_msg=name)
+    points = rs.potential_assignments(parts, small, tiles).n_tiles()
+    np.testing.assert_array_equal(points, found.n_tiles)

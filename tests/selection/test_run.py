@@ -175,6 +175,19 @@ def test_killed_at_random_moments(case, tmp_path, monkeypatch, undisturbed, rng,
         assert content(folder) == undisturbed
 
 
+def test_killed_before_the_checkpoints_are_removed(case, tmp_path, monkeypatch, undisturbed):
+    def die(self):
+        raise InterruptError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_folder.SelectionFolder, "finish", die)
+        with pytest.raises(InterruptError):
+            compute(case, tmp_path / "selection")
+    assert list((tmp_path / "selection").glob("*.npz"))
+    compute(case, tmp_path / "selection", resume=True)
+    assert content(tmp_path / "selection") == undisturbed
+
+
 def test_damaged_checkpoints_are_computed_again(case, tmp_path, monkeypatch, undisturbed):
     monkeypatch.setattr(_folder, "EVERY", 0.0)
     folder = tmp_path / "selection"
