@@ -234,12 +234,10 @@ class FocalPlaneArrays:
 
     @cached_property
     def neighbors(self) -> np.ndarray:
-        limit = 2 * self.arm_reach.max() + self.separation + self.touch_slack
+        limit, n = 2 * self.arm_reach.max() + self.separation + self.touch_slack, len(self.xy)
         pairs = cKDTree(self.xy).query_pairs(limit, output_type="ndarray")
-        if np.ptp(self.arm_reach):  # otherwise, all of these pairs can touch
-            pairs = pairs[self.can_touch(pairs, self.touch_slack)]
-        numbers = np.sort(pairs[:, 0].astype(np.int64) * len(self.xy) + pairs[:, 1])
-        return locked(np.column_stack(np.divmod(numbers, max(len(self.xy), 1))))
+        pairs = pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs
+        return locked(np.column_stack(np.divmod(np.sort(pairs[:, 0].astype(np.int64) * n + pairs[:, 1]), n)))
 
     def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """Mark pairs whose arms, stretched toward each other, are closer than the minimum separation plus ``slack``."""
