@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.probability import Estimate, collision_probability
     from rfpsurvey.report import write_report
-    from rfpsurvey.survey import Survey, plan_survey
+    from rfpsurvey.survey import JointOptions, Survey, plan_survey
     from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
@@ -47,6 +47,7 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "Instrument",
+    "JointOptions",
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
@@ -88,7 +89,7 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
     "probability": ("Estimate", "collision_probability"),
     "report": ("write_report",),
     "reproduction": (),
-    "survey": ("Survey", "plan_survey"),
+    "survey": ("JointOptions", "Survey", "plan_survey"),
     "tiling": ("Tiling", "place_tiles"),
 }
 

@@ -8,6 +8,14 @@ from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_opti
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem, Level, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
+from rfpsurvey.allocation._weighted import (
+    GivenPlan,
+    ListCandidates,
+    RowPrices,
+    TileCandidates,
+    WeightedProblem,
+    solve_weighted,
+)
 
 __all__ = [
     "ALLOCATORS",
@@ -16,10 +24,15 @@ __all__ = [
     "AllocationAnswer",
     "AllocationOptions",
     "AllocationProblem",
+    "GivenPlan",
     "Level",
+    "ListCandidates",
     "Requirement",
+    "RowPrices",
     "Shortfall",
     "TargetColumns",
+    "TileCandidates",
+    "WeightedProblem",
     "allocate",
     "as_options",
     "as_requirements",
@@ -29,4 +42,5 @@ __all__ = [
     "hint_of_name",
     "packages",
     "sentences",
+    "solve_weighted",
 ]

@@ -14,7 +14,7 @@ from rfpsurvey.pipeline import BlankIds, plan_field, project_field
 from rfpsurvey.survey._source import Field
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
-__all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "work"]
+__all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "projection_of", "work"]
 
 # Header cards of a part: names of the counts, and comments.
 N_FIELD = "NFIELD"
@@ -131,7 +131,7 @@ def work(job: Job) -> Done:
     """Plan a tile."""
     model, field = job.model, job.field
     instrument = model.instrument
-    projection, rng = _projection(job), np.random.default_rng(job.seed)
+    projection, rng = projection_of(job), np.random.default_rng(job.seed)
     plan = plan_field(instrument, projection, field.targets, model.options, rng, model.blank)
     colliding = plan.report.in_collision[plan.positioner]
     columns = {
@@ -172,11 +172,11 @@ def work(job: Job) -> Done:
 def in_reach(job: Job) -> np.ndarray:
     """Return whether at least one positioner reaches each target of the field."""
     instrument, targets = job.model.instrument, job.field.targets
-    xy, fiber_type = project_field(instrument, _projection(job), targets.vectors, targets.columns.fiber_type)
+    xy, fiber_type = project_field(instrument, projection_of(job), targets.vectors, targets.columns.fiber_type)
     return instrument.focal_plane.arrays.reach(xy, fiber_type).covered
 
 
-def _projection(job: Job):
+def projection_of(job: Job):
     """Return the projection of a field."""
     place = np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg])
     return job.model.instrument.field_projection(*place, job.conditions)
