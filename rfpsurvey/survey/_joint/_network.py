@@ -113,9 +113,8 @@ def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, c
     places = [np.append(np.searchsorted(used, slot), -1) for slot in slots]
     target = np.concatenate([place[tile.target] for place, tile in zip(places, tiles, strict=True)])
     start = np.concatenate([*(t.start[:-1] + o for t, o in zip(tiles, offset, strict=False)), offset[-1:]])
-    indptr = [np.zeros(1, dtype=np.int64)]
-    for tile in tiles:
-        indptr.append(tile.indptr[1:] + indptr[-1][-1])
+    ends = np.cumsum([0, *(tile.indptr[-1] for tile in tiles)])
+    indptr = [np.zeros(1, dtype=np.int64), *(t.indptr[1:] + e for t, e in zip(tiles, ends, strict=False))]
     column = [tile.column + o for tile, o in zip(tiles, offset, strict=False)]
     n_cliques = sum(map(len, indptr)) - 1
     # A set for each target that more tiles can observe than it requires visits.
@@ -127,7 +126,7 @@ def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, c
     binding = n_tiles > visits[used]
     real = real[binding[target[real]]]
     size = np.bincount(target[real], minlength=len(used))[binding]
-    indptr.append(indptr[-1][-1] + np.cumsum(size))
+    indptr.append(ends[-1] + np.cumsum(size))
     indptr, column = np.concatenate(indptr), np.concatenate([*column, real])
     shape = len(indptr) - 1, len(target)
     kind = np.int32 if max(len(column), shape[1]) < 2**31 else np.int64
