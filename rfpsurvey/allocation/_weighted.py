@@ -1,6 +1,6 @@
 """Weighted problems: candidates of one tile as plain arrays, programs with weights and capacities, and their prices."""
 
-from time import perf_counter
+from time import perf_counter, time
 from typing import NamedTuple
 
 import numpy as np
@@ -103,8 +103,8 @@ class WeightedProblem(NamedTuple):
     """Largest number of nodes of the search tree."""
     gap: float
     """Allowed relative error."""
-    seconds: float
-    """Largest computing time."""
+    deadline: float
+    """Time of `time.time`, which all processes share, at which the search ends."""
 
 
 def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
@@ -132,7 +132,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     if problem.first is not None:
         start = np.zeros(n)
         start[problem.first] = 1.0
-    deadline = perf_counter() + problem.seconds
+    deadline = perf_counter() + problem.deadline - time()
     x, bound = maximize(
         rows,
         problem.weight,

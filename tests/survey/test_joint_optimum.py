@@ -79,7 +79,8 @@ def best_visits(instrument, tiles, catalog, parked):
     targets = np.array(targets)
     wanted = catalog.priority[catalog.visits > 0]
     classes = np.unique(wanted)[::-1]
-    hits = np.array([(targets >= 0) & (np.append(catalog.priority, np.nan)[targets] == p) for p in classes], dtype=float)
+    priority = np.append(catalog.priority, np.nan)[targets]
+    hits = (priority == classes[:, None]).astype(float)
 
     def maximize(weights):
         found = milp(-weights, constraints=LinearConstraint(matrix, low, high), integrality=1, bounds=Bounds(0, 1))

@@ -7,6 +7,9 @@ from rfpsurvey.survey._joint._network import Network
 
 __all__ = ["Patches", "divide"]
 
+# Plans whose weights differ by less than this may be taken for equal. The weights of classes differ by at least 1.
+PRECISION = 0.5
+
 
 def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
     """Divide positioners into patches of at most about ``size`` candidates, and return the patch of each positioner.
@@ -92,7 +95,20 @@ class Patches:
         ends = np.concatenate([[0], np.cumsum(size)])
         return np.repeat(start[members] - ends[:-1], size) + np.arange(ends[-1]), ends
 
-    def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, seconds: float):
+    def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
+        """Return whether a plan of a patch may be better.
+
+        A better plan visits a target more often that has remaining visits (``unmet``), with a positioner that does not
+        observe a target of the best class in its reach.
+        """
+        network, members = self.network, self._members[patch]
+        rows, ends = self.candidates(patch)
+        rank = network.rank[rows]
+        if (network.rank[chosen[members]] == np.minimum.reduceat(rank, ends[:-1])).all():
+            return False
+        return bool(unmet[network.target[rows]].any())
+
+    def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
         """Return the candidates of a patch that may be used while all other arms remain in place, and their problem.
 
         ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
@@ -115,10 +131,11 @@ class Patches:
         start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
         rows = rows[open_ones]
         first = new[mine]
-        args = part.indptr, part.indices, rest[binding], first, nodes, 0.0, seconds
+        gap = PRECISION / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
+        args = part.indptr, part.indices, rest[binding], first, nodes, gap, deadline
         return rows, WeightedProblem(start, weight[rows], *args)
 
-    def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, seconds: float) -> WeightedProblem:
+    def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
         """Return the problem of a patch without the sets that connect patches."""
         network = self.network
         rows, ends = self.candidates(patch)
@@ -132,7 +149,7 @@ class Patches:
         binding = np.diff(part.indptr) > rest
         part = part[np.flatnonzero(binding)]
         start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
-        args = part.indptr, part.indices, rest[binding], None, nodes, gap, seconds
+        args = part.indptr, part.indices, rest[binding], None, nodes, gap, deadline
         return WeightedProblem(start, value[rows[open_ones]], *args)
 
     def value_of_rest(self, value: np.ndarray) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from time import perf_counter
+from time import perf_counter, time
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,8 @@ SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 MOST_LEVELS = 8
 # Largest number of nodes of the search tree of a program for a plan, and for a bound.
 NODES, NODES_OF_BOUND = 300, 100
+# Allowed relative error of a program for a bound; its bound is valid for any error.
+GAP = 2e-4
 # Largest number of pairs for which the matching without collisions is computed.
 MOST_EDGES = 4_000_000
 # The weight of the least important class is at least this many times the sum of all terms that decide between plans of
@@ -57,8 +59,15 @@ class Search:
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
+        # Bounds are not computed again with patches of a size that did not lower them.
+        self._next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._begin = perf_counter()
+
+    @property
+    def next_size(self) -> np.ndarray:
+        """Smallest size of the patches with which the bound of each level is computed again."""
+        return self._next_size
 
     @property
     def prices(self) -> list:
@@ -68,6 +77,7 @@ class Search:
     def restore(self, state) -> None:
         """Continue a search from its stored state."""
         n = len(self.levels)
+        self._next_size = state.next_size
         self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
         for row in state.steps:
             self.steps.append(Step(int(row[0]), row[1], row[2 : 2 + n].astype(np.int64), row[2 + n :]))
@@ -79,6 +89,11 @@ class Search:
     def visits(self) -> np.ndarray:
         """Visits of each level: a class and all classes before it."""
         return np.cumsum(self.network.counts(self.chosen))[self.levels]
+
+    def chosen_targets(self) -> np.ndarray:
+        """Return the target of each visit of the plan."""
+        target = self.network.target[self.chosen]
+        return target[target >= 0]
 
     @property
     def gaps(self) -> np.ndarray:
@@ -99,6 +114,10 @@ class Search:
     def out_of_time(self) -> bool:
         """Return whether the time is over."""
         return self.seconds >= self.options.seconds
+
+    def _deadline(self) -> float:
+        """Return the time of `time.time` at which the search ends."""
+        return time() + self.options.seconds - self.seconds
 
     def begin(self, tell: Callable | None = None) -> None:
         """Compute the first bounds: a matching without collisions, and prices."""
@@ -121,8 +140,12 @@ class Search:
         patches = Patches(self.network, label)
         self._improve(patches, executor)
         open_levels = np.flatnonzero(self.bounds > self.visits)
-        if len(open_levels) and not self.out_of_time():
-            self._bound(int(open_levels[self.iteration % len(open_levels)]), patches, executor)
+        open_levels = [k for k in open_levels.tolist() if self.size >= self._next_size[k]]
+        if open_levels and not self.out_of_time():
+            k = open_levels[self.iteration % len(open_levels)]
+            self._bound(k, patches, executor)
+            if self.bounds[k] == before[1][k]:
+                self._next_size[k] = self.size * GROWTH
         self.iteration += 1
         rest = np.maximum(before[1] - before[0], 1.0)
         gained = (self.visits - before[0] + before[1] - self.bounds) / rest
@@ -159,8 +182,8 @@ class Search:
             return
         cross = np.where(patches.crosses, prices.price, 0.0)
         value = self._weights(level) - network.matrix.T @ cross
-        left = max(self.options.seconds - self.seconds, 0.0)
-        problems = [patches.alone(k, value, NODES_OF_BOUND, 0.0, left) for k in range(patches.n)]
+        deadline = self._deadline()
+        problems = [patches.alone(k, value, NODES_OF_BOUND, GAP, deadline) for k in range(patches.n)]
         total = float(cross @ network.most) + patches.value_of_rest(value)
         total += 1e-9 * (len(network.start) + float(cross @ network.most))
         for _, bound in map_in_order(executor, solve_weighted, problems):
@@ -185,15 +208,16 @@ class Search:
             scarce = network.matrix.T @ of_targets
         scarce /= max(scarce.max(initial=0.0), 1e-12)
         by_class = self._class_weights(max((len(patches.members(k)) for k in range(patches.n)), default=1))
+        unmet = np.append(network.visits > np.bincount(self.chosen_targets(), minlength=len(network.slot)), False)
         for group in patches.colors():
             if self.out_of_time():
                 break
-            left = max(self.options.seconds - self.seconds, 0.0)
-            found = []
+            found, deadline = [], self._deadline()
+            group = [k for k in group if patches.can_gain(k, self.chosen, unmet)]
             for k in group:
                 tie = TIE / max(len(patches.members(k)), 1)
                 weight = by_class[network.rank] - tie * scarce
-                found.append(patches.within(k, self.chosen, load, weight, NODES, left))
+                found.append(patches.within(k, self.chosen, load, weight, NODES, deadline))
             results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
             for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
                 if chosen is not None:

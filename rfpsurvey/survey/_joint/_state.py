@@ -18,6 +18,7 @@ class State(NamedTuple):
     plans: list
     """Slots and elbows of each tile."""
     bounds: np.ndarray
+    next_size: np.ndarray
     size: float
     iteration: int
     seconds: float
@@ -35,6 +36,7 @@ def write_state(folder, plans: list, search) -> None:
         "size": np.array([len(plan.slot) for plan in plans]),
         "numbers": np.array([search.size, search.iteration, search.seconds]),
         "bounds": search.bounds,
+        "next_size": search.next_size,
         "steps": np.array([[step.iteration, step.seconds, *step.visits, *step.bound] for step in search.steps]),
     }
     for k, price in enumerate(search.prices):
@@ -57,7 +59,7 @@ def read_state(folder) -> State | None:
         ends = np.cumsum(found["size"])[:-1]
         plans = list(zip(np.split(found["slot"], ends), np.split(found["side"], ends), strict=True))
         prices = [found.get(f"price{k}") for k in range(len(found["bounds"]))]
-        return State(plans, found["bounds"], size, int(iteration), seconds, found["steps"], prices)
+        return State(plans, found["bounds"], found["next_size"], size, int(iteration), seconds, found["steps"], prices)
     except (InputError, ValueError, KeyError, OSError) as error:
         text = f"the joint plan begins again, because its state cannot be read: {error}"
         warn(text)
