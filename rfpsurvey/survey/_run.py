@@ -37,6 +37,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     with where as folder:
         if together is not None:
             request, joint = together(request, folder)
+            progress = together.rest
         state = request.open_state()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n

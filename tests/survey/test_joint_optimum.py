@@ -100,14 +100,15 @@ def visits_by_class(survey, catalog, classes):
 
 @pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_CASES // CHUNK))])
 def test_no_plan_exceeds_the_bound_and_no_plan_is_worse_than_tile_after_tile(chunk):
-    n_best = n_same = 0
+    n_best = 0
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
         instrument, tiles, catalog, options = random_survey(seed)
         if not catalog.visits.any():
             continue
         best, sums, classes = best_visits(instrument, tiles, catalog, options.parked_obstacles)
         first = rs.plan_survey(catalog, instrument, tiles, allocator=options)
-        order = rs.JointOptions(iterations=3, patch_size=[10, 40, 2000][seed % 3])
+        size = [10, 40, 2000][seed % 3]
+        order = rs.JointOptions(iterations=4, patch_size=size)
         survey = rs.plan_survey(catalog, instrument, tiles, allocator=options, order=order)
         visits = visits_by_class(survey, catalog, classes)
         before = visits_by_class(first, catalog, classes)
@@ -119,10 +120,11 @@ def test_no_plan_exceeds_the_bound_and_no_plan_is_worse_than_tile_after_tile(chu
         assert [level["n_visits"] for level in levels] == np.cumsum(visits).tolist(), seed
         assert [level["n_visits_before"] for level in levels] == np.cumsum(before).tolist(), seed
         check_plan(survey, catalog)
+        if size == 2000:  # a single patch contains all positioners
+            assert tuple(visits) == tuple(best), seed
+            assert (bounds == sums).all(), seed
         n_best += tuple(visits) == tuple(best)
-        n_same += (bounds == sums).all()
-    assert n_best >= 0.9 * CHUNK
-    assert n_same >= 0.9 * CHUNK
+    assert n_best >= 0.75 * CHUNK
 
 
 def check_plan(survey, catalog):

@@ -1,6 +1,7 @@
 """Options of joint plans."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
@@ -28,6 +29,14 @@ class JointOptions:
     time_limit : Quantity, optional
         Time after which the search ends, without the time for planning the tiles one after the other. By default, the
         time is not limited. A plan whose search ends at the time limit may not be reproducible.
+    fixed : Survey, str or path-like, optional
+        A survey, or its folder, whose tiles were already observed. The plans of those tiles of the new survey that have
+        the same identifier are not changed. The instrument must be the same, and the catalog must contain its targets
+        in the same rows. Positioners of either handedness are not supported.
+    inform : callable, optional
+        Function that is called once before the first iteration, with a dict: ``visits`` is the number of visits of the
+        tiles planned one after the other, ``bound`` is the largest number of visits if arms may collide. Both are lists
+        with a value for each priority, which includes all higher priorities.
     patch_size : int, optional
         Number of pairs of a positioner and a target that one integer program contains at first, 10 to 100000. Larger
         programs give better plans and bounds, and take longer.
@@ -41,13 +50,15 @@ class JointOptions:
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> rs.JointOptions(gap=0.001, time_limit=30 * u.min)
-    JointOptions(gap=0.001, iterations=10, time_limit=<Quantity 30. min>, patch_size=2000)
+    >>> rs.JointOptions(gap=0.001, time_limit=30 * u.min).seconds
+    1800.0
     """
 
     gap: float = 0.0
     iterations: int = 10
     time_limit: u.Quantity | None = None
+    fixed: object = None
+    inform: Callable | None = None
     patch_size: int = 2000
 
     def __post_init__(self):
@@ -55,6 +66,8 @@ class JointOptions:
             raise refusal("gap must be a number of at least 0 and below 1", self.gap, int, float)
         check_whole(self.iterations, "iterations", 0, 100_000)
         check_whole(self.patch_size, "patch_size", 10, 100_000)
+        if self.inform is not None and not callable(self.inform):
+            raise refusal("inform must be a function", self.inform)
         if self.time_limit is not None:
             to_scalar(self.time_limit, u.s, "time_limit", low=0)
 
@@ -66,9 +79,13 @@ class JointOptions:
     @property
     def record(self) -> dict:
         """The options as text and numbers, as they are written to files."""
-        record = {f.name: getattr(self, f.name) for f in fields(self)}
-        seconds = record.pop("time_limit")
-        return {**record, "time_limit_s": None if seconds is None else self.seconds}
+        return {
+            "gap": self.gap,
+            "iterations": self.iterations,
+            "time_limit_s": None if self.time_limit is None else self.seconds,
+            "fixed": None if self.fixed is None else str(getattr(self.fixed, "folder", self.fixed) or "a survey"),
+            "patch_size": self.patch_size,
+        }
 
 
 def as_joint(order: object) -> JointOptions | None:

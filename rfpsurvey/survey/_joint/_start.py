@@ -10,6 +10,7 @@ import numpy as np
 from rfpsurvey._executors import map_in_order
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey.pipeline import plan_field
+from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._work import Job, Model, projection_of
 
@@ -44,11 +45,17 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
     return plan.allocation.meta["candidates"], vectors
 
 
-def first_plans(request, executor: Executor | None, tell: Callable) -> list[TilePlan]:
-    """Return the plans of all tiles, planned one after the other."""
+def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
+    """Return the plans of all tiles, planned one after the other; ``fixed`` contains the plans of observed tiles."""
     left, plans = request.open_state().left, [None] * len(request.tiling)
     done = 0
-    for tiles in request.rounds:
+    for tile, known in fixed.items():
+        slot = np.where(known.counted, known.slot, -1)
+        left[slot[slot >= 0]] -= 1
+        plans[tile] = TilePlan(slot, known.side)
+        done += 1
+    for round_ in request.rounds:
+        tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
         jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
         for tile, job, (target, side) in zip(
             tiles.tolist(), jobs, map_in_order(executor, _plan, [_bare(job) for job in jobs]), strict=True
@@ -61,17 +68,22 @@ def first_plans(request, executor: Executor | None, tell: Callable) -> list[Tile
     return plans
 
 
-def list_all(request, plans: list[TilePlan], executor: Executor | None) -> tuple[Network, np.ndarray]:
+def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
     """Return the network of all tiles, and the unit vectors of the centers of all positioners."""
     state = request.open_state()
-    jobs, slots = [], []
-    for tile in range(len(request.tiling)):
+    jobs, slots, n = [], [], len(request.tiling)
+    for tile in range(n):
         job = request.job(tile, state.left, as_file=False)
         slots.append(job.field.slot)
+        if tile in fixed:
+            continue
         keep = _rows(job.field.slot, plans[tile].slot)
         options = replace(request.options, allocator=ListCandidates(keep))
         jobs.append(_bare(job)._replace(model=_model(request, options)))
-    tiles, vectors = zip(*map_in_order(executor, _list, jobs), strict=True)
+    found = map_in_order(executor, _list, jobs)
+    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners without a choice are in no patch
+    parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(found) for k in range(n)]
+    tiles, vectors = zip(*parts, strict=True)
     return make_network(list(tiles), slots, state.left, class_of(request, state.left)), np.concatenate(vectors)
 
 
