@@ -81,7 +81,7 @@ def test_the_plan_does_not_depend_on_the_workers(case, survey, tmp_path, process
         assert found.joint[name].tolist() == survey.joint[name].tolist()
 
 
-@pytest.mark.parametrize("last", [3, 7, 12, 14])
+@pytest.mark.parametrize("last", [7, 12])
 def test_an_interrupted_search_continues(case, survey, tmp_path, last):
     def stop(done, _):
         if done >= last:
@@ -126,7 +126,7 @@ def test_the_function_inform_receives_the_first_visits_and_bounds(case, survey):
     plan(case, order=rs.JointOptions(iterations=0, inform=seen.append))
     levels = survey.summary["joint"]["levels"]
     assert [one["visits"] for one in seen] == [[level["n_visits_before"] for level in levels]]
-    assert seen[0]["bound"] == [float(n) for n in survey.joint["bound"][:2]] or seen[0]["bound"][0] >= 1
+    assert seen[0]["bound"] == survey.joint["bound"][:2].tolist()
 
 
 def test_observed_tiles_are_not_changed(case, tmp_path):

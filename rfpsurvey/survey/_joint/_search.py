@@ -121,16 +121,15 @@ class Search:
 
     def begin(self, tell: Callable | None = None) -> None:
         """Compute the first bounds: a matching without collisions, and prices."""
-        if not self.steps:
-            for k, level in enumerate(self.levels):
-                self.bounds[k] = min(self.bounds[k], self.network.matching(int(level), MOST_EDGES))
-            self._record()
-            if tell is not None:
-                tell(self)
+        for k, level in enumerate(self.levels):
+            self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
+        self._record()
+        if tell is not None:
+            tell(self)
         for k in range(len(self.levels)):
             if self.bounds[k] > self.visits[k] and not self.out_of_time():
                 self._price(k)
-        self._record(again=True)
+        self._record()
 
     def iterate(self, executor: Executor | None) -> None:
         """Improve the plan and the bounds once."""
@@ -153,12 +152,8 @@ class Search:
             self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
         self._record()
 
-    def _record(self, *, again: bool = False):
-        step = Step(self.iteration, self.seconds, self.visits, self.bounds.copy())
-        if again:
-            self.steps[-1] = step
-        else:
-            self.steps.append(step)
+    def _record(self):
+        self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))
 
     def _weights(self, level):
         """Return the weight of each candidate for the number of visits of a level."""
