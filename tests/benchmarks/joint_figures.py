@@ -1,10 +1,10 @@
-"""Compare joint plans with plans that are made tile after tile, and draw the chart of the page on joint plans.
+"""Compare joint plans with plans that are made tile after tile.
 
-RFPSURVEY_TEST_DATA=... python tests/benchmarks/joint_figures.py [sdss lamost moons desi scan chart] [--seconds 1800]
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/joint_figures.py [sdss lamost moons desi scan] [--seconds 1800]
 
 Each case prints the visits of the allocators tile after tile, the bound of a matching without collisions, and the
 table of the joint plan. ``scan`` prints the gain as a function of the overlap of tiles, the targets per fiber and the
-clustering, and writes it to ``joint_scan.ecsv``; ``chart`` draws this table.
+clustering, which docs/figures/joint_gain.py plots.
 """
 
 import argparse
@@ -17,7 +17,6 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
 
 import rfpsurvey as rs
 
@@ -115,7 +114,6 @@ def scan_case(spacing, per_fiber, clustered):
 
 def scan(options, executor):
     """Print and write the gain of joint plans over plans that are made tile after tile."""
-    rows = []
     for clustered in (False, True):
         points = [(s, 1.0) for s in (0.2, 0.4, 0.6, 0.8, 1.0)] + [(0.4, n) for n in (0.25, 0.5, 2.0, 4.0)]
         for spacing, per_fiber in points:
@@ -126,42 +124,13 @@ def scan(options, executor):
             level = survey.summary["joint"]["levels"][-1]
             seconds = float(survey.joint["seconds"][-1])
             before, after, bound = level["n_visits_before"], level["n_visits"], level["bound"]
-            rows.append((spacing, per_fiber, clustered, len(catalog), before, after, bound, seconds))
-            print(*rows[-1], f"gain {after / before - 1:.2%}, at most {bound / before - 1:.2%}", flush=True)
-    names = ("spacing", "per_fiber", "clustered", "n_targets", "n_before", "n_visits", "bound", "seconds")
-    QTable(rows=rows, names=names).write("joint_scan.ecsv", overwrite=True)
-
-
-def chart():
-    """Draw the gain."""
-    import matplotlib
-
-    matplotlib.use("svg")
-    from matplotlib import pyplot as plt
-
-    table = QTable.read("joint_scan.ecsv")
-    figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), sharey=True, layout="constrained")
-    for ax, name, fixed, label in (
-        (axes[0], "spacing", table["per_fiber"] == 1.0, "distance of tiles / diameter of the field"),
-        (axes[1], "per_fiber", table["spacing"] == 0.4, "targets per fiber"),
-    ):
-        for clustered, color, word in ((False, "#0072B2", "Poisson"), (True, "#D55E00", "clustered")):
-            part = table[fixed & (table["clustered"] == clustered)]
-            part.sort(name)
-            gain, most = (100 * (part[n] / part["n_before"] - 1) for n in ("n_visits", "bound"))
-            ax.plot(part[name], gain, "o-", color=color, label=f"{word}: joint plan")
-            ax.plot(part[name], most, "v:", color=color, mfc="white", label=f"{word}: upper bound")
-        ax.set_xlabel(label)
-        ax.set_ylim(bottom=0)
-    axes[1].set_xscale("log")
-    axes[0].set_ylabel("additional visits (%)")
-    axes[0].legend(frameon=False, fontsize="small")
-    figure.savefig("joint_gain.svg")
+            print(spacing, per_fiber, clustered, len(catalog), before, after, bound, f"{seconds:.0f} s", end=" ")
+            print(f"gain {after / before - 1:.2%}, at most {bound / before - 1:.2%}", flush=True)
 
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("cases", nargs="*", default=[*CASES, "scan"])
+    parser.add_argument("cases", nargs="*", choices=[*CASES, "scan"], default=[*CASES, "scan"])
     parser.add_argument("--seconds", type=float, default=1800.0)
     parser.add_argument("--tile-seconds", type=float, default=20.0)
     parser.add_argument("--scan-seconds", type=float, default=60.0)
@@ -173,10 +142,8 @@ def main():
         for name in options.cases:
             if name in CASES:
                 compare(name, options, executor)
-            elif name == "scan":
+            else:
                 scan(options, executor)
-            elif name == "chart":
-                chart()
 
 
 if __name__ == "__main__":

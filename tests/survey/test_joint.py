@@ -12,20 +12,20 @@ from astropy.table import QTable
 import rfpsurvey as rs
 
 MM = u.mm
-JOINT = rs.JointOptions(iterations=3, patch_size=100)
+JOINT = rs.JointOptions(iterations=3, patch_size=60)
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
 
 
 @pytest.fixture(scope="module")
 def case():
     """Return targets, an instrument and overlapping tiles, for which a joint plan makes more visits."""
-    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), rings=3, pitch=17 * MM)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), rings=2, pitch=17 * MM)
     instrument = rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
     rng = np.random.default_rng(5)
-    m = 220
-    sky = CENTER.spherical_offsets_by(*rng.uniform(-0.4, 0.4, (2, m)) * u.deg)
+    m = 130
+    sky = CENTER.spherical_offsets_by(*rng.uniform(-0.3, 0.3, (2, m)) * u.deg)
     catalog = rs.Catalog(sky, priority=rng.integers(1, 3, m), visits=rng.integers(0, 3, m))
-    tiles = CENTER.spherical_offsets_by(*rng.uniform(-0.15, 0.15, (2, 6)) * u.deg)
+    tiles = CENTER.spherical_offsets_by(*rng.uniform(-0.12, 0.12, (2, 6)) * u.deg)
     return catalog, instrument, tiles
 
 
@@ -136,7 +136,7 @@ def test_observed_tiles_are_not_changed(case, tmp_path):
     before = rs.plan_survey(catalog, instrument, some, allocator="lamost", folder=tmp_path / "observed")
     assert before.summary["n_colliding"] > 0
     for fixed in (before, tmp_path / "observed"):
-        order = rs.JointOptions(iterations=3, patch_size=100, fixed=fixed)
+        order = rs.JointOptions(iterations=3, patch_size=60, fixed=fixed)
         found = rs.plan_survey(catalog, instrument, tiling, allocator="optimal", order=order)
         assert rows_of(found)[:3] == rows_of(before)
         for a, b in zip(found, before, strict=False):

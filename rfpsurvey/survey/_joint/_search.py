@@ -17,6 +17,8 @@ __all__ = ["Search", "Step"]
 
 # Widths of the smooth maximum, and numbers of sweeps of the prices of each width.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
+# Fraction of the time limit for the prices before the first iteration.
+FOR_PRICES = 0.15
 # Largest number of classes of priority for which bounds are computed.
 MOST_LEVELS = 8
 # Largest number of nodes of the search tree of a program for a plan, and for a bound.
@@ -115,6 +117,10 @@ class Search:
         """Return whether the time is over."""
         return self.seconds >= self.options.seconds
 
+    def _out_of_time_for_prices(self) -> bool:
+        """Return whether the time for the first prices is over."""
+        return self.seconds >= FOR_PRICES * self.options.seconds
+
     def _deadline(self) -> float:
         """Return the time of `time.time` at which the search ends."""
         return time() + self.options.seconds - self.seconds
@@ -127,7 +133,7 @@ class Search:
         if tell is not None:
             tell(self)
         for k in range(len(self.levels)):
-            if self.bounds[k] > self.visits[k] and not self.out_of_time():
+            if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
                 self._price(k)
         self._record()
 
@@ -167,7 +173,7 @@ class Search:
 
     def _price(self, level):
         """Adjust the prices of a level, and lower its bound."""
-        bound = self._prices_of(level).improve(self._weights(level), SWEEPS, self.out_of_time)
+        bound = self._prices_of(level).improve(self._weights(level), SWEEPS, self._out_of_time_for_prices)
         self.bounds[level] = min(self.bounds[level], np.floor(bound))
 
     def _bound(self, level, patches, executor):
