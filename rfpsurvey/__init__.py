@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         potential_assignments,
         selection_probabilities,
     )
-    from rfpsurvey.survey import Survey, plan_survey
+    from rfpsurvey.survey import JointOptions, Survey, plan_survey
     from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
@@ -65,6 +65,7 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "Instrument",
+    "JointOptions",
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
@@ -116,7 +117,7 @@ _IMPORTED_ON_USE = {  # imported on first use, because a script that only plans 
         "potential_assignments",
         "selection_probabilities",
     ),
-    "survey": ("Survey", "plan_survey"),
+    "survey": ("JointOptions", "Survey", "plan_survey"),
     "tiling": ("Tiling", "place_tiles"),
 }
 

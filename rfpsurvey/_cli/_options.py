@@ -218,7 +218,7 @@ OrderOption = Annotated[
     str,
     typer.Option(
         help="Order of the tiles. color: one pass after the other, where tiles of a pass that do not overlap can be "
-        "planned in parallel. given: the order of the list."
+        "planned in parallel. given: the order of the list. joint: all tiles together, with --allocator optimal."
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which each tile is written.")]
@@ -365,6 +365,7 @@ Examples:
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --report plan.html
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
   rfpsurvey survey stars.fits --allocator repair --required 4711 --keep-out 95.0,23.1,0.01 --keep-out 95.4,22.8,0.02
+  rfpsurvey survey stars.fits --allocator optimal --order joint --joint-time 600 --folder plan
   rfpsurvey survey hats_catalog --tiles tiles.ecsv --instrument desi --scheduler tcp://10.0.0.1:8786 --folder plan
 """
 

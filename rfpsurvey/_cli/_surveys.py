@@ -82,6 +82,10 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
         print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    if survey.joint is not None:
+        last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
+        print("joint plan: visits to targets with at least this priority, and their upper bounds:")
+        _app.print_table(last)
     print("after each pass:")
     _app.print_table(survey.completeness)
     if s["collision_rate"] > MANY:

@@ -1,6 +1,6 @@
 """``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _options, _surveys
+from rfpsurvey._cli import _app, _conditions, _joint, _options, _surveys
 from rfpsurvey.instrument import as_instrument
 
 
@@ -28,6 +28,10 @@ def survey(
     parked: _options.ParkedOption = True,
     lost: _options.LostOption = True,
     order: _options.OrderOption = "color",
+    joint_gap: _joint.GapOption = None,
+    joint_iterations: _joint.IterationsOption = None,
+    joint_time: _joint.JointTimeOption = None,
+    fixed: _joint.FixedOption = None,
     folder: _options.FolderOption = None,
     resume: _options.ResumeOption = False,
     workers: _options.WorkersOption = 1,
@@ -63,7 +67,7 @@ def survey(
         "passes": passes,
         "epoch": epoch,
         "lost_in_collision": lost,
-        "order": order,
+        "order": _joint.joint_order(order, joint_gap, joint_iterations, joint_time, fixed),
         "folder": folder,
         "resume": resume,
         "rng": seed,

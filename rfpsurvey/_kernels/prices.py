@@ -140,11 +140,12 @@ def bound_of(start, value, price):
 
 
 @kernel
-def adjust_prices(start, own, row_start, column, value, price, width, begin, end, step):
+def adjust_prices(start, own, row_start, column, value, price, most, width, begin, end, step):
     """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
 
     The maximum over the candidates of a positioner is replaced by a smooth maximum of the given width. The price of a
-    clique then minimizes the smooth bound: the weights of its members sum to 1, or the price is 0.
+    clique then minimizes the smooth bound: the weights of its members sum to 1, or the price is 0. More generally, a
+    plan uses at most ``most`` members of each set, and the weights of the members sum to this number.
     """
     odds = np.empty(256)
     for r in range(begin, end, step):
@@ -168,18 +169,18 @@ def adjust_prices(start, own, row_start, column, value, price, width, begin, end
             odds[n] = min(inside / max(outside, 1e-300), 1e12)
             total += odds[n] / (1.0 + odds[n])
             n += 1
-        if total <= 1.0 and price[r] == 0.0:
+        if total <= most[r] and price[r] == 0.0:
             continue
         # Newton's method with bisection; x is minus the change of the price in units of the width.
         low, high = -700.0, min(price[r] / width, 700.0)
         factor, total = math.exp(high), 0.0
         for m in range(n):
             total += odds[m] * factor / (1.0 + odds[m] * factor)
-        x = high if total <= 1.0 else 0.0  # at the upper end, the price is 0
+        x = high if total <= most[r] else 0.0  # at the upper end, the price is 0
         for _ in range(20):
-            if total <= 1.0:
+            if total <= most[r]:
                 break
-            factor, excess, slope = math.exp(x), -1.0, 0.0
+            factor, excess, slope = math.exp(x), -most[r], 0.0
             for m in range(n):
                 a = odds[m] * factor
                 excess += a / (1.0 + a)

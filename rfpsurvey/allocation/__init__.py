@@ -11,6 +11,14 @@ from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
+from rfpsurvey.allocation._weighted import (
+    GivenPlan,
+    ListCandidates,
+    RowPrices,
+    TileCandidates,
+    WeightedProblem,
+    solve_weighted,
+)
 
 __all__ = [
     "ALLOCATORS",
@@ -20,12 +28,17 @@ __all__ = [
     "AllocationAnswer",
     "AllocationOptions",
     "AllocationProblem",
+    "GivenPlan",
     "IdleReason",
     "IdleReasons",
     "Level",
+    "ListCandidates",
     "Requirement",
+    "RowPrices",
     "Shortfall",
     "TargetColumns",
+    "TileCandidates",
+    "WeightedProblem",
     "allocate",
     "as_options",
     "as_requirements",
@@ -38,6 +51,7 @@ __all__ = [
     "packages",
     "sentences",
     "service_order",
+    "solve_weighted",
     "subpriorities",
     "to_subpriorities",
 ]

@@ -38,7 +38,7 @@ class Prices:
         self.options = options
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
-        self.price = np.zeros(shape[0])
+        self.price, self.most = np.zeros(shape[0]), np.ones(shape[0])
 
     def values(self, weights: np.ndarray) -> np.ndarray:
         """Return the weight of each candidate minus the prices of its cliques."""
@@ -62,7 +62,9 @@ class Prices:
                         break
                     end = min(begin + BATCH, n)
                     ends = (begin, end, 1) if sweep % 2 == 0 else (n - begin - 1, n - end - 1, -1)
-                    kernels.adjust_prices(start, own, self.indptr, self.column, value, self.price, width, *ends)
+                    kernels.adjust_prices(
+                        start, own, self.indptr, self.column, value, self.price, self.most, width, *ends
+                    )
                 now = float(kernels.bound_of(start, value, self.price))
                 if now < best:
                     best, best_price = now, self.price.copy()

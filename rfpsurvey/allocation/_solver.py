@@ -28,7 +28,16 @@ _abandoned: list[threading.Thread] = []
 
 
 def maximize(
-    rows: tuple, goal: np.ndarray, most: np.ndarray, deadline: float, *, integral: bool, gap: float, presolve: bool
+    rows: tuple,
+    goal: np.ndarray,
+    most: np.ndarray,
+    deadline: float,
+    *,
+    integral: bool,
+    gap: float,
+    presolve: bool,
+    first: np.ndarray | None = None,
+    nodes: int | None = None,
 ):
     """Return the variables that maximize a goal, and an upper bound of the goal.
 
@@ -48,6 +57,10 @@ def maximize(
         Allowed relative error.
     presolve : bool
         Whether HiGHS may simplify the program first.
+    first : ndarray of float, shape (n,), optional
+        Variables that satisfy the constraints, from which the search starts.
+    nodes : int, optional
+        Largest number of nodes of the search tree. A search that this number ends does not depend on the computer.
     """
     if left(deadline) == 0:
         return None, np.inf
@@ -55,6 +68,10 @@ def maximize(
     solver.setOptionValue("time_limit", min(left(deadline), 1e9))
     solver.setOptionValue("mip_rel_gap", gap)
     solver.setOptionValue("presolve", "on" if presolve else "off")
+    if nodes is not None:
+        solver.setOptionValue("mip_max_nodes", nodes)
+    if first is not None:
+        solver.setSolution(len(first), np.arange(len(first), dtype=np.int32), first)
     if not _run(solver, deadline):
         return None, np.inf
     info = solver.getInfo()

@@ -147,6 +147,8 @@ def selection_probabilities(
         executor=executor,
         rng=rng,
     )
+    if request.joint is not None:
+        raise InputError("order must be 'color' or 'given' for selection probabilities, got a joint plan")
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
     if request.visits.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")

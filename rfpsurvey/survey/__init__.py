@@ -1,6 +1,7 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._folder import RequestFolder
+from rfpsurvey.survey._joint import JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import IN_FLIGHT, told
@@ -10,6 +11,7 @@ from rfpsurvey.survey._work import Job, projection_of, work
 __all__ = [
     "IN_FLIGHT",
     "Job",
+    "JointOptions",
     "Request",
     "RequestFolder",
     "Survey",

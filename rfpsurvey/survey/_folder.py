@@ -19,13 +19,15 @@ from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes
 from rfpsurvey._readers import content_of, parse_json
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["TABLES", "Folder", "RequestFolder", "part_name", "read_index", "read_verified"]
+__all__ = ["JOINT", "TABLES", "Folder", "RequestFolder", "part_name", "read_index", "read_verified"]
 
 REQUEST, INDEX, LOCK = "survey.json", "index.csv", "lock"
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
+JOINT = "joint.ecsv"
+OTHERS = (JOINT, "joint/state.npz")
 HEADER = "file,bytes,sha256\n"
 MOST_REQUEST = 10_000_000
-LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv)),(\d+),([0-9a-f]{64})\n")
+LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv|npz)),(\d+),([0-9a-f]{64})\n")
 
 
 class RequestFolder:
@@ -173,7 +175,20 @@ class Folder(RequestFolder):
 
     def put_part(self, tile: int, content: bytes) -> None:
         """Write the part (the stored result) of a tile."""
-        name = part_name(tile)
+        self.put_file(part_name(tile), content)
+
+    def file(self, name: str) -> bytes | None:
+        """Return the content of a file, or None if there is no valid file; a damaged file causes a warning."""
+        if name not in self._known:
+            return None
+        try:
+            return read_verified(self.path, name, self._known)
+        except InputError as error:
+            warn(str(error))
+            return None
+
+    def put_file(self, name: str, content: bytes) -> None:
+        """Write a file, and the folder that contains it."""
         with self._told():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
@@ -228,7 +243,7 @@ def _line(name: str, entry: tuple[int, str]) -> str:
 def _belongs(name: str, n_tiles: int) -> bool:
     """Return whether a survey with ``n_tiles`` tiles has a file with this name."""
     stem = Path(name).stem
-    return name in TABLES or (stem.isdigit() and int(stem) < n_tiles and name == part_name(int(stem)))
+    return name in (*TABLES, *OTHERS) or (stem.isdigit() and int(stem) < n_tiles and name == part_name(int(stem)))
 
 
 def part_name(tile: int) -> str:

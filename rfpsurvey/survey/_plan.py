@@ -23,6 +23,7 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.survey._joint import JointOptions, Together, as_joint, check_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
@@ -46,7 +47,7 @@ def plan_survey(
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
-    order: str = "color",
+    order: str | JointOptions = "color",
     folder: object = None,
     resume: bool = False,
     executor: Executor | None = None,
@@ -83,10 +84,12 @@ def plan_survey(
         Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
         Whether targets whose arms collide count as not observed, so that they are observed again.
-    order : {"color", "given"}, optional
+    order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
-        is planned first, independent of the passes.
+        is planned first, independent of the passes. ``joint`` or `JointOptions`: the tiles are first planned one after
+        the other in the order ``color``, and then together, such that the number of visits increases. This order
+        requires the allocator ``optimal`` without requirements and required targets.
     folder : str or path-like, optional
         Folder to which each tile is written as FITS, which allows only ASCII text. Without a folder, all visits are
         kept in memory.
@@ -155,7 +158,8 @@ def plan_survey(
         executor=executor,
         rng=rng,
     )
-    survey = run(request, folder, executor, progress, resume=resume)
+    together = None if request.joint is None else Together(executor, progress)
+    survey = run(request, folder, executor, progress, resume=resume, together=together)
     if request.visits.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
@@ -187,7 +191,9 @@ def prepare_request(
         if epoch is not None and not catalog.has_proper_motion:
             warn("the epoch has no effect, because the targets have no proper motions")
         source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
-    tiles = as_tiling(tiling)
+    tiles, joint = as_tiling(tiling), as_joint(order)
+    if joint is not None:
+        check_joint(asked)
     if is_table(tiling):
         warn_of_targets(as_table(tiling)[0], len(source))
     request = make_request(
@@ -198,9 +204,10 @@ def prepare_request(
         visits=visits,
         passes=passes,
         seed=to_seed(rng),
-        order=check_choice(order, ORDERS, "order"),
+        order="color" if joint is not None else check_choice(order, (*ORDERS, "joint"), "order"),
         epoch=None if epoch is None else str(epoch),
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
+        joint=joint,
     )
     _warn_of_lacks(request)
     return request

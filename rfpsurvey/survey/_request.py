@@ -47,6 +47,8 @@ class Request:
     epoch: str | None
     seed: int
     lost_in_collision: bool
+    joint: object = None
+    """Options of the joint plan; None if the tiles are planned one after the other."""
 
     @cached_property
     def radius_rad(self) -> float:
@@ -127,6 +129,7 @@ class Request:
             "rng": self.seed,
             "lost_in_collision": self.lost_in_collision,
             "radius_deg": float(np.rad2deg(self.radius_rad)),
+            **({} if self.joint is None else {"joint": self.joint.record}),
             **({} if self.conditions is None else {"conditions": self.tiling.table.meta["conditions"]}),
         }
 

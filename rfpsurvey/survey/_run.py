@@ -12,7 +12,7 @@ from rfpsurvey._executors import submit
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.survey._folder import TABLES, Folder
+from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
@@ -24,13 +24,20 @@ __all__ = ["IN_FLIGHT", "run", "told"]
 IN_FLIGHT = 256
 
 
-def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
-    """Plan the tiles, and write them if a path is given."""
+def run(request: Request, path, executor: Executor | None, progress, *, resume: bool, together=None) -> Survey:
+    """Plan the tiles, and write them if a path is given.
+
+    ``together``, if given, plans the tiles first: it returns a request with these plans, and a table.
+    """
+    joint = None
     where = nullcontext()
     if path is not None:
         request.check_text()
         where = Folder(path, request.identity(), len(request.tiling), resume=resume)
     with where as folder:
+        if together is not None:
+            request, joint = together(request, folder)
+            progress = together.rest
         state = request.open_state()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
@@ -51,14 +58,18 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                     tell(finished, new=fresh)
         outcomes = outcome_table(request, state)
         tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
+        if joint is not None:
+            tables[0].meta["summary"]["joint"] = joint.meta["summary"]
         if folder is None:
-            return Survey(*tables, parts=tuple(parts))
+            return Survey(*tables, parts=tuple(parts), joint=joint)
         codes = {f"OUTCOME{k}": (name, f"outcome {k}") for k, name in enumerate(OUTCOMES)}
         for name, table in zip(TABLES, tables, strict=True):
             title, cards = name.split(".")[0].upper(), codes if name == "outcomes.fits" else None
             folder.put(name, _io.table_bytes(table, name, cards, title))
+        if joint is not None:
+            folder.put(JOINT, _io.table_bytes(joint, JOINT, None, "JOINT"))
         folder.finish()
-    return Survey(*tables, folder.path)
+    return Survey(*tables, folder.path, joint=joint)
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:

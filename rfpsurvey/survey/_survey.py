@@ -13,7 +13,7 @@ from rfpsurvey import _io
 from rfpsurvey._display import show, to_html
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.survey._folder import TABLES, part_name, read_index, read_verified
+from rfpsurvey.survey._folder import JOINT, TABLES, part_name, read_index, read_verified
 from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
@@ -55,6 +55,11 @@ class Survey:
         Folder that contains the visits.
     parts : tuple of ndarray, optional
         The visits of each tile, if there is no folder.
+    joint : QTable, optional
+        If all tiles were planned together (`JointOptions`), a table with a row for each iteration and level:
+        ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
+        bound of these visits for all plans without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
+        (computing time until the end of the iteration). The entry ``joint`` of the summary contains the last state.
 
     Examples
     --------
@@ -72,6 +77,7 @@ class Survey:
     outcomes: QTable
     folder: Path | None = None
     parts: tuple | None = None
+    joint: QTable | None = None
 
     OUTCOMES = OUTCOMES
     """The outcomes of targets."""
@@ -213,7 +219,11 @@ class Survey:
         for name in ("summary", "provenance"):
             if not isinstance(tables[0].meta.get(name), dict):
                 raise InputError(f"{folder / TABLES[0]} must hold the {name} of a survey, got none")
-        return cls(*tables, folder)
+        joint = None
+        if JOINT in known:
+            read_verified(folder, JOINT, known)
+            joint = _io.read_table(folder / JOINT)
+        return cls(*tables, folder, joint=joint)
 
     @cached_property
     def _known(self) -> dict:

@@ -1,0 +1,45 @@
+"""Plot the additional visits of joint plans and their upper bounds; joint_figures.py prints the numbers."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+# distance of tiles / diameter of the field, targets per fiber, clustered, visits tile after tile, joint plan, bound
+ROWS = np.array(
+    [
+        [0.2, 1, 0, 2347, 2392, 2418],
+        [0.4, 1, 0, 2394, 2450, 2478],
+        [0.6, 1, 0, 2434, 2453, 2463],
+        [0.8, 1, 0, 2421, 2430, 2432],
+        [1.0, 1, 0, 2026, 2026, 2027],
+        [0.4, 0.25, 0, 716, 716, 717],
+        [0.4, 0.5, 0, 1385, 1391, 1393],
+        [0.4, 2, 0, 3286, 3286, 3398],
+        [0.4, 4, 0, 3500, 3500, 3500],
+        [0.2, 1, 1, 2175, 2190, 2273],
+        [0.4, 1, 1, 2058, 2065, 2147],
+        [0.6, 1, 1, 1898, 1944, 1977],
+        [0.8, 1, 1, 1606, 1621, 1622],
+        [1.0, 1, 1, 1292, 1292, 1292],
+        [0.4, 0.25, 1, 589, 597, 598],
+        [0.4, 0.5, 1, 1089, 1107, 1128],
+        [0.4, 2, 1, 2982, 2982, 3138],
+        [0.4, 4, 1, 3436, 3436, 3487],
+    ]
+)
+
+fig, axes = plt.subplots(1, 2, figsize=(8, 3.4), sharey=True, layout="constrained")
+for ax, column, fixed, label in (
+    (axes[0], 0, ROWS[:, 1] == 1, "distance of tiles / diameter of the field"),
+    (axes[1], 1, ROWS[:, 0] == 0.4, "targets per fiber"),
+):
+    for clustered, color, word in ((0, "#0072B2", "Poisson"), (1, "#D55E00", "clustered")):
+        part = ROWS[fixed & (ROWS[:, 2] == clustered)]
+        part = part[np.argsort(part[:, column])]
+        gain, most = (100 * (part[:, k] / part[:, 3] - 1) for k in (4, 5))
+        ax.plot(part[:, column], gain, "o-", color=color, label=f"{word}, joint plan")
+        ax.plot(part[:, column], most, "v:", color=color, mfc="white", label=f"{word}, upper bound")
+    ax.set_xlabel(label)
+axes[1].set_xscale("log")
+axes[0].set_ylabel("additional visits (%)")
+axes[0].set_ylim(0, None)
+axes[1].legend(fontsize="small")

@@ -1,0 +1,230 @@
+"""Weighted problems: candidates of one tile as plain arrays, programs with weights and capacities, and their prices."""
+
+from time import perf_counter, time
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from rfpsurvey._kernels import prices as kernels
+from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._prices import ROUNDING, Prices
+from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem
+from rfpsurvey.allocation._solver import maximize
+from rfpsurvey.focal_plane import elbow_names
+
+__all__ = ["GivenPlan", "ListCandidates", "RowPrices", "TileCandidates", "WeightedProblem", "solve_weighted"]
+
+# The reduced costs of HiGHS have errors of at most 1e-7. This error of each variable, and an error relative to the
+# bound, are added to each bound.
+ERROR_OF_ONE, ERROR = 1e-7, 1e-6
+
+
+class TileCandidates(NamedTuple):
+    """The candidates of the positioners of one tile; the last candidate of each positioner is its idle arm."""
+
+    start: np.ndarray
+    """First candidate of each positioner, followed by the number of candidates."""
+    target: np.ndarray
+    """Row of the target of each candidate; -1 for idle arms."""
+    side: np.ndarray
+    """Elbow of each candidate: +1 is right, -1 is left."""
+    indptr: np.ndarray
+    column: np.ndarray
+    """Cliques as compressed rows (``indptr``, ``column``): a plan uses at most one candidate of each clique."""
+    shortened: np.ndarray
+    """Whether candidates of each positioner were omitted."""
+    pairs: tuple[np.ndarray, np.ndarray]
+    """Positioner and target of each reachable pair."""
+
+
+class ListCandidates:
+    """An allocator that assigns no target, and returns all candidates in the ``meta`` of its answer.
+
+    Parameters
+    ----------
+    keep_target : ndarray of int, shape (n_positioners,)
+        Target of each positioner that is never omitted, or -1.
+    """
+
+    def __init__(self, keep_target: np.ndarray):
+        self.keep_target = keep_target
+
+    def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
+        """Return an answer without targets."""
+        found = find_candidates(problem, keep_target=self.keep_target)
+        cliques = Prices(found, np.inf)
+        options, reach = found.options, problem.pairs
+        listed = TileCandidates(
+            options.start,
+            options.target.astype(np.int32),
+            found.side.astype(np.int8),
+            cliques.indptr,
+            cliques.column.astype(np.int32),
+            found.preselection.shortened.any(axis=1),
+            (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
+        )
+        return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
+
+
+class GivenPlan:
+    """An allocator that returns a given plan.
+
+    Parameters
+    ----------
+    target_of : ndarray of int, shape (n_positioners,)
+        Target of each positioner, or -1.
+    side : ndarray of int, shape (n_positioners,)
+        Elbow of each positioner: +1 is right, -1 is left.
+    """
+
+    def __init__(self, target_of: np.ndarray, side: np.ndarray):
+        self.target_of, self.side = target_of, side
+
+    def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
+        """Return the plan."""
+        return AllocationAnswer(self.target_of, elbow_names(self.side.astype(float)))
+
+
+class WeightedProblem(NamedTuple):
+    """Positioners that each use exactly one candidate, such that the sum of the weights is as large as possible."""
+
+    start: np.ndarray
+    """First candidate of each positioner, followed by the number of candidates."""
+    weight: np.ndarray
+    indptr: np.ndarray
+    column: np.ndarray
+    """Sets of candidates as compressed rows."""
+    most: np.ndarray
+    """Largest number of candidates of each set that a plan uses."""
+    first: np.ndarray | None
+    """Candidate of each positioner in a known plan."""
+    nodes: int
+    """Largest number of nodes of the search tree."""
+    gap: float
+    """Allowed relative error."""
+    deadline: float
+    """Time of `time.time`, which all processes share, at which the search ends."""
+
+
+def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
+    """Return the candidate of each positioner, or None, and an upper bound of the sum of the weights.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        The problem.
+
+    Returns
+    -------
+    chosen : ndarray of int, shape (n_positioners,), or None
+        Candidate of each positioner in the best plan that was found.
+    bound : float
+        Upper bound, including an allowance for the rounding errors of HiGHS.
+    """
+    size, n = np.diff(problem.start), len(problem.weight)
+    m = len(size)
+    single = csr_array((np.ones(n), (np.repeat(np.arange(m), size), np.arange(n))), shape=(m, n))
+    sets = csr_array((np.ones(len(problem.column)), problem.column, problem.indptr), shape=(len(problem.most), n))
+    low = np.append(np.ones(m), np.full(len(problem.most), -np.inf))
+    rows = vstack([single, sets], format="csr"), low, np.append(np.ones(m), problem.most)
+    start = None
+    if problem.first is not None:
+        start = np.zeros(n)
+        start[problem.first] = 1.0
+    deadline = perf_counter() + problem.deadline - time()
+    x, bound = maximize(
+        rows,
+        problem.weight,
+        np.ones(n),
+        deadline,
+        integral=True,
+        gap=problem.gap,
+        presolve=True,
+        first=start,
+        nodes=problem.nodes,
+    )
+    bound += ERROR_OF_ONE * n + ERROR * (1.0 + abs(bound))
+    if x is None:
+        return None, bound
+    chosen = np.flatnonzero(x > 0.5)
+    own = np.searchsorted(problem.start, chosen, side="right") - 1
+    if not np.array_equal(own, np.arange(m)) or (sets @ x > problem.most + 0.5).any():
+        return None, bound
+    return chosen, bound
+
+
+class RowPrices(Prices):
+    """Prices of sets of candidates of which a plan uses at most a given number.
+
+    Parameters
+    ----------
+    start : ndarray of int, shape (n_positioners + 1,)
+        First candidate of each positioner.
+    matrix : csr_array
+        Sets of candidates, one per row, with sorted columns.
+    most : ndarray of float
+        Largest number of candidates of each set that a plan uses.
+    free : ndarray of bool, shape (n_positioners,)
+        Positioners some of whose candidates were omitted; the bound counts a weight of 1 for each of them.
+    """
+
+    def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray):
+        self.start, self.matrix, self.most, self.free = start, matrix, most, free
+        self.own = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        self.indptr, self.column = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
+        self.price = np.zeros(len(most))
+
+    def bound(self, weights: np.ndarray) -> float:
+        """Return an upper bound of the weight of a plan.
+
+        Parameters
+        ----------
+        weights : ndarray of float, shape (n_candidates,)
+            Weight of each candidate, 0 to 1.
+
+        Returns
+        -------
+        float
+            Upper bound.
+        """
+        total = float(self.price @ self.most)
+        best = np.maximum.reduceat(self.values(weights), self.start[:-1])
+        best = np.where(self.free, np.maximum(best, 1.0), best)
+        return total + float(best.sum()) + ROUNDING * (len(self.start) + total + float(np.abs(best).sum()))
+
+    def improve(self, weights: np.ndarray, sweeps: tuple, is_over) -> float:
+        """Adjust the prices, and return the upper bound.
+
+        Parameters
+        ----------
+        weights : ndarray of float, shape (n_candidates,)
+            Weight of each candidate, 0 to 1.
+        sweeps : tuple of (float, int)
+            Widths of the smooth maximum, and numbers of sweeps.
+        is_over : callable
+            Whether the time is over.
+
+        Returns
+        -------
+        float
+            Upper bound.
+        """
+        n = len(self.price)
+        best, best_price = self.bound(weights), self.price.copy()
+        for width, number in sweeps:
+            before = np.inf
+            for sweep in range(number):
+                value = self.values(weights)
+                ends = (0, n, 1) if sweep % 2 == 0 else (n - 1, -1, -1)
+                kernels.adjust_prices(
+                    self.start, self.own, self.indptr, self.column, value, self.price, self.most, width, *ends
+                )
+                now = self.bound(weights)
+                if now < best:
+                    best, best_price = now, self.price.copy()
+                if is_over() or before - now < 1e-5 * abs(now):
+                    break
+                before = now
+        self.price = best_price
+        return best

@@ -1,0 +1,6 @@
+"""Joint plans: all tiles of a survey are planned together."""
+
+from rfpsurvey.survey._joint._options import JointOptions, as_joint, check_joint
+from rfpsurvey.survey._joint._plan import Together
+
+__all__ = ["JointOptions", "Together", "as_joint", "check_joint"]

@@ -1,0 +1,151 @@
+"""All tiles of a survey as one problem: candidates of all positioners, and the sets that limit their use."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.csgraph import maximum_flow
+
+from rfpsurvey.allocation import TileCandidates
+
+__all__ = ["Network", "make_network"]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Candidates of the positioners of all tiles; the last candidate of each positioner is its idle arm."""
+
+    start: np.ndarray
+    """First candidate of each positioner, followed by the number of candidates."""
+    target: np.ndarray
+    """Index of the target of each candidate; -1 for idle arms."""
+    side: np.ndarray
+    rank: np.ndarray
+    """Class of the target of each candidate; the number of classes for idle arms."""
+    first: np.ndarray
+    """First positioner of each tile, followed by the number of positioners."""
+    free: np.ndarray
+    """Positioners some of whose candidates were omitted."""
+    matrix: csr_array
+    """Sets of candidates: cliques of each tile, and the candidates of each target."""
+    most: np.ndarray
+    """Largest number of candidates of each set that a plan uses."""
+    slot: np.ndarray
+    """Slot of each target."""
+    visits: np.ndarray
+    """Requested number of visits of each target."""
+    n_classes: int
+    pairs: tuple[np.ndarray, np.ndarray]
+    """Positioner and target of each reachable pair; collisions are ignored."""
+    rank_of_target: np.ndarray
+    n_cliques: int
+    """Number of cliques, which are the first sets."""
+
+    @cached_property
+    def own(self) -> np.ndarray:
+        """Positioner of each candidate."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    @cached_property
+    def columns(self) -> csc_array:
+        """The sets, compressed by candidates."""
+        return self.matrix.tocsc()
+
+    def counts(self, chosen: np.ndarray) -> np.ndarray:
+        """Return the number of visits of each class."""
+        return np.bincount(self.rank[chosen], minlength=self.n_classes + 1)[: self.n_classes]
+
+    def holds(self, chosen: np.ndarray) -> bool:
+        """Return whether a plan has no collisions and visits no target too often."""
+        own = np.arange(len(self.start) - 1)
+        inside = (chosen >= self.start[:-1]) & (chosen < self.start[1:])
+        x = np.zeros(len(self.target))
+        x[chosen] = 1.0
+        several = self._of_tile(chosen)
+        return bool(inside.all() and len(own) and (self.matrix @ x <= self.most + 0.5).all() and several)
+
+    def _of_tile(self, chosen):
+        """Return whether no tile observes a target twice, and no target is observed more often than requested."""
+        real = np.flatnonzero(self.target[chosen] >= 0)
+        tile = np.searchsorted(self.first, real, side="right") - 1
+        target = self.target[chosen[real]]
+        key = tile * len(self.slot) + target
+        number = np.bincount(target, minlength=len(self.slot))
+        return len(np.unique(key)) == len(key) and bool((number <= self.visits).all())
+
+    def matching(self, level: int, most_edges: int) -> float:
+        """Return the largest number of visits of the classes 0 to ``level`` if arms may collide.
+
+        With more than ``most_edges`` pairs, a simpler bound is returned.
+        """
+        own, target = self.pairs
+        keep = self.rank_of_target[target] <= level
+        own, target = own[keep].astype(np.int64), target[keep].astype(np.int64)
+        n, m = len(self.start) - 1, len(self.slot)
+        tile = np.searchsorted(self.first, own, side="right") - 1
+        place, cell = np.unique(tile * m + target, return_inverse=True)
+        cell = cell.reshape(-1)
+        simple = min(len(np.unique(own)), np.minimum(np.bincount(place % m, minlength=m), self.visits).sum())
+        if len(own) > most_edges or len(own) == 0:
+            return float(simple)
+        used, own = np.unique(own, return_inverse=True)
+        own = own.reshape(-1)
+        n, k = len(used), len(place)
+        source, sink = n + k + m, n + k + m + 1
+        tail = np.concatenate([np.full(n, source), own, n + np.arange(k), n + k + np.arange(m)])
+        head = np.concatenate([np.arange(n), n + cell, n + k + place % m, np.full(m, sink)])
+        size = np.concatenate([np.ones(n), np.ones(len(own)), np.ones(k), self.visits]).astype(np.int32)
+        graph = csr_array((size, (tail.astype(np.int32), head.astype(np.int32))), shape=(sink + 1, sink + 1))
+        return float(maximum_flow(graph, source, sink).flow_value)
+
+
+def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, class_of: np.ndarray) -> Network:
+    """Return the network of all tiles.
+
+    ``slots`` contains, for each tile, the slots of the targets of its field. ``visits`` and ``class_of`` are the
+    requested numbers of visits and the classes of all targets, by slot.
+    """
+    used = np.unique(np.concatenate([np.empty(0, np.int64), *slots]))
+    n_classes = int(class_of.max(initial=0)) + 1
+    first = np.cumsum([0, *(len(tile.start) - 1 for tile in tiles)])
+    offset = np.cumsum([0, *(len(tile.target) for tile in tiles)])
+    places = [np.append(np.searchsorted(used, slot), -1) for slot in slots]
+    target = np.concatenate([place[tile.target] for place, tile in zip(places, tiles, strict=True)])
+    start = np.concatenate([*(t.start[:-1] + o for t, o in zip(tiles, offset, strict=False)), offset[-1:]])
+    ends = np.cumsum([0, *(tile.indptr[-1] for tile in tiles)])
+    indptr = [np.zeros(1, dtype=np.int64), *(t.indptr[1:] + e for t, e in zip(tiles, ends, strict=False))]
+    column = [tile.column + o for tile, o in zip(tiles, offset, strict=False)]
+    n_cliques = sum(map(len, indptr)) - 1
+    # A set for each target that more tiles can observe than it requires visits.
+    own_tile = np.repeat(np.arange(len(tiles)), np.diff(offset))
+    real = np.flatnonzero(target >= 0)
+    real = real[np.lexsort((real, target[real]))]
+    key = np.unique(target[real] * len(tiles) + own_tile[real])
+    n_tiles = np.bincount(key // max(len(tiles), 1), minlength=len(used))
+    binding = n_tiles > visits[used]
+    real = real[binding[target[real]]]
+    size = np.bincount(target[real], minlength=len(used))[binding]
+    indptr.append(ends[-1] + np.cumsum(size))
+    indptr, column = np.concatenate(indptr), np.concatenate([*column, real])
+    shape = len(indptr) - 1, len(target)
+    kind = np.int32 if max(len(column), shape[1]) < 2**31 else np.int64
+    matrix = csr_array((np.ones(len(column)), column.astype(kind), indptr.astype(kind)), shape=shape)
+    pairs = [(tile.pairs[0] + f, place[tile.pairs[1]]) for tile, place, f in zip(tiles, places, first, strict=False)]
+    rank_of_target = class_of[used]
+    return Network(
+        start,
+        target,
+        np.concatenate([tile.side for tile in tiles]),
+        np.where(target >= 0, np.append(rank_of_target, 0)[target], n_classes),
+        first,
+        np.concatenate([tile.shortened for tile in tiles]),
+        matrix,
+        np.concatenate([np.ones(n_cliques), visits[used][binding].astype(float)]),
+        used,
+        visits[used].astype(np.int64),
+        n_classes,
+        tuple(np.concatenate(column) for column in zip(*pairs, strict=True)),
+        rank_of_target,
+        n_cliques,
+    )

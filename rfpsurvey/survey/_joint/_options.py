@@ -1,0 +1,118 @@
+"""Options of joint plans."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._units import to_scalar
+from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
+
+__all__ = ["JointOptions", "as_joint", "check_joint"]
+
+
+@check_keywords
+@dataclass(frozen=True)
+class JointOptions:
+    """Options of a joint plan, in which all tiles of a survey are planned together; see `plan_survey`.
+
+    The search ends when the gap is small enough, after the given number of iterations, or when the time is over.
+
+    Parameters
+    ----------
+    gap : float, optional
+        The search ends when, for each priority, the visits to targets with at least this priority are fewer than their
+        upper bound by at most this fraction.
+    iterations : int, optional
+        Largest number of iterations. With 0, the tiles are planned one after the other, and only bounds are computed.
+    time_limit : Quantity, optional
+        Time after which the search ends, without the time for planning the tiles one after the other. By default, the
+        time is not limited. A plan whose search ends at the time limit may not be reproducible.
+    fixed : Survey, str or path-like, optional
+        A survey, or its folder, whose tiles were already observed. The plans of those tiles of the new survey that have
+        the same identifier are not changed. The instrument must be the same, and the catalog must contain its targets
+        in the same rows. Positioners of either handedness are not supported.
+    inform : callable, optional
+        Function that is called once before the first iteration, with a dict: ``visits`` is the number of visits of the
+        tiles planned one after the other, ``bound`` is the largest number of visits if arms may collide. Both are lists
+        with a value for each priority, which includes all higher priorities.
+    patch_size : int, optional
+        Number of pairs of a positioner and a target that one integer program contains at first, 10 to 100000. Larger
+        programs give better plans and bounds, and take longer.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> rs.JointOptions(gap=0.001, time_limit=30 * u.min).seconds
+    1800.0
+    """
+
+    gap: float = 0.0
+    iterations: int = 10
+    time_limit: u.Quantity | None = None
+    fixed: object = None
+    inform: Callable | None = None
+    patch_size: int = 2000
+
+    def __post_init__(self):
+        if isinstance(self.gap, bool | str) or not isinstance(self.gap, int | float) or not 0 <= self.gap < 1:
+            raise refusal("gap must be a number of at least 0 and below 1", self.gap, int, float)
+        check_whole(self.iterations, "iterations", 0, 100_000)
+        check_whole(self.patch_size, "patch_size", 10, 100_000)
+        if self.inform is not None and not callable(self.inform):
+            raise refusal("inform must be a function", self.inform)
+        if self.time_limit is not None:
+            to_scalar(self.time_limit, u.s, "time_limit", low=0)
+
+    @property
+    def seconds(self) -> float:
+        """The time limit in seconds; infinity if there is none."""
+        return float("inf") if self.time_limit is None else float(self.time_limit.to_value(u.s))
+
+    @property
+    def record(self) -> dict:
+        """The options as text and numbers, as they are written to files."""
+        return {
+            "gap": self.gap,
+            "iterations": self.iterations,
+            "time_limit_s": None if self.time_limit is None else self.seconds,
+            "fixed": None if self.fixed is None else str(getattr(self.fixed, "folder", self.fixed) or "a survey"),
+            "patch_size": self.patch_size,
+        }
+
+
+def as_joint(order: object) -> JointOptions | None:
+    """Return the options of a joint plan for the given order; None for all other orders."""
+    if isinstance(order, JointOptions):
+        return order
+    return JointOptions() if isinstance(order, str) and order == "joint" else None
+
+
+def check_joint(options) -> None:
+    """Raise an error if the options of the allocator do not allow a joint plan.
+
+    Parameters
+    ----------
+    options : AllocationOptions
+        The options of the allocator.
+
+    Raises
+    ------
+    InputError
+        If an option is not supported.
+    """
+    if options.allocator != "optimal":
+        raise InputError(f"a joint plan needs the allocator 'optimal', got {options.name!r}")
+    if options.objective != "priority":
+        raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
+    for name in ("requirements", "required", "sky_separation"):
+        given = getattr(options, name)
+        if given is not None and np.size(given) > 0:
+            raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")

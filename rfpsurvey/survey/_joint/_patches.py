@@ -1,0 +1,157 @@
+"""Patches of the sky: positioners of all tiles that are close to each other, and their weighted problems."""
+
+import numpy as np
+
+from rfpsurvey.allocation import WeightedProblem
+from rfpsurvey.survey._joint._network import Network
+
+__all__ = ["Patches", "divide"]
+
+# Plans whose weights differ by less than this may be taken for equal. The weights of classes differ by at least 1.
+PRECISION = 0.5
+
+
+def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
+    """Divide positioners into patches of at most about ``size`` candidates, and return the patch of each positioner.
+
+    The positioners are divided at medians along coordinates that are rotated at random. The patch of positioners
+    without a choice is -1.
+    """
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    load = np.diff(network.start)
+    label, n = np.full(len(load), -1), 0
+    waiting = [np.flatnonzero(load > 1)]
+    points = directions @ rotation
+    shift = rng.uniform(0.35, 0.65)
+    while waiting:
+        members = waiting.pop()
+        if len(members) == 0:
+            continue
+        total = load[members].sum()
+        if total <= size or len(members) < 2:
+            label[members] = n
+            n += 1
+            continue
+        part = points[members]
+        axis = int(np.argmax(np.ptp(part, axis=0)))
+        members = members[np.argsort(part[:, axis], kind="stable")]
+        # the first cuts are not at the median, so that the patches of successive divisions differ
+        cut = int(np.searchsorted(np.cumsum(load[members]), (shift if total > 4 * size else 0.5) * total)) + 1
+        cut = min(max(cut, 1), len(members) - 1)
+        waiting += [members[cut:], members[:cut]]
+    return label
+
+
+class Patches:
+    """The patches of one division, and the sets of candidates that connect them."""
+
+    def __init__(self, network: Network, label: np.ndarray):
+        self.network, self.label = network, label
+        order = np.argsort(label, kind="stable")
+        order = order[label[order] >= 0]
+        self.n = int(label.max(initial=-1)) + 1
+        self._members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
+        of_entry = label[network.own[network.matrix.indices]]
+        row = np.repeat(np.arange(len(network.most)), np.diff(network.matrix.indptr))
+        inside = of_entry >= 0
+        low, high = np.full(len(network.most), self.n), np.full(len(network.most), -1)
+        np.minimum.at(low, row[inside], of_entry[inside])
+        np.maximum.at(high, row[inside], of_entry[inside])
+        self.crosses = low < high
+        # positioners without a choice always use their only candidate
+        only = network.start[:-1][label < 0]
+        x = np.zeros(len(network.target))
+        x[only] = 1.0
+        self.rest = network.most - network.matrix @ x
+        self._only = only
+        crossing = self.crosses[row] & inside
+        self._links = np.unique(row[crossing] * self.n + of_entry[crossing])
+
+    def colors(self) -> list[list[int]]:
+        """Return groups of patches; patches of the same group share no set."""
+        row, patch = np.divmod(self._links, max(self.n, 1))
+        neighbors = [set() for _ in range(self.n)]
+        starts = np.flatnonzero(np.append(True, np.diff(row) != 0)) if len(row) else np.empty(0, dtype=int)
+        found = set()
+        for group in np.split(patch, starts[1:]):
+            found.add(tuple(group.tolist()))
+        for group in found:
+            for one in group:
+                neighbors[one].update(group)
+        color = np.full(self.n, -1)
+        for one in range(self.n):
+            taken = {int(color[other]) for other in neighbors[one]}
+            color[one] = next(k for k in range(self.n + 1) if k not in taken)
+        return [np.flatnonzero(color == k).tolist() for k in range(int(color.max(initial=-1)) + 1)]
+
+    def members(self, patch: int) -> np.ndarray:
+        """Return the positioners of a patch."""
+        return self._members[patch]
+
+    def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the candidates of a patch, and the first of each positioner, followed by their number."""
+        members, start = self._members[patch], self.network.start
+        size = start[members + 1] - start[members]
+        ends = np.concatenate([[0], np.cumsum(size)])
+        return np.repeat(start[members] - ends[:-1], size) + np.arange(ends[-1]), ends
+
+    def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
+        """Return whether a plan of a patch may be better.
+
+        A better plan visits a target more often that has remaining visits (``unmet``), with a positioner that does not
+        observe a target of the best class in its reach.
+        """
+        network, members = self.network, self._members[patch]
+        rows, ends = self.candidates(patch)
+        rank = network.rank[rows]
+        if (network.rank[chosen[members]] == np.minimum.reduceat(rank, ends[:-1])).all():
+            return False
+        return bool(unmet[network.target[rows]].any())
+
+    def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
+        """Return the candidates of a patch that may be used while all other arms remain in place, and their problem.
+
+        ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
+        """
+        network, members = self.network, self._members[patch]
+        rows, ends = self.candidates(patch)
+        part = network.columns[:, rows]
+        now = chosen[members]
+        sets = np.unique(part.indices)
+        part = part.tocsr()[sets]
+        mine = np.searchsorted(rows, now)
+        x = np.zeros(len(rows))
+        x[mine] = 1.0
+        rest = network.most[sets] - (load[sets] - part @ x)
+        open_ones = part.T @ (rest < 0.5).astype(float) == 0
+        new = np.cumsum(open_ones) - 1
+        part = part[:, np.flatnonzero(open_ones)].tocsr()
+        binding = np.diff(part.indptr) > rest
+        part = part[np.flatnonzero(binding)]
+        start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
+        rows = rows[open_ones]
+        first = new[mine]
+        gap = PRECISION / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
+        args = part.indptr, part.indices, rest[binding], first, nodes, gap, deadline
+        return rows, WeightedProblem(start, weight[rows], *args)
+
+    def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
+        """Return the problem of a patch without the sets that connect patches."""
+        network = self.network
+        rows, ends = self.candidates(patch)
+        part = network.columns[:, rows]
+        sets = np.unique(part.indices)
+        sets = sets[~self.crosses[sets]]
+        part = part.tocsr()[sets]
+        rest = self.rest[sets]
+        open_ones = part.T @ (rest < 0.5).astype(float) == 0
+        part = part[:, np.flatnonzero(open_ones)].tocsr()
+        binding = np.diff(part.indptr) > rest
+        part = part[np.flatnonzero(binding)]
+        start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
+        args = part.indptr, part.indices, rest[binding], None, nodes, gap, deadline
+        return WeightedProblem(start, value[rows[open_ones]], *args)
+
+    def value_of_rest(self, value: np.ndarray) -> float:
+        """Return the sum of the values of positioners without a choice."""
+        return float(value[self._only].sum())

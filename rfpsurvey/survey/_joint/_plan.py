@@ -1,0 +1,131 @@
+"""Plan all tiles of a survey together, and make a request whose tiles have the plans that were found."""
+
+import logging
+from dataclasses import dataclass, field, fields
+from functools import partial
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._progress import Progress
+from rfpsurvey.survey._joint._fixed import fixed_tiles
+from rfpsurvey.survey._joint._search import Search
+from rfpsurvey.survey._joint._start import (
+    TilePlan,
+    class_names,
+    first_plans,
+    given_plan,
+    list_all,
+    place,
+    plans_of,
+)
+from rfpsurvey.survey._joint._state import read_state, write_state
+from rfpsurvey.survey._request import Request
+
+__all__ = ["Together"]
+
+log = logging.getLogger("rfpsurvey")
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedRequest(Request):
+    """The request of a survey whose tiles have given plans."""
+
+    plans: list[TilePlan] = field(default_factory=list)
+    fixed: dict = field(default_factory=dict)
+
+    def job(self, tile: int, left: np.ndarray, *, as_file: bool):
+        """Return the job that makes the tile with its given plan."""
+        if tile in self.fixed:  # its targets may be complete by now
+            job = super().job(tile, self.open_state().left, as_file=as_file)
+            return given_plan(self, job, self.fixed[tile])
+        return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
+
+
+class Together:
+    """The joint plan of a survey.
+
+    Parameters
+    ----------
+    executor : Executor or None
+        Executor for the programs.
+    progress : bool or callable
+        As in `plan_survey`.
+    """
+
+    def __init__(self, executor, progress):
+        self._executor, self._progress = executor, progress
+        self.rest = progress
+        """Progress for the tiles that are written after the search."""
+
+    def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
+        """Return a request with the plans of all tiles, and the table of iterations."""
+        n, most = len(request.tiling), request.joint.iterations
+        stored = None if folder is None else read_state(folder)
+        fixed = fixed_tiles(request)
+        tell, steps = self._progress, n + most + 1
+        if callable(tell):  # the calls for both parts of the work have the same total
+            self.rest = partial(_tell, self._progress, steps, steps + n)
+            tell = partial(_tell, self._progress, 0, steps + n)
+        with Progress(tell, steps, "steps") as tell:
+            if stored is None:
+                plans = first_plans(request, fixed, self._executor, partial(tell, note="tiles one after the other"))
+            else:
+                plans = [TilePlan(*columns) for columns in stored.plans]
+                tell(n, new=False)
+            network, directions = list_all(request, plans, fixed, self._executor)
+            chosen = place(network, plans)
+            search = Search(network, chosen, directions, request.joint, request.seed)
+            if stored is not None:
+                search.restore(stored)
+            else:
+                search.begin(partial(_inform, request.joint.inform))
+                _store(folder, network, search)
+            while not search.is_over:
+                search.iterate(self._executor)
+                tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
+                _store(folder, network, search)
+            tell(steps)
+        log.info("planned %d tiles together in %d iterations", n, search.iteration)
+        columns = {f.name: getattr(request, f.name) for f in fields(request)}
+        planned = PlannedRequest(**columns, plans=plans_of(network, search.chosen), fixed=fixed)
+        return planned, table_of(search, class_names(request))
+
+
+def _tell(progress, before: int, total: int, done: float, _) -> None:
+    """Pass the progress of a part of the work to a function."""
+    progress(before + done, total)
+
+
+def _inform(inform, search: Search) -> None:
+    """Call the function of the options with the visits and the bounds before the first iteration."""
+    if inform is not None:
+        inform({"visits": search.visits.tolist(), "bound": search.bounds.tolist()})
+
+
+def _store(folder, network, search) -> None:
+    """Write the state of the search to the folder."""
+    if folder is not None:
+        write_state(folder, plans_of(network, search.chosen), search)
+
+
+def table_of(search: Search, names: list[str]) -> QTable:
+    """Return the table of iterations, with a row for each iteration and level; the last state is in its meta."""
+    rows = []
+    for step in search.steps:
+        for k, level in enumerate(search.levels.tolist()):
+            visits, bound = int(step.visits[k]), max(float(step.bound[k]), float(step.visits[k]))
+            gap = 1.0 - visits / bound if bound else 0.0
+            rows.append((step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)))
+    table = QTable(rows=rows, names=("iteration", "priority", "n_visits", "bound", "gap", "seconds"))
+    last = rows[-len(search.levels) :]
+    first = rows[: len(search.levels)]
+    table.meta["summary"] = {
+        "n_iterations": search.iteration,
+        "levels": [
+            {"priority": name, "n_visits_before": before[2], "n_visits": visits, "bound": bound, "gap": gap}
+            for before, (_, name, visits, bound, gap, _) in zip(first, last, strict=True)
+        ],
+        "gap": max((row[4] for row in last), default=0.0),
+    }
+    return table

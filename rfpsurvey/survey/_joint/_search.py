@@ -1,0 +1,236 @@
+"""The search for a joint plan: prices, integer programs for patches of the sky, and upper bounds."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from time import perf_counter, time
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._executors import map_in_order
+from rfpsurvey.allocation import RowPrices, solve_weighted
+from rfpsurvey.survey._joint._network import Network
+from rfpsurvey.survey._joint._options import JointOptions
+from rfpsurvey.survey._joint._patches import Patches, divide
+
+__all__ = ["Search", "Step"]
+
+# Widths of the smooth maximum, and numbers of sweeps of the prices of each width.
+SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
+# Fraction of the time limit for the prices before the first iteration.
+FOR_PRICES = 0.15
+# Largest number of classes of priority for which bounds are computed.
+MOST_LEVELS = 8
+# Largest number of nodes of the search tree of a program for a plan, and for a bound.
+NODES, NODES_OF_BOUND = 300, 100
+# Allowed relative error of a program for a bound; its bound is valid for any error.
+GAP = 2e-4
+# Largest number of pairs for which the matching without collisions is computed.
+MOST_EDGES = 4_000_000
+# The weight of the least important class is at least this many times the sum of all terms that decide between plans of
+# equal value.
+TIE = 0.4
+# Largest ratio of the weights of the first and the last class.
+STEEPEST = 1e6
+# The size of the patches grows by this factor after an iteration that changes little.
+GROWTH, LITTLE, LARGEST = 1.5, 0.05, 10.0
+
+
+class Step(NamedTuple):
+    """The state after an iteration."""
+
+    iteration: int
+    seconds: float
+    visits: np.ndarray
+    """Visits of each class and all classes before it, for the levels with bounds."""
+    bound: np.ndarray
+
+
+class Search:
+    """A plan of all tiles that is improved by iterations, and upper bounds.
+
+    ``chosen`` is the candidate of each positioner in the first plan; ``directions`` are unit vectors of the centers
+    of all positioners.
+    """
+
+    def __init__(self, network: Network, chosen: np.ndarray, directions: np.ndarray, options: JointOptions, seed: int):
+        self.network, self.chosen, self.directions = network, chosen.copy(), directions
+        self.options, self.seed = options, seed
+        n = network.n_classes
+        self.levels = np.unique(np.linspace(0, n - 1, min(n, MOST_LEVELS)).astype(int))
+        self.bounds = np.full(len(self.levels), np.inf)
+        self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
+        self.steps: list[Step] = []
+        # Bounds are not computed again with patches of a size that did not lower them.
+        self._next_size = np.zeros(len(self.levels))
+        self._prices = [None] * len(self.levels)
+        self._begin = perf_counter()
+
+    @property
+    def next_size(self) -> np.ndarray:
+        """Smallest size of the patches with which the bound of each level is computed again."""
+        return self._next_size
+
+    @property
+    def prices(self) -> list:
+        """Prices of the sets for each level, or None."""
+        return [None if one is None else one.price for one in self._prices]
+
+    def restore(self, state) -> None:
+        """Continue a search from its stored state."""
+        n = len(self.levels)
+        self._next_size = state.next_size
+        self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
+        for row in state.steps:
+            self.steps.append(Step(int(row[0]), row[1], row[2 : 2 + n].astype(np.int64), row[2 + n :]))
+        for k, price in enumerate(state.prices):
+            if price is not None:
+                self._prices_of(k).price = price
+
+    @property
+    def visits(self) -> np.ndarray:
+        """Visits of each level: a class and all classes before it."""
+        return np.cumsum(self.network.counts(self.chosen))[self.levels]
+
+    def chosen_targets(self) -> np.ndarray:
+        """Return the target of each visit of the plan."""
+        target = self.network.target[self.chosen]
+        return target[target >= 0]
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Relative difference of the visits and the upper bound of each level."""
+        return 1.0 - self.visits / np.maximum(np.maximum(self.bounds, self.visits), 1.0)
+
+    @property
+    def seconds(self) -> float:
+        """Time of the search, including the time before it was continued."""
+        return self.spent + perf_counter() - self._begin
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further iteration is required or allowed."""
+        small = bool((self.gaps <= self.options.gap).all()) and bool(np.isfinite(self.bounds).all())
+        return small or self.iteration >= self.options.iterations or self.out_of_time()
+
+    def out_of_time(self) -> bool:
+        """Return whether the time is over."""
+        return self.seconds >= self.options.seconds
+
+    def _out_of_time_for_prices(self) -> bool:
+        """Return whether the time for the first prices is over."""
+        return self.seconds >= FOR_PRICES * self.options.seconds
+
+    def _deadline(self) -> float:
+        """Return the time of `time.time` at which the search ends."""
+        return time() + self.options.seconds - self.seconds
+
+    def begin(self, tell: Callable | None = None) -> None:
+        """Compute the first bounds: a matching without collisions, and prices."""
+        for k, level in enumerate(self.levels):
+            self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
+        self._record()
+        if tell is not None:
+            tell(self)
+        for k in range(len(self.levels)):
+            if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
+                self._price(k)
+        self._record()
+
+    def iterate(self, executor: Executor | None) -> None:
+        """Improve the plan and the bounds once."""
+        before = self.visits, self.bounds.copy()
+        rng = np.random.default_rng([self.seed, self.iteration])
+        label = divide(self.network, self.directions, int(self.size), rng)
+        patches = Patches(self.network, label)
+        self._improve(patches, executor)
+        open_levels = np.flatnonzero(self.bounds > self.visits)
+        open_levels = [k for k in open_levels.tolist() if self.size >= self._next_size[k]]
+        if open_levels and not self.out_of_time():
+            k = open_levels[self.iteration % len(open_levels)]
+            self._bound(k, patches, executor)
+            if self.bounds[k] == before[1][k]:
+                self._next_size[k] = self.size * GROWTH
+        self.iteration += 1
+        rest = np.maximum(before[1] - before[0], 1.0)
+        gained = (self.visits - before[0] + before[1] - self.bounds) / rest
+        if (gained < LITTLE).all():
+            self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
+        self._record()
+
+    def _record(self):
+        self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))
+
+    def _weights(self, level):
+        """Return the weight of each candidate for the number of visits of a level."""
+        return (self.network.rank <= self.levels[level]).astype(float)
+
+    def _prices_of(self, level) -> RowPrices:
+        if self._prices[level] is None:
+            network = self.network
+            self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free)
+        return self._prices[level]
+
+    def _price(self, level):
+        """Adjust the prices of a level, and lower its bound."""
+        bound = self._prices_of(level).improve(self._weights(level), SWEEPS, self._out_of_time_for_prices)
+        self.bounds[level] = min(self.bounds[level], np.floor(bound))
+
+    def _bound(self, level, patches, executor):
+        """Lower the bound of a level: patches are solved as integer programs, and prices replace sets between them."""
+        prices, network = self._prices_of(level), self.network
+        if network.free.any():
+            return
+        cross = np.where(patches.crosses, prices.price, 0.0)
+        value = self._weights(level) - network.matrix.T @ cross
+        deadline = self._deadline()
+        problems = [patches.alone(k, value, NODES_OF_BOUND, GAP, deadline) for k in range(patches.n)]
+        total = float(cross @ network.most) + patches.value_of_rest(value)
+        total += 1e-9 * (len(network.start) + float(cross @ network.most))
+        for _, bound in map_in_order(executor, solve_weighted, problems):
+            total += bound
+        if np.isfinite(total):
+            self.bounds[level] = min(self.bounds[level], np.floor(total))
+
+    def _class_weights(self, most):
+        """Return weights of the classes such that earlier classes take precedence."""
+        n = self.network.n_classes
+        ratio = min(float(most + 1), STEEPEST ** (1.0 / max(n - 1, 1)))
+        return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
+
+    def _improve(self, patches, executor):
+        """Improve the plan patch by patch; patches that share no set are solved at the same time."""
+        network = self.network
+        load = network.matrix @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
+        price = self._prices[-1]
+        scarce = np.zeros(len(network.target))
+        if price is not None:
+            of_targets = np.where(np.arange(len(price.price)) >= network.n_cliques, price.price, 0.0)
+            scarce = network.matrix.T @ of_targets
+        scarce /= max(scarce.max(initial=0.0), 1e-12)
+        by_class = self._class_weights(max((len(patches.members(k)) for k in range(patches.n)), default=1))
+        unmet = np.append(network.visits > np.bincount(self.chosen_targets(), minlength=len(network.slot)), False)
+        for group in patches.colors():
+            if self.out_of_time():
+                break
+            found, deadline = [], self._deadline()
+            group = [k for k in group if patches.can_gain(k, self.chosen, unmet)]
+            for k in group:
+                tie = TIE / max(len(patches.members(k)), 1)
+                weight = by_class[network.rank] - tie * scarce
+                found.append(patches.within(k, self.chosen, load, weight, NODES, deadline))
+            results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
+            for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
+                if chosen is not None:
+                    self._take(patches.members(k), rows[chosen], load)
+
+    def _take(self, members, new, load):
+        """Use the new candidates of a patch if its plan is as good as before."""
+        network, old = self.network, self.chosen[members]
+        if tuple(network.counts(new)) < tuple(network.counts(old)) or np.array_equal(new, old):
+            return
+        change = new != old
+        columns = network.columns
+        for candidates, sign in ((old[change], -1.0), (new[change], 1.0)):
+            np.add.at(load, columns[:, candidates].indices, sign)
+        self.chosen[members] = new

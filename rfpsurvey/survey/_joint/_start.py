@@ -1,0 +1,149 @@
+"""The first plan of the tiles, one after the other, and the candidates of all tiles."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._executors import map_in_order
+from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
+from rfpsurvey.pipeline import plan_field
+from rfpsurvey.survey._joint._fixed import candidates_of
+from rfpsurvey.survey._joint._network import Network, make_network
+from rfpsurvey.survey._work import Job, Model, projection_of
+
+__all__ = ["TilePlan", "class_names", "first_plans", "given_plan", "list_all", "place", "plans_of"]
+
+
+class TilePlan(NamedTuple):
+    """The plan of a tile."""
+
+    slot: np.ndarray
+    """Slot of the target of each positioner, or -1."""
+    side: np.ndarray
+    """Elbow of each positioner: +1 is right, -1 is left."""
+
+
+def _plan(job: Job):
+    """Return the target of each positioner, as an index of the targets of the field, and its elbow."""
+    plan = plan_field(
+        job.model.instrument, projection_of(job), job.field.targets, job.model.options, np.random.default_rng(job.seed)
+    )
+    side = np.where(plan.allocation.handedness == "left", -1, 1).astype(np.int8)
+    return plan.allocation.target_of_positioner, side
+
+
+def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
+    """Return the candidates of a tile, and the unit vectors of the centers of its positioners."""
+    model, projection = job.model, projection_of(job)
+    instrument = model.instrument
+    plan = plan_field(instrument, projection, job.field.targets, model.options, np.random.default_rng(job.seed))
+    kind = instrument.focal_plane.fiber_types[0]
+    vectors = projection.unproject(instrument.focal_plane.arrays.xy, np.full(len(instrument.focal_plane), kind))
+    return plan.allocation.meta["candidates"], vectors
+
+
+def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
+    """Return the plans of all tiles, planned one after the other; ``fixed`` contains the plans of observed tiles."""
+    left, plans = request.open_state().left, [None] * len(request.tiling)
+    done = 0
+    for tile, known in fixed.items():
+        slot = np.where(known.counted, known.slot, -1)
+        left[slot[slot >= 0]] -= 1
+        plans[tile] = TilePlan(slot, known.side)
+        done += 1
+    for round_ in request.rounds:
+        tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
+        jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
+        for tile, job, (target, side) in zip(
+            tiles.tolist(), jobs, map_in_order(executor, _plan, [_bare(job) for job in jobs]), strict=True
+        ):
+            slot = np.append(job.field.slot, -1)[target]
+            left[slot[slot >= 0]] -= 1
+            plans[tile] = TilePlan(slot, side)
+            done += 1
+            tell(done)
+    return plans
+
+
+def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
+    """Return the network of all tiles, and the unit vectors of the centers of all positioners."""
+    state = request.open_state()
+    jobs, slots, n = [], [], len(request.tiling)
+    for tile in range(n):
+        job = request.job(tile, state.left, as_file=False)
+        slots.append(job.field.slot)
+        if tile in fixed:
+            continue
+        keep = _rows(job.field.slot, plans[tile].slot)
+        options = replace(request.options, allocator=ListCandidates(keep))
+        jobs.append(_bare(job)._replace(model=_model(request, options)))
+    found = map_in_order(executor, _list, jobs)
+    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners without a choice are in no patch
+    parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(found) for k in range(n)]
+    tiles, vectors = zip(*parts, strict=True)
+    return make_network(list(tiles), slots, state.left, class_of(request, state.left)), np.concatenate(vectors)
+
+
+def class_of(request, wanted: np.ndarray) -> np.ndarray:
+    """Return the class of each target, by slot; the classes are the distinct priorities, the largest first."""
+    priority = request.source.by_slot("priority")
+    if priority is None:
+        return np.zeros(len(wanted), dtype=np.int64)
+    values = np.unique(priority[wanted > 0])[::-1]
+    return np.clip(np.searchsorted(-values, -priority), 0, max(len(values) - 1, 0)).astype(np.int64)
+
+
+def class_names(request) -> list[str]:
+    """Return the name of each class of `class_of`: its priority."""
+    priority = request.source.by_slot("priority")
+    wanted = request.open_state().left
+    if priority is None or not (wanted > 0).any():
+        return ["all"]
+    return [f"{value:.15g}" for value in np.unique(priority[wanted > 0])[::-1]]
+
+
+def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
+    """Return the candidate of each positioner in the plans of all tiles; without a candidate, a positioner is idle."""
+    slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
+    place = np.searchsorted(network.slot, slot)
+    target = np.where(slot >= 0, place, -2)
+    own = network.own
+    fits = (network.target == target[own]) & (network.side == side[own]) & (network.target >= 0)
+    chosen = network.start[1:] - 1
+    rows = np.flatnonzero(fits)
+    chosen[own[rows]] = rows
+    return chosen
+
+
+def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
+    """Return the plans of all tiles from the candidate of each positioner."""
+    target = network.target[chosen]
+    slot = np.append(network.slot, -1)[target]
+    side = network.side[chosen]
+    return [TilePlan(slot[a:b], side[a:b]) for a, b in zip(network.first[:-1], network.first[1:], strict=True)]
+
+
+def given_plan(request, job: Job, plan: TilePlan) -> Job:
+    """Return the job with an allocator that returns the plan of the tile."""
+    allocator = GivenPlan(_rows(job.field.slot, plan.slot), plan.side)
+    return job._replace(model=_model(request, replace(request.options, allocator=allocator)))
+
+
+def _model(request, options) -> Model:
+    old = request.model
+    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units, old.epoch)
+
+
+def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return the index of each wanted slot among the slots of a field; -1 for -1."""
+    order = np.argsort(slots, kind="stable")
+    index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
+    return np.where(wanted >= 0, index, -1)
+
+
+def _bare(job: Job) -> Job:
+    """Return the job without the slots of targets, which workers do not require."""
+    return job._replace(field=job.field._replace(slot=None))

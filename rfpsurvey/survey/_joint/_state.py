@@ -1,0 +1,66 @@
+"""The state of the search for a joint plan in the folder of a survey."""
+
+import io
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey.errors import InputError, warn
+
+__all__ = ["STATE", "State", "read_state", "write_state"]
+
+STATE = "joint/state.npz"
+
+
+class State(NamedTuple):
+    """The state of a search after an iteration."""
+
+    plans: list
+    """Slots and elbows of each tile."""
+    bounds: np.ndarray
+    next_size: np.ndarray
+    size: float
+    iteration: int
+    seconds: float
+    steps: np.ndarray
+    """Iteration, seconds, visits and bounds of each step, one row per step."""
+    prices: list
+    """Prices of each level, or None."""
+
+
+def write_state(folder, plans: list, search) -> None:
+    """Write the state of a search."""
+    columns = {
+        "slot": np.concatenate([plan.slot for plan in plans]),
+        "side": np.concatenate([plan.side for plan in plans]),
+        "size": np.array([len(plan.slot) for plan in plans]),
+        "numbers": np.array([search.size, search.iteration, search.seconds]),
+        "bounds": search.bounds,
+        "next_size": search.next_size,
+        "steps": np.array([[step.iteration, step.seconds, *step.visits, *step.bound] for step in search.steps]),
+    }
+    for k, price in enumerate(search.prices):
+        if price is not None:
+            columns[f"price{k}"] = price
+    content = io.BytesIO()
+    np.savez(content, **columns)
+    folder.put_file(STATE, content.getvalue())
+
+
+def read_state(folder) -> State | None:
+    """Return the state of a search; None if there is none, or if it is damaged."""
+    content = folder.file(STATE)
+    if content is None:
+        return None
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            found = dict(found)
+        size, iteration, seconds = found["numbers"].tolist()
+        ends = np.cumsum(found["size"])[:-1]
+        plans = list(zip(np.split(found["slot"], ends), np.split(found["side"], ends), strict=True))
+        prices = [found.get(f"price{k}") for k in range(len(found["bounds"]))]
+        return State(plans, found["bounds"], found["next_size"], size, int(iteration), seconds, found["steps"], prices)
+    except (InputError, ValueError, KeyError, OSError) as error:
+        text = f"the joint plan begins again, because its state cannot be read: {error}"
+        warn(text)
+        return None

@@ -1,0 +1,150 @@
+"""Compare joint plans with plans that are made tile after tile.
+
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/joint_figures.py [sdss lamost moons desi scan] [--seconds 1800]
+
+Each case prints the visits of the allocators tile after tile, the bound of a matching without collisions, and the
+table of the joint plan. ``scan`` prints the gain as a function of the overlap of tiles, the targets per fiber and the
+clustering, which docs/figures/joint_gain.py plots.
+"""
+
+import argparse
+import os
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+
+DATA = Path(os.environ.get("RFPSURVEY_TEST_DATA", "data"))
+CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
+
+
+def sdss(_):
+    sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
+    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo"), {}
+
+
+def lamost(_):
+    sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
+    return sky, "lamost", rs.place_tiles(sky, "lamost"), {}
+
+
+def moons(_):
+    sky = rs.Catalog.read(DATA / "zcosmos_bright.ecsv")
+    return sky, "moons", rs.place_tiles(sky, "moons", passes=2), {"patch_size": 600}
+
+
+def desi(options):
+    """Return clustered targets that require one to four visits, and the tiles of five passes around the center."""
+    rng = np.random.default_rng(1)
+    tiling = rs.Tiling.read(DATA / "desi_tiles_main.ecsv.gz").table
+    rows = []
+    for number in np.unique(tiling["pass"])[:5]:
+        of_pass = np.flatnonzero(tiling["pass"] == number)
+        apart = SkyCoord(tiling["ra"][of_pass], tiling["dec"][of_pass]).separation(CENTER)
+        rows.append(of_pass[np.argsort(apart)[: options.tiles // 5]])
+    tiling = rs.Tiling(tiling[np.sort(np.concatenate(rows))])
+    radius = tiling.coord.separation(CENTER).max() + 1.6 * u.deg
+    sky = rs.synthetic_catalog(
+        "clustered", CENTER, radius, density=options.density / u.deg**2, cluster_size=20,
+        cluster_scale=0.05 * u.deg, rng=rng,
+    )  # fmt: skip
+    n = len(sky)
+    catalog = rs.Catalog(sky.coord, visits=rng.integers(1, 5, n), priority=rng.integers(1, 3, n))
+    return catalog, "desi", tiling, {}
+
+
+CASES = {"sdss": sdss, "lamost": lamost, "moons": moons, "desi": desi}
+
+
+def visits_of(survey):
+    """Return the visits by priority, and the visits after each pass, as text."""
+    table = survey.completeness
+    last = table[table["pass"] == table["pass"][-1]]
+    every = table[table["priority"] == "all"]["n_observed"].tolist()
+    classes = {str(row["priority"]): int(row["n_observed"]) for row in last if row["priority"] != "all"}
+    return f"{survey.summary['n_visits_observed']}, after each pass {every}, by priority {classes}"
+
+
+def compare(name, options, executor):
+    """Print the visits of all plans of a case."""
+    catalog, instrument, tiling, joint = CASES[name](options)
+    print(f"{name}: {len(catalog)} targets, {len(tiling)} tiles, {instrument}", flush=True)
+    limit = {"time_limit": options.tile_seconds * u.s}
+    for allocator in ("lamost", "repair", "optimal"):
+        begin = perf_counter()
+        some = limit if allocator == "optimal" else {}
+        survey = rs.plan_survey(
+            catalog, instrument, tiling, allocator=rs.AllocationOptions(allocator, **some), executor=executor
+        )
+        print(f"  {allocator}: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
+    begin = perf_counter()
+    order = rs.JointOptions(iterations=1000, gap=2e-5, time_limit=options.seconds * u.s, **joint)
+    survey = rs.plan_survey(
+        catalog, instrument, tiling, allocator=rs.AllocationOptions("optimal", **limit), order=order, executor=executor
+    )
+    print(f"  joint: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
+    survey.joint.pprint_all()
+    for level in survey.summary["joint"]["levels"]:
+        first = survey.joint[survey.joint["priority"] == level["priority"]]["bound"].max()
+        before, distance = level["n_visits_before"], max(level["bound"] - level["n_visits_before"], 1)
+        closed = (level["n_visits"] - before) / distance
+        print(f"  priority {level['priority']}: {level}; {closed:.0%} of the distance to the bound, {first} at first")
+
+
+def scan_case(spacing, per_fiber, clustered):
+    """Return a catalog and seven tiles at a spacing in units of the diameter of the field."""
+    sdss_v = rs.Instrument.preset("sdss_apo")
+    step = 2 * spacing * sdss_v.field_radius
+    angle = np.arange(6) * 60 * u.deg
+    around = CENTER.directional_offset_by(angle, step)
+    tiles = SkyCoord([CENTER.ra, *around.ra], [CENTER.dec, *around.dec])
+    radius = step + sdss_v.field_radius
+    area = np.pi * radius.to_value(u.deg) ** 2
+    density = per_fiber * 7 * len(sdss_v.focal_plane) / area / u.deg**2
+    options = {"cluster_size": 10, "cluster_scale": 0.05 * u.deg} if clustered else {}
+    kind = "clustered" if clustered else "poisson"
+    return rs.synthetic_catalog(kind, CENTER, radius, density=density, rng=1, **options), sdss_v, tiles
+
+
+def scan(options, executor):
+    """Print and write the gain of joint plans over plans that are made tile after tile."""
+    for clustered in (False, True):
+        points = [(s, 1.0) for s in (0.2, 0.4, 0.6, 0.8, 1.0)] + [(0.4, n) for n in (0.25, 0.5, 2.0, 4.0)]
+        for spacing, per_fiber in points:
+            catalog, instrument, tiles = scan_case(spacing, per_fiber, clustered)
+            order = rs.JointOptions(iterations=20, time_limit=options.scan_seconds * u.s, gap=2e-4, patch_size=600)
+            allocator = rs.AllocationOptions("optimal", time_limit=options.tile_seconds * u.s)
+            survey = rs.plan_survey(catalog, instrument, tiles, allocator=allocator, order=order, executor=executor)
+            level = survey.summary["joint"]["levels"][-1]
+            seconds = float(survey.joint["seconds"][-1])
+            before, after, bound = level["n_visits_before"], level["n_visits"], level["bound"]
+            print(spacing, per_fiber, clustered, len(catalog), before, after, bound, f"{seconds:.0f} s", end=" ")
+            print(f"gain {after / before - 1:.2%}, at most {bound / before - 1:.2%}", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("cases", nargs="*", choices=[*CASES, "scan"], default=[*CASES, "scan"])
+    parser.add_argument("--seconds", type=float, default=1800.0)
+    parser.add_argument("--tile-seconds", type=float, default=20.0)
+    parser.add_argument("--scan-seconds", type=float, default=60.0)
+    parser.add_argument("--tiles", type=int, default=100)
+    parser.add_argument("--density", type=float, default=1500.0)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", rs.RfpsurveyWarning)
+    with ThreadPoolExecutor(2) as executor:
+        for name in options.cases:
+            if name in CASES:
+                compare(name, options, executor)
+            else:
+                scan(options, executor)
+
+
+if __name__ == "__main__":
+    main()

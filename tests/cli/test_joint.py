@@ -1,0 +1,58 @@
+"""Joint plans of the command ``survey``."""
+
+import astropy.units as u
+import pytest
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from scenes import few
+
+
+@pytest.fixture
+def words(tmp_path):
+    """Return the words of a command that plans a small survey."""
+    few(40).write(tmp_path / "stars.fits")
+    tiles = QTable({"ra": [94.9, 95.1] * u.deg, "dec": [23, 23] * u.deg})
+    tiles.write(tmp_path / "tiles.ecsv")
+    files = tmp_path / "stars.fits", "--tiles", tmp_path / "tiles.ecsv"
+    return ["survey", *files, "--instrument", "moons", "--allocator", "optimal"]
+
+
+def test_the_command_prints_the_gain_and_the_bounds(run, words, tmp_path):
+    code, out, err = run(*words, "--order", "joint", "--joint-iterations", 1, "--folder", tmp_path / "plan")
+    assert code == 0, err
+    survey = rs.Survey.read(tmp_path / "plan")
+    level = survey.summary["joint"]["levels"][0]
+    first = survey.joint["bound"][0]
+    text = (
+        f"tiles one after the other: {level['n_visits_before']} visits; a matching without collisions: {first} visits"
+    )
+    assert text in err
+    assert "joint plan: visits to targets with at least this priority" in out
+    code, _, err = run(*words, "--order", "joint", "--fixed", tmp_path / "nothing")
+    assert code == 2
+    assert "nothing does not hold a survey" in err
+
+
+def test_every_option_reaches_the_library(run, words, monkeypatch):
+    seen = {}
+
+    def plan_survey(*_, **options):
+        seen.update(options)
+        raise rs.InputError("enough")
+
+    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+    options = ["--joint-gap", 0.1, "--joint-iterations", 7, "--joint-time", 3, "--fixed", "plan"]
+    run(*words, "--order", "joint", *options)
+    assert seen["order"].record == {
+        "gap": 0.1,
+        "iterations": 7,
+        "time_limit_s": 3.0,
+        "fixed": "plan",
+        "patch_size": 2000,
+    }
+    run(*words, "--order", "joint")
+    assert seen["order"].record == rs.JointOptions().record
+    _, _, err = run(*words, *options)
+    assert "have no effect without --order joint" in err
+    assert seen["order"] == "color"

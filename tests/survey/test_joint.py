@@ -1,0 +1,206 @@
+"""Joint plans: executors, folders, fixed tiles, limits of the search, and refusals."""
+
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+MM = u.mm
+JOINT = rs.JointOptions(iterations=3, patch_size=60)
+CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Return targets, an instrument and overlapping tiles, for which a joint plan makes more visits."""
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), rings=2, pitch=17 * MM)
+    instrument = rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
+    rng = np.random.default_rng(5)
+    m = 130
+    sky = CENTER.spherical_offsets_by(*rng.uniform(-0.3, 0.3, (2, m)) * u.deg)
+    catalog = rs.Catalog(sky, priority=rng.integers(1, 3, m), visits=rng.integers(0, 3, m))
+    tiles = CENTER.spherical_offsets_by(*rng.uniform(-0.12, 0.12, (2, 6)) * u.deg)
+    return catalog, instrument, tiles
+
+
+def plan(case, **options):
+    return rs.plan_survey(*case, **{"allocator": "optimal", "order": JOINT, **options})
+
+
+@pytest.fixture(scope="module")
+def survey(case):
+    return plan(case)
+
+
+def rows_of(survey):
+    return [np.asarray(part["target_row"]).tolist() for part in survey]
+
+
+def test_a_joint_plan_makes_more_visits(case, survey):
+    before = plan(case, order="color")
+    levels = survey.summary["joint"]["levels"]
+    assert levels[-1]["n_visits_before"] == before.summary["n_visits_observed"]
+    assert levels[-1]["n_visits"] == survey.summary["n_visits_observed"] > before.summary["n_visits_observed"]
+    assert [level["priority"] for level in levels] == ["2", "1"]
+    assert survey.summary["n_colliding"] == 0
+    table = survey.joint
+    assert (np.asarray(table["gap"]) == 1 - table["n_visits"] / table["bound"]).all()
+    assert survey.summary["joint"]["gap"] == table["gap"][-2:].max()
+    for name in ("2", "1"):
+        part = table[table["priority"] == name]
+        assert (np.diff(part["bound"]) <= 0).all()
+        assert (np.diff(part["seconds"]) >= 0).all()
+    first = table[table["priority"] == "2"]["n_visits"]
+    assert (np.diff(first) >= 0).all()
+
+
+def files(folder):
+    """Return the content of all files that do not contain computing times."""
+    names = ["tiles.fits", "completeness.ecsv", "outcomes.fits"]
+    names += [str(path.relative_to(folder)) for path in sorted((folder / "tiles").rglob("*.fits"))]
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_the_plan_does_not_depend_on_the_workers(case, survey, tmp_path, processes):
+    plan(case, folder=tmp_path / "alone")
+    pool = ProcessPoolExecutor(2, get_context("spawn")) if processes else ThreadPoolExecutor(3)
+    with pool as executor:
+        plan(case, executor=executor, folder=tmp_path / "workers")
+    assert files(tmp_path / "alone") == files(tmp_path / "workers")
+    found = rs.Survey.read(tmp_path / "workers")
+    assert rows_of(found) == rows_of(survey)
+    assert found.summary == survey.summary
+    for name in ("iteration", "priority", "n_visits", "bound", "gap"):
+        assert found.joint[name].tolist() == survey.joint[name].tolist()
+
+
+@pytest.mark.parametrize("last", [7, 12])
+def test_an_interrupted_search_continues(case, survey, tmp_path, last):
+    def stop(done, _):
+        if done >= last:
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "survey"
+    with pytest.raises(KeyboardInterrupt):
+        plan(case, folder=folder, progress=stop)
+    done = []
+    found = plan(case, folder=folder, resume=True, progress=lambda k, _: done.append(k))
+    assert rows_of(found) == rows_of(survey)
+    assert found.summary == survey.summary
+    assert len(found.joint) == len(survey.joint)
+    whole = plan(case, folder=tmp_path / "whole")
+    assert files(folder) == files(tmp_path / "whole")
+    assert whole.summary == found.summary
+
+
+def test_a_damaged_state_is_not_used(case, survey, tmp_path):
+    folder = tmp_path / "survey"
+    plan(case, folder=folder)
+    (folder / "joint" / "state.npz").write_bytes(b"nothing")
+    with pytest.warns(rs.RfpsurveyWarning, match="damaged"):
+        found = plan(case, folder=folder, resume=True)
+    assert rows_of(found) == rows_of(survey)
+    with pytest.raises(rs.InputError, match="joint"):
+        plan(case, folder=folder, resume=True, order=rs.JointOptions(iterations=4))
+
+
+def test_the_search_ends_at_each_of_its_limits(case):
+    none = plan(case, order=rs.JointOptions(iterations=0)).summary["joint"]
+    assert none["n_iterations"] == 0
+    assert none["levels"][-1]["n_visits"] == none["levels"][-1]["n_visits_before"]
+    assert plan(case, order=rs.JointOptions(time_limit=1e-6 * u.s)).summary["joint"]["n_iterations"] == 0
+    wide = plan(case, order=rs.JointOptions(gap=0.5)).summary["joint"]
+    assert wide["n_iterations"] == 0
+    assert wide["gap"] <= 0.5
+
+
+def test_the_function_inform_receives_the_first_visits_and_bounds(case, survey):
+    seen = []
+    plan(case, order=rs.JointOptions(iterations=0, inform=seen.append))
+    levels = survey.summary["joint"]["levels"]
+    assert [one["visits"] for one in seen] == [[level["n_visits_before"] for level in levels]]
+    assert seen[0]["bound"] == survey.joint["bound"][:2].tolist()
+
+
+def test_observed_tiles_are_not_changed(case, tmp_path):
+    catalog, instrument, tiles = case
+    tiling = rs.Tiling.from_table(QTable({"ra": tiles.ra, "dec": tiles.dec}))
+    some = rs.Tiling(tiling.table[:3])
+    before = rs.plan_survey(catalog, instrument, some, allocator="lamost", folder=tmp_path / "observed")
+    assert before.summary["n_colliding"] > 0
+    for fixed in (before, tmp_path / "observed"):
+        order = rs.JointOptions(iterations=3, patch_size=60, fixed=fixed)
+        found = rs.plan_survey(catalog, instrument, tiling, allocator="optimal", order=order)
+        assert rows_of(found)[:3] == rows_of(before)
+        for a, b in zip(found, before, strict=False):
+            assert a["observed"].tolist() == b["observed"].tolist()
+        level = found.summary["joint"]["levels"][-1]
+        assert level["bound"] >= level["n_visits"] == found.summary["n_visits_observed"]
+        assert found.summary["n_visits_observed"] > before.summary["n_visits_observed"]
+        number = np.bincount(np.concatenate([p["target_row"][p["observed"]] for p in found]), minlength=len(catalog))
+        assert (number <= catalog.visits).all()
+
+
+def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
+    catalog, instrument, tiles = case
+    before = rs.plan_survey(catalog, instrument, tiles, allocator="optimal")
+    order = rs.JointOptions(fixed=before)
+    with pytest.raises(rs.InputError, match="fixed must be a survey with the instrument 'moons'"):
+        rs.plan_survey(catalog, "moons", tiles, allocator="optimal", order=order)
+    other = rs.Catalog(catalog.coord, id=[f"s{k}" for k in range(len(catalog))], visits=catalog.visits)
+    with pytest.raises(rs.InputError, match="targets of this catalog"):
+        rs.plan_survey(other, instrument, tiles, allocator="optimal", order=order)
+    with pytest.raises(rs.InputError, match="more visits than requested"):
+        rs.plan_survey(catalog, instrument, tiles, allocator="optimal", order=order, visits=0 * catalog.visits)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"allocator": "lamost"}, "a joint plan needs the allocator 'optimal', got 'lamost'"),
+        ({"allocator": rs.AllocationOptions("optimal", objective="count")}, "the objective 'priority', got 'count'"),
+        ({"allocator": rs.AllocationOptions("optimal", requirements="sky=3")}, "requirements must not be given"),
+        ({"allocator": rs.AllocationOptions("optimal", required=[3])}, "required must not be given"),
+        ({"order": "jiont"}, "unknown order 'jiont'; choose one of: color, given, joint"),
+    ],
+)
+def test_unsupported_options_are_refused(case, options, message):
+    with pytest.raises(rs.InputError, match=message):
+        plan(case, **{"order": "joint", **options})
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"gap": -0.1},
+        {"gap": "a"},
+        {"gap": 1},
+        {"iterations": -1},
+        {"iterations": 2.5},
+        {"patch_size": 1},
+        {"time_limit": 3},
+        {"time_limit": -1 * u.s},
+        {"inform": 3},
+    ],
+)
+def test_joint_options_are_checked(options):
+    with pytest.raises(rs.InputError, match=f"{next(iter(options))} must be"):
+        rs.JointOptions(**options)
+
+
+def test_circles_that_no_arm_may_cover_are_obstacles_of_a_joint_plan(case):
+    catalog, _, _ = case
+    circles = [rs.Region.cap(where, 0.02 * u.deg) for where in catalog.coord[:10]]
+    options = rs.AllocationOptions("optimal", keep_out=circles)
+    found = plan(case, allocator=options)
+    assert not any(np.asarray(part["in_collision"]).any() for part in found)
+    level = found.summary["joint"]["levels"][-1]
+    assert level["n_visits_before"] < level["n_visits"] <= level["bound"]
+    assert level["bound"] < plan(case).summary["joint"]["levels"][-1]["bound"]
