@@ -12,7 +12,7 @@ from rfpsurvey.allocation._lexicographic import pursue
 from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
-from rfpsurvey.allocation._solver import maximize
+from rfpsurvey.allocation._solver import maximize, with_errors
 
 __all__ = ["bound_by_clusters", "edges_within", "improve_by_clusters"]
 
@@ -98,7 +98,7 @@ def _solve_cluster(matrix, rows, start, value, deadline):
     both = vstack([single, part], format="csr")
     limit = share(deadline, FOR_ONE)
     x, bound = maximize((both, low, high), value, np.ones(len(rows)), limit, integral=True, gap=GAP, presolve=True)
-    return bound, x
+    return with_errors(bound, len(rows)), x
 
 
 def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None) -> np.ndarray:

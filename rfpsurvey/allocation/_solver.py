@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from rfpsurvey.allocation._clock import left, stop
 
-__all__ = ["maximize"]
+__all__ = ["maximize", "with_errors"]
 
 # Interval in seconds at which the caller looks for an interrupt while HiGHS runs in a different thread.
 INTERVAL = 0.1
@@ -17,9 +17,9 @@ INTERVAL = 0.1
 GRACE = 0.1
 # Time in seconds for which the end of the process waits for abandoned threads; they usually end within three seconds.
 AT_EXIT = 15.0
-# The bound of a program with integer variables is increased by this fraction, because HiGHS computes it with rounding
-# errors.
-ROUNDING = 1e-6
+# The reduced costs of HiGHS have errors of at most 1e-7. `with_errors` adds this error of each variable, and an error
+# relative to the bound.
+ERROR_OF_ONE, ERROR = 1e-7, 1e-6
 # Searches of HiGHS for better solutions in smaller programs. They take up to a third of the time, but programs whose
 # root relaxation gives the optimum do not need them, and for all other programs local moves find better plans.
 NOT_USED = ("rins", "rens", "root_reduced_cost")
@@ -84,6 +84,11 @@ def maximize(
         return (x, -info.objective_function_value) if done else (None, np.inf)
     bound = -info.mip_dual_bound
     return None if x is None else np.round(x), bound if np.isfinite(bound) else np.inf
+
+
+def with_errors(bound: float, n: int) -> float:
+    """Return the bound of a program with n variables, increased by the rounding errors of HiGHS."""
+    return bound + ERROR_OF_ONE * n + ERROR * (1.0 + abs(bound))
 
 
 def _solver(rows, goal, most, *, integral):

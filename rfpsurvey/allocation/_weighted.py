@@ -7,17 +7,14 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rfpsurvey._kernels import prices as kernels
+from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._prices import ROUNDING, Prices
-from rfpsurvey.allocation._problem import AllocationAnswer, AllocationProblem
-from rfpsurvey.allocation._solver import maximize
+from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._solver import maximize, with_errors
 from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["GivenPlan", "ListCandidates", "RowPrices", "TileCandidates", "WeightedProblem", "solve_weighted"]
-
-# The reduced costs of HiGHS have errors of at most 1e-7. This error of each variable, and an error relative to the
-# bound, are added to each bound.
-ERROR_OF_ONE, ERROR = 1e-7, 1e-6
 
 
 class TileCandidates(NamedTuple):
@@ -144,7 +141,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
         first=start,
         nodes=problem.nodes,
     )
-    bound += ERROR_OF_ONE * n + ERROR * (1.0 + abs(bound))
+    bound = with_errors(bound, n)
     if x is None:
         return None, bound
     chosen = np.flatnonzero(x > 0.5)

@@ -167,6 +167,7 @@ def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
         ({"allocator": "lamost"}, "a joint plan needs the allocator 'optimal', got 'lamost'"),
         ({"allocator": rs.AllocationOptions("optimal", objective="count")}, "the objective 'priority', got 'count'"),
         ({"allocator": rs.AllocationOptions("optimal", requirements="sky=3")}, "requirements must not be given"),
+        ({"allocator": rs.AllocationOptions("optimal", subpriority=0)}, "subpriority must not be given"),
         ({"allocator": rs.AllocationOptions("optimal", required=[3])}, "required must not be given"),
         ({"order": "jiont"}, "unknown order 'jiont'; choose one of: color, given, joint"),
     ],

@@ -112,7 +112,7 @@ def check_joint(options) -> None:
         raise InputError(f"a joint plan needs the allocator 'optimal', got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
-    for name in ("requirements", "required", "sky_separation"):
+    for name in ("requirements", "required", "sky_separation", "subpriority"):
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
             raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")
