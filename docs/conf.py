@@ -71,6 +71,7 @@ def write_help(app):
         "convert",
         "tile",
         "survey",
+        "select",
         "probability",
         "design",
         "reproduce",

@@ -127,7 +127,7 @@ def make_surrogate(
 
 @cache
 def surrogate_spline() -> "NdBSpline":
-    """Return the cubic spline of `surrogate_probability` as a function of the three quantities in `AXES`.
+    """Return the cubic spline of the surrogate as a function of its three quantities.
 
     The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to 0 to 1.
 

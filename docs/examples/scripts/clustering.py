@@ -1,8 +1,15 @@
-"""Measure the angular correlation function of a redshift slice from a survey, with different weights.
-
-The targets of the mock are two Thomas processes of equal importance, the slice and all other galaxies. The survey does
-not know which targets are in the slice. Run ``python clustering.py``; it prints one row per method.
 """
+Clustering of a redshift slice
+==============================
+
+This script measures the angular correlation function of a redshift slice from a survey, with different weights. The
+targets of the mock are two Thomas processes: the slice, and all other galaxies. The assignment of fibers does not depend
+on which targets are in the slice. The script prints one row for each method::
+
+    python docs/examples/scripts/clustering.py
+"""
+
+# sphinx_gallery_thumbnail_path = "_static/overview.png"
 
 import astropy.units as u
 import numpy as np
