@@ -127,9 +127,10 @@ def make_surrogate(
 
 @cache
 def surrogate_spline() -> "NdBSpline":
-    """Return the cubic spline of the surrogate as a function of its three quantities.
+    """Return the cubic spline of the surrogate.
 
-    The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to 0 to 1.
+    Its variables are the central arm over the pitch, the eccentric over the central arm, and the minimum separation
+    over the pitch. The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to 0 to 1.
 
     Returns
     -------

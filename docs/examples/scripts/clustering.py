@@ -3,13 +3,11 @@ Clustering of a redshift slice
 ==============================
 
 This script measures the angular correlation function of a redshift slice from a survey, with different weights. The
-targets of the mock are two Thomas processes: the slice, and all other galaxies. The assignment of fibers does not depend
-on which targets are in the slice. The script prints one row for each method::
+targets of the mock are two Thomas processes: the slice, and all other galaxies. The survey is planned without knowledge
+of which targets are in the slice. The script prints one row for each method::
 
     python docs/examples/scripts/clustering.py
 """
-
-# sphinx_gallery_thumbnail_path = "_static/overview.png"
 
 import astropy.units as u
 import numpy as np
