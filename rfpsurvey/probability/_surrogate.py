@@ -130,8 +130,8 @@ def surrogate_spline() -> "NdBSpline":
     """Return the cubic spline of the surrogate.
 
     Its variables are the central arm over the pitch, the eccentric over the central arm, and the minimum separation
-    over the pitch. The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to 0
-    to 1.
+    over the pitch. The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to
+    the range from 0 to 1.
 
     Returns
     -------
