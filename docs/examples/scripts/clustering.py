@@ -9,6 +9,8 @@ of which targets are in the slice. The script prints one row for each method::
     python docs/examples/scripts/clustering.py
 """
 
+# sphinx_gallery_thumbnail_path = "_static/clustering.png"
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
