@@ -8,6 +8,9 @@ from rfpsurvey._jit import kernel
 FNV_OFFSET, FNV_PRIME = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
 # Increment and factors of the random number generator SplitMix64 (Steele, Lea & Flood 2014).
 GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+# Code of the digit 0, and other digits. A number of 64 bits is at most 10 LARGEST + LAST, and at least -MOST_NEGATIVE.
+ZERO, NINE, TEN = np.uint64(48), np.uint64(9), np.uint64(10)
+LARGEST, LAST, MOST_NEGATIVE = np.uint64((2**64 - 1) // 10), np.uint64((2**64 - 1) % 10), np.uint64(2**63)
 # Scale that converts 53 bits to a number in [0, 1).
 UNIT = 2.0**-53
 
@@ -39,8 +42,8 @@ def uniforms(numbers, seed, out):
 def numbers_of_texts(codes, out):
     """Return one number for each text; ``codes`` are its Unicode code points, followed by zeros, shape (n, length).
 
-    The number of a text that is a decimal integer of at most 18 digits is this integer. The number of any other text is
-    its hash FNV-1a, computed from code points in place of bytes.
+    The number of a text that is an integer of at most 64 bits in decimal form is this integer. The number of any other
+    text is its hash FNV-1a, computed from code points in place of bytes.
     """
     for t in range(codes.shape[0]):
         n = 0
@@ -48,13 +51,15 @@ def numbers_of_texts(codes, out):
             n += 1
         begin = 1 if n > 1 and codes[t, 0] == 45 else 0
         # Integers have no leading zeros, and there is no negative zero.
-        is_integer = begin < n <= begin + 18 and (codes[t, begin] != 48 or n == 1)
-        value = np.int64(0)
+        is_integer = begin < n <= begin + 20 and (codes[t, begin] != 48 or n == 1)
+        value = np.uint64(0)
         total = FNV_OFFSET
         for k in range(n):
-            code = codes[t, k]
-            total = (total ^ np.uint64(code)) * FNV_PRIME
-            if k >= begin:
-                is_integer &= 48 <= code <= 57
-                value = value * 10 + (np.int64(code) - 48) if is_integer else value
-        out[t] = np.uint64(-value if begin else value) if is_integer else total
+            code = np.uint64(codes[t, k])
+            total = (total ^ code) * FNV_PRIME
+            if k >= begin and is_integer:
+                digit = code - ZERO
+                is_integer = digit <= NINE and (value < LARGEST or (value == LARGEST and digit <= LAST))
+                value = value * TEN + digit
+        is_integer = is_integer and (begin == 0 or value <= MOST_NEGATIVE)
+        out[t] = (np.uint64(0) - value if begin else value) if is_integer else total

@@ -25,7 +25,8 @@ def id_numbers(ids: np.ndarray) -> np.ndarray:
     ids = np.asarray(ids)
     if ids.dtype.kind in "iu":
         return ids.astype(np.int64 if ids.dtype.kind == "i" else np.uint64).view(np.uint64)
-    texts = np.ascontiguousarray(ids.astype(str))
+    texts = ids.astype(str)
+    texts = np.ascontiguousarray(texts, dtype=texts.dtype.newbyteorder("="))
     out = np.empty(len(texts), dtype=np.uint64)
     length = texts.dtype.itemsize // 4
     hashing.numbers_of_texts(texts.view(np.uint32).reshape(len(texts), length), out)

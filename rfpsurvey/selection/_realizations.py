@@ -26,7 +26,7 @@ def in_batch(request: Request) -> bool:
     options = request.options
     # ``lamost`` fills requirements, but ``nearest`` and ``balanced`` ignore them.
     simple = options.sky_separation is None and not (options.name == "lamost" and options.requirements)
-    return options.allocator in RULES and simple
+    return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
 
 class Block:

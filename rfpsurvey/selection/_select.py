@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
-from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
@@ -130,6 +130,7 @@ def selection_probabilities(
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
         raise InputError("resume needs the folder of the work to continue")
+    check_choice(order, ("color", "given"), "order")
     if getattr(allocator, "subpriority", None) is not None:
         raise InputError(
             f"subpriority must not be given, because each realization has its own, got {allocator.subpriority}"
@@ -147,8 +148,8 @@ def selection_probabilities(
         executor=executor,
         rng=rng,
     )
-    if request.joint is not None:
-        raise InputError("order must be 'color' or 'given' for selection probabilities, got a joint plan")
+    if request.options.requirements and request.options.name in ("nearest", "balanced"):
+        warn(f"the requirements have no effect with the allocator {request.options.name!r}")
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
     if request.visits.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")

@@ -25,7 +25,7 @@ def slow_number(name):
     """Return the number of an identifier by the definition, with Python's integers."""
     text = str(name)
     digits = text.removeprefix("-")
-    if digits.isascii() and digits.isdigit() and len(digits) <= 18 and text == str(int(text)):
+    if digits.isascii() and digits.isdigit() and text == str(int(text)) and -(2**63) <= int(text) < 2**64:
         return int(text) & M64
     total = 0xCBF29CE484222325
     for letter in text:
@@ -45,7 +45,8 @@ def slow_subpriority(name, seed):
 
 
 def test_the_hash_is_the_one_that_is_documented():
-    ids = ["7", "-3", "0", "-0", "007", "a", "Gaia DR3 12", "+1", "", "Ü9", "1" * 18, "1" * 19, "٣"]
+    ids = ["7", "-3", "0", "-0", "007", "a", "Gaia DR3 12", "+1", "", "Ü9", "1" * 18, "1" * 19, "1" * 20, "2" * 20, "٣"]
+    ids += [str(n) for n in (2**63 - 1, 2**63, 2**64 - 1, 2**64, -(2**63), -(2**63) - 1, 6 * 10**18 + 7)]
     for seed in (0, 1, 2**63 - 1):
         assert subpriorities(ids, seed).tolist() == [slow_subpriority(name, seed) for name in ids]
     numbers = [0, 7, -3, 2**62, -(2**63)]
@@ -56,10 +57,13 @@ def test_the_hash_is_the_one_that_is_documented():
 
 
 def test_integers_and_their_text_agree():
-    numbers = np.array([0, 5, -17, 10**17, 123456])
+    numbers = np.array([0, 5, -17, 10**17, 123456, 2**63 - 1, -(2**63), 5_853_498_713_190_525_696])
     assert (id_numbers(numbers) == id_numbers(numbers.astype(str))).all()
     assert (id_numbers(numbers.astype(np.int32)[[0, 1, 2, 4]]) == id_numbers(numbers[[0, 1, 2, 4]])).all()
-    assert (id_numbers(np.array([3, 2**64 - 1], dtype=np.uint64)) == [3, M64]).all()
+    large = np.array([3, 2**64 - 1], dtype=np.uint64)
+    assert (id_numbers(large) == [3, M64]).all()
+    assert (id_numbers(large.astype(str)) == [3, M64]).all()
+    assert (id_numbers(np.array(["7", "star"], dtype=">U4")) == id_numbers(np.array(["7", "star"]))).all()
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -235,3 +235,17 @@ def test_warning_if_nothing_is_observed(case):
         found = rs.selection_probabilities(case[0], case[1], SkyCoord([20] * u.deg, [-30] * u.deg), 3)
     assert found.unreachable.all()
     assert repr(found).endswith("never observed, 0 always>")
+
+
+def test_requirements_without_effect_cause_a_warning():
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
+    sky = rs.Catalog(sky.coord, kind=np.where(np.arange(50) < 9, "standard", "science"))
+    options = rs.AllocationOptions("nearest", requirements="standard=2")
+    with pytest.warns(rs.RfpsurveyWarning, match="the requirements have no effect with the allocator 'nearest'"):
+        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=options)
+
+
+def test_joint_plans_are_refused():
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
+    with pytest.raises(rs.InputError, match="unknown order 'joint'; choose one of: color, given"):
+        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, order="joint")

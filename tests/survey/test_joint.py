@@ -148,6 +148,22 @@ def test_observed_tiles_are_not_changed(case, tmp_path):
         assert (number <= catalog.visits).all()
 
 
+def test_a_plan_is_not_continued_with_other_fixed_tiles(case, tmp_path):
+    """Regression: the plan with the first fixed survey was returned, because the folder did not record its visits."""
+    catalog, instrument, tiles = case
+    tiling = rs.Tiling.from_table(QTable({"ra": tiles.ra, "dec": tiles.dec}))
+    some = rs.Tiling(tiling.table[:1])
+    fixed = [rs.plan_survey(catalog, instrument, some, allocator=name) for name in ("lamost", "nearest")]
+    assert rows_of(fixed[0]) != rows_of(fixed[1])
+    options = {"allocator": "optimal", "folder": tmp_path / "plan"}
+    orders = [rs.JointOptions(iterations=0, fixed=one) for one in fixed]
+    first = rs.plan_survey(catalog, instrument, tiling, order=orders[0], **options)
+    again = rs.plan_survey(catalog, instrument, tiling, order=orders[0], resume=True, **options)
+    assert rows_of(again) == rows_of(first)
+    with pytest.raises(rs.InputError, match="joint"):
+        rs.plan_survey(catalog, instrument, tiling, order=orders[1], resume=True, **options)
+
+
 def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
     catalog, instrument, tiles = case
     before = rs.plan_survey(catalog, instrument, tiles, allocator="optimal")

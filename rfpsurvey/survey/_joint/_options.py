@@ -1,13 +1,16 @@
 """Options of joint plans."""
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
+from rfpsurvey.survey._survey import Survey
 
 __all__ = ["JointOptions", "as_joint", "check_joint"]
 
@@ -76,6 +79,19 @@ class JointOptions:
         """The time limit in seconds; infinity if there is none."""
         return float("inf") if self.time_limit is None else float(self.time_limit.to_value(u.s))
 
+    @cached_property
+    def _fixed_digest(self) -> str | None:
+        """A digest of the visits of the fixed tiles, so that a plan is only continued with the same tiles."""
+        if self.fixed is None:
+            return None
+        survey = self.fixed if isinstance(self.fixed, Survey) else Survey.read(self.fixed)
+        total = hashlib.sha256()
+        for name in np.asarray(survey.tiles["tile"]).tolist():
+            visits = survey.visits(name)
+            columns = [np.asarray(visits[column]).tolist() for column in ("target_row", "positioner", "observed")]
+            total.update(repr((name, columns)).encode())
+        return total.hexdigest()
+
     @property
     def record(self) -> dict:
         """The options as text and numbers, as they are written to files."""
@@ -83,7 +99,7 @@ class JointOptions:
             "gap": self.gap,
             "iterations": self.iterations,
             "time_limit_s": None if self.time_limit is None else self.seconds,
-            "fixed": None if self.fixed is None else str(getattr(self.fixed, "folder", self.fixed) or "a survey"),
+            "fixed": self._fixed_digest,
             "patch_size": self.patch_size,
         }
 
