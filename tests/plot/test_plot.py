@@ -185,10 +185,11 @@ def test_groups_are_disks_and_words_in_the_legend(presets):
 
 
 def test_thousands_of_positioners_are_few_artists_and_the_legend_hides_none(presets):
+    open_before = plt.get_fignums()  # those of tests that ran before this one
     for ax in (rs.plot.plot_focal_plane(presets["desi"]), rs.plot.plot_coverage(presets["desi"], n_pixels=50)):
         assert len(ax.collections) + len(ax.lines) + len(ax.images) < 20
         ax.figure.draw_without_rendering()
         box, labels = ax.get_legend().get_window_extent(), ax.xaxis.label.get_window_extent()
         assert 0 < box.y0 < box.y1 <= labels.y0
         assert 0 < box.x0 < box.x1 < ax.figure.bbox.x1
-    assert not plt.get_fignums()
+    assert plt.get_fignums() == open_before
