@@ -185,7 +185,7 @@ def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circl
     assert {name: survey.summary[name] for name in ("unmet", "outcomes", "n_required_observed")} == {
         name: whole.summary[name] for name in ("unmet", "outcomes", "n_required_observed")
     }
-    with pytest.raises(rs.InputError, match=r"required must hold ids of the catalog, got 900 \(1 of 2\)"):
+    with pytest.raises(rs.InputError, match=r"required must hold ids of the catalog, got 900 \(1 of 2 unknown\)"):
         flat.plan_survey(parts, small, tiles, required=[3, 900])
 
 

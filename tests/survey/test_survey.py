@@ -262,7 +262,7 @@ def test_what_is_told_is_told_once(sky, small):
     wide = rs.place_tiles(rs.Region.cap(CENTER, 1 * u.deg), radius=1 * u.deg)
     away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
     for arguments, options, sentence in (
-        ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement asks"),
+        ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement counts"),
         ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch has no effect"),
         ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),

@@ -28,7 +28,8 @@ class JointOptions:
         The search ends when, for each priority, the visits to targets with at least this priority are fewer than their
         upper bound by at most this fraction.
     iterations : int, optional
-        Largest number of iterations. With 0, the tiles are planned one after the other, and only bounds are computed.
+        Largest number of iterations. With 0, visits are only moved between tiles along augmenting paths, and the first
+        bounds are computed.
     time_limit : Quantity, optional
         Time after which the search ends, without the time for planning the tiles one after the other. By default, the
         time is not limited. A plan whose search ends at the time limit may not be reproducible.
@@ -37,9 +38,10 @@ class JointOptions:
         the same identifier are not changed. The instrument must be the same, and the catalog must contain its targets
         in the same rows. Positioners of either handedness are not supported.
     inform : callable, optional
-        Function that is called once before the first iteration, with a dict: ``visits`` is the number of visits of the
-        tiles planned one after the other, ``bound`` is the largest number of visits if arms may collide. Both are lists
-        with a value for each priority, which includes all higher priorities.
+        Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
+        of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting
+        paths, and ``bound`` is the upper bound so far. Each is a list with a value for each priority, which includes
+        all higher priorities.
     patch_size : int, optional
         Number of pairs of a positioner and a target that one integer program contains at first, 10 to 100000. Larger
         programs give better plans and bounds, and take longer.
@@ -62,7 +64,7 @@ class JointOptions:
     time_limit: u.Quantity | None = None
     fixed: object = None
     inform: Callable | None = None
-    patch_size: int = 2000
+    patch_size: int = 800
 
     def __post_init__(self):
         if isinstance(self.gap, bool | str) or not isinstance(self.gap, int | float) or not 0 <= self.gap < 1:

@@ -100,7 +100,8 @@ def _tell(progress, before: int, total: int, done: float, _) -> None:
 def _inform(inform, search: Search) -> None:
     """Call the function of the options with the visits and the bounds before the first iteration."""
     if inform is not None:
-        inform({"visits": search.visits.tolist(), "bound": search.bounds.tolist()})
+        before = search.steps[0].visits.tolist()
+        inform({"visits_before": before, "visits": search.visits.tolist(), "bound": search.bounds.tolist()})
 
 
 def _store(folder, network, search) -> None:

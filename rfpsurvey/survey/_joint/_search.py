@@ -12,6 +12,7 @@ from rfpsurvey.allocation import RowPrices, solve_weighted
 from rfpsurvey.survey._joint._network import Network
 from rfpsurvey.survey._joint._options import JointOptions
 from rfpsurvey.survey._joint._patches import Patches, divide
+from rfpsurvey.survey._joint._paths import Paths
 
 __all__ = ["Search", "Step"]
 
@@ -64,6 +65,7 @@ class Search:
         # Bounds are not computed again with patches of a size that did not lower them.
         self._next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
+        self._paths = Paths(network)
         self._begin = perf_counter()
 
     @property
@@ -126,16 +128,17 @@ class Search:
         return time() + self.options.seconds - self.seconds
 
     def begin(self, tell: Callable | None = None) -> None:
-        """Compute the first bounds: a matching without collisions, and prices."""
+        """Compute the first bounds, a matching without collisions and prices, and improve the plan by paths."""
         for k, level in enumerate(self.levels):
             self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
         self._record()
-        if tell is not None:
-            tell(self)
+        self._follow_paths()
         for k in range(len(self.levels)):
             if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
                 self._price(k)
         self._record()
+        if tell is not None:
+            tell(self)
 
     def iterate(self, executor: Executor | None) -> None:
         """Improve the plan and the bounds once."""
@@ -144,6 +147,7 @@ class Search:
         label = divide(self.network, self.directions, int(self.size), rng)
         patches = Patches(self.network, label)
         self._improve(patches, executor)
+        self._follow_paths()
         open_levels = np.flatnonzero(self.bounds > self.visits)
         open_levels = [k for k in open_levels.tolist() if self.size >= self._next_size[k]]
         if open_levels and not self.out_of_time():
@@ -157,6 +161,11 @@ class Search:
         if (gained < LITTLE).all():
             self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
         self._record()
+
+    def _follow_paths(self):
+        """Improve the plan by augmenting paths."""
+        rng = np.random.default_rng([self.seed, self.iteration, 1])
+        self.chosen = self._paths.improve(self.chosen, rng, self.out_of_time)
 
     def _record(self):
         self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))

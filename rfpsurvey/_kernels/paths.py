@@ -1,0 +1,126 @@
+"""Augmenting paths in a plan of many tiles: visits move between positioners until one more target is visited.
+
+A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A path begins at a
+target that requires a visit. A positioner leaves its target and observes this one; another positioner of any tile then
+observes the target that was left, and so on. The path ends at a positioner without a target, or at one whose target
+is less important.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rfpsurvey._jit import kernel
+
+
+class Links(NamedTuple):
+    """The candidates of all positioners."""
+
+    own: np.ndarray
+    """Positioner of each candidate."""
+    target: np.ndarray
+    """Target of each candidate, or -1."""
+    rank: np.ndarray
+    """Class of the target of each candidate; smaller numbers are more important."""
+    t_indptr: np.ndarray
+    t_candidate: np.ndarray
+    """Candidates of each target, as compressed rows."""
+    indptr: np.ndarray
+    clique: np.ndarray
+    """Cliques of each candidate, as compressed rows; a plan uses at most one candidate of each clique."""
+
+
+@kernel
+def swap(c, links, chosen, load):
+    """Use candidate c for its positioner, and update the number of used candidates of each clique (``load``)."""
+    i = links.own[c]
+    old = chosen[i]
+    for k in range(links.indptr[old], links.indptr[old + 1]):
+        load[links.clique[k]] -= 1
+    for k in range(links.indptr[c], links.indptr[c + 1]):
+        load[links.clique[k]] += 1
+    chosen[i] = c
+
+
+@kernel
+def is_free(c, links, chosen, load):
+    """Return whether candidate c collides with no other arm if it replaces the candidate of its positioner."""
+    old = chosen[links.own[c]]
+    for k in range(links.indptr[old], links.indptr[old + 1]):
+        load[links.clique[k]] -= 1
+    free = True
+    for k in range(links.indptr[c], links.indptr[c + 1]):
+        free &= load[links.clique[k]] == 0
+    for k in range(links.indptr[old], links.indptr[old + 1]):
+        load[links.clique[k]] += 1
+    return free
+
+
+@kernel
+def last_step(t, level, replace, links, chosen, load):
+    """Return a candidate of target t that ends a path, or -1.
+
+    Its positioner has no target, or, with ``replace``, one that is less important than the class ``level``.
+    """
+    for k in range(links.t_indptr[t], links.t_indptr[t + 1]):
+        c = links.t_candidate[k]
+        old = chosen[links.own[c]]
+        ends = links.target[old] < 0 or (replace and links.rank[old] > level)
+        if ends and is_free(c, links, chosen, load):
+            return c
+    return -1
+
+
+@kernel
+def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
+    """Add a visit to the target ``begin`` along a path, and return whether one was found.
+
+    The search goes along one path as far as ``stack`` has rows, changes the plan, and undoes these changes when it goes
+    back. Targets in ``seen`` are not tried again. ``left`` is the remaining number of visits of each target.
+    """
+    seen[begin] = True
+    depth = 0
+    stack[0] = begin, -1, -1
+    while depth >= 0:
+        t, k, _ = stack[depth]
+        if k < 0:
+            c = last_step(t, level, replace, links, chosen, load)
+            if c >= 0:
+                old = links.target[chosen[links.own[c]]]
+                swap(c, links, chosen, load)
+                left[begin] -= 1
+                if old >= 0:
+                    left[old] += 1
+                return True
+            k = links.t_indptr[t]
+        found = False
+        while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not found:
+            c = links.t_candidate[k]
+            k += 1
+            old = chosen[links.own[c]]
+            h = links.target[old]
+            if h < 0 or h == t or seen[h] or (replace and links.rank[old] > level):
+                continue
+            if is_free(c, links, chosen, load):
+                seen[h] = found = True
+                swap(c, links, chosen, load)
+                stack[depth, 1] = k
+                depth += 1
+                stack[depth] = h, -1, old
+        if not found:
+            if depth > 0:
+                swap(stack[depth, 2], links, chosen, load)
+            depth -= 1
+    return False
+
+
+@kernel
+def find_paths(order, level, replace, depth, links, chosen, load, left):
+    """Add visits to targets, in the given order, along paths of at most ``depth`` positioners; return their number."""
+    seen = np.zeros(left.size, np.bool_)
+    stack = np.empty((depth, 3), np.int64)
+    gained = 0
+    for t in order:
+        while left[t] > 0 and find_path(t, level, replace, links, chosen, load, left, seen, stack):
+            gained += 1
+    return gained

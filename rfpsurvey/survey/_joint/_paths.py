@@ -1,0 +1,68 @@
+"""Plans of all tiles improved by augmenting paths, which move visits between tiles."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from rfpsurvey._kernels import paths as kernels
+from rfpsurvey.survey._joint._network import Network
+
+__all__ = ["Paths"]
+
+# Largest numbers of positioners of a path, one after the other; short paths are found much faster.
+DEPTHS = (4, 16, 64, 256)
+# Largest number of passes over the targets of a class for each depth.
+PASSES = 20
+
+
+class Paths:
+    """The candidates of a network in the order in which the search for augmenting paths requires them."""
+
+    def __init__(self, network: Network):
+        self.network = network
+        real = np.flatnonzero(network.target >= 0)
+        candidate = real[np.argsort(network.target[real], kind="stable")]
+        number = np.bincount(network.target[real], minlength=len(network.slot))
+        cliques = network.matrix[: network.n_cliques].tocsc()
+        self._links = kernels.Links(
+            network.own.astype(np.int64),
+            network.target.astype(np.int64),
+            network.rank.astype(np.int64),
+            np.concatenate([[0], np.cumsum(number)]),
+            candidate,
+            cliques.indptr.astype(np.int64),
+            cliques.indices.astype(np.int64),
+        )
+
+    def improve(self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool]) -> np.ndarray:
+        """Return a plan with at least as many visits, in which visits to earlier classes take precedence.
+
+        Parameters
+        ----------
+        chosen : ndarray of int, shape (n_positioners,)
+            Candidate of each positioner.
+        rng : numpy.random.Generator
+            Generator of the order of the targets.
+        is_over : callable
+            Whether the time is over.
+
+        Returns
+        -------
+        ndarray of int, shape (n_positioners,)
+            Candidate of each positioner.
+        """
+        network, chosen = self.network, chosen.astype(np.int64)
+        used = np.bincount(chosen, minlength=len(network.target))
+        load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
+        target = network.target[chosen]
+        left = network.visits - np.bincount(target[target >= 0], minlength=len(network.slot))
+        for depth in DEPTHS:
+            for level in range(network.n_classes):
+                mine = np.flatnonzero(network.rank_of_target == level)
+                for replace in (False, True) if level + 1 < network.n_classes else (False,):
+                    gained, number = 1, 0
+                    while gained and number < PASSES and not is_over():
+                        order = rng.permutation(mine[left[mine] > 0])
+                        gained = kernels.find_paths(order, level, replace, depth, self._links, chosen, load, left)
+                        number += 1
+        return chosen

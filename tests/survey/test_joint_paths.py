@@ -1,0 +1,79 @@
+"""Augmenting paths: networks without collisions have a maximum flow, and plans with collisions remain valid."""
+
+import numpy as np
+import pytest
+
+from rfpsurvey.allocation import TileCandidates
+from rfpsurvey.survey._joint._network import make_network
+from rfpsurvey.survey._joint._paths import Paths
+
+
+def random_network(rng, collisions):
+    """Return a network of several tiles whose targets require one visit each, and the candidates of idle arms."""
+    n_targets, n_classes = int(rng.integers(4, 60)), int(rng.integers(1, 4))
+    tiles, slots = [], []
+    for _ in range(int(rng.integers(1, 5))):
+        n = int(rng.integers(2, 15))
+        slot = np.sort(rng.permutation(n_targets)[: rng.integers(3, n_targets + 1)])
+        size = rng.integers(0, min(4, len(slot)) + 1, n)
+        parts = [np.append(rng.permutation(len(slot))[:k], -1) for k in size]
+        target, start = np.concatenate(parts), np.concatenate([[0], np.cumsum(size + 1)])
+        cliques = [np.flatnonzero(target == t) for t in range(len(slot)) if (target == t).sum() > 1]
+        own = np.repeat(np.arange(n), size + 1)
+        for _ in range(collisions):
+            a, b = np.sort(rng.integers(0, len(target), 2))
+            if own[a] != own[b] and target[a] >= 0 and target[b] >= 0:
+                cliques.append(np.array([a, b]))
+        indptr = np.concatenate([[0], np.cumsum([len(one) for one in cliques])]).astype(np.int64)
+        column = np.concatenate([np.empty(0, np.int32), *cliques]).astype(np.int32)
+        real = np.flatnonzero(target >= 0)
+        pairs = own[real].astype(np.int32), target[real].astype(np.int32)
+        side = np.ones(len(target), np.int8)
+        tiles.append(TileCandidates(start, target, side, indptr, column, np.zeros(n, bool), pairs))
+        slots.append(slot)
+    visits = np.ones(n_targets, np.int64)
+    network = make_network(tiles, slots, visits, rng.integers(0, n_classes, n_targets))
+    return network, network.start[1:] - 1
+
+
+def follow(network, chosen, seed=0):
+    return Paths(network).improve(chosen, np.random.default_rng(seed), lambda: False)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_without_collisions_the_visits_of_each_class_are_those_of_a_maximum_flow(seed):
+    network, idle = random_network(np.random.default_rng(seed), collisions=0)
+    found = follow(network, idle)
+    assert network.holds(found)
+    counts = np.cumsum(network.counts(found))
+    assert counts.tolist() == [network.matching(level, 10**6) for level in range(network.n_classes)]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_plans_with_collisions_remain_valid_and_do_not_become_worse(seed):
+    network, chosen = random_network(np.random.default_rng(seed), collisions=30)
+    gained = 0
+    for repeat in range(3):
+        before = tuple(network.counts(chosen))
+        chosen = follow(network, chosen, repeat)
+        assert network.holds(chosen)
+        assert tuple(network.counts(chosen)) >= before
+        gained += network.counts(chosen).sum()
+    assert gained > 0
+    # no single positioner can add a visit, or replace one by a visit to a better class
+    used = np.bincount(chosen, minlength=len(network.target))
+    left = network.visits - np.bincount(
+        network.target[chosen][network.target[chosen] >= 0], minlength=len(network.slot)
+    )
+    for c in np.flatnonzero((network.target >= 0) & (used == 0)):
+        old = chosen[network.own[c]]
+        if left[network.target[c]] > 0 and network.rank[c] < network.rank[old]:
+            new = chosen.copy()
+            new[network.own[c]] = c
+            assert not network.holds(new)
+
+
+def test_no_path_is_followed_after_the_time_is_over():
+    network, idle = random_network(np.random.default_rng(1), collisions=5)
+    found = Paths(network).improve(idle, np.random.default_rng(0), lambda: True)
+    assert (found == idle).all()
