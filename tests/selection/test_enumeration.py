@@ -80,7 +80,7 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
     [
         ("sdss", 60),
         ("repair", 60),
-        *(pytest.param(name, 10_000, marks=pytest.mark.exhaustive) for name in ("sdss", "optimal", "repair")),
+        *(pytest.param(name, 2_000, marks=pytest.mark.exhaustive) for name in ("sdss", "optimal", "repair")),
     ],
 )
 def test_rivals_for_one_positioner_are_observed_equally_often(allocator, n):
