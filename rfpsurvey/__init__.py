@@ -7,35 +7,44 @@ allocation, poses of the arms, collisions and the score of a tile, in this order
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, partition_catalog, synthetic_catalog
-from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
-from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
-from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
-from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
-from rfpsurvey.region import Region
-from rfpsurvey.tile import Tile, plan_tile, score_tile
-
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
     from rfpsurvey import (
+        allocation,
         benchmark,
+        catalog,
+        collision,
         compare,
         design,
+        errors,
+        focal_plane,
+        instrument,
+        observing,
         plans,
         plot,
+        positioner,
         probability,
+        projection,
+        region,
         report,
         reproduction,
         selection,
         survey,
+        tile,
         tiling,
     )
+    from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
+    from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, partition_catalog, synthetic_catalog
+    from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
     from rfpsurvey.compare import compare_allocators, compare_instruments
+    from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
+    from rfpsurvey.focal_plane import FocalPlane
+    from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
+    from rfpsurvey.observing import ObservingConditions
+    from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
     from rfpsurvey.probability import Estimate, collision_probability
+    from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
+    from rfpsurvey.region import Region
     from rfpsurvey.report import write_report
     from rfpsurvey.selection import (
         PotentialAssignments,
@@ -44,6 +53,7 @@ if TYPE_CHECKING:
         selection_probabilities,
     )
     from rfpsurvey.survey import JointOptions, Survey, plan_survey
+    from rfpsurvey.tile import Tile, plan_tile, score_tile
     from rfpsurvey.tiling import Tiling, place_tiles
 
 try:
@@ -102,22 +112,28 @@ __all__ = [
     "write_report",
 ]
 
-_IMPORTED_ON_USE = {  # imported on first use, because a script that only plans a tile does not need them
+_IMPORTED_ON_USE = {  # imported on first use, because commands and scripts do not need all of them
+    "allocation": ("Allocation", "AllocationOptions", "Requirement", "allocate"),
     "benchmark": (),
+    "catalog": ("Catalog", "PartitionedCatalog", "example_catalog", "partition_catalog", "synthetic_catalog"),
+    "collision": ("CollisionCounts", "CollisionReport", "count_collisions", "find_collisions"),
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),
+    "errors": ("InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"),
+    "focal_plane": ("FocalPlane",),
+    "instrument": ("Instrument", "ProjectionComparison", "available_instruments", "compare_projections"),
+    "observing": ("ObservingConditions",),
     "plans": (),
     "plot": (),
+    "positioner": ("ArmOutline", "Positioner", "divide_polygon"),
     "probability": ("Estimate", "collision_probability"),
+    "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
+    "region": ("Region",),
     "report": ("write_report",),
     "reproduction": (),
-    "selection": (
-        "PotentialAssignments",
-        "SelectionProbabilities",
-        "potential_assignments",
-        "selection_probabilities",
-    ),
+    "selection": ("PotentialAssignments", "SelectionProbabilities", "potential_assignments", "selection_probabilities"),
     "survey": ("JointOptions", "Survey", "plan_survey"),
+    "tile": ("Tile", "plan_tile", "score_tile"),
     "tiling": ("Tiling", "place_tiles"),
 }
 
@@ -133,7 +149,6 @@ def __getattr__(name):
 
 
 def __dir__():
-    # Only public names and public subpackages are listed. The hidden subpackages contain the implementation of public
-    # names.
-    hidden = {"compare", "report", "selection", "survey"}
-    return sorted({*__all__, *_IMPORTED_ON_USE, "allocation", "collision", "observing"} - hidden)
+    # The other subpackages contain the implementation of public names.
+    public = {"allocation", "benchmark", "collision", "design", "observing", "plans", "plot", "probability"}
+    return sorted({*__all__, *public, "reproduction", "tiling"})

@@ -1,4 +1,4 @@
-"""A message that explains why the first command takes longer than later ones."""
+"""The message that the first command prints while numba compiles functions."""
 
 import sys
 
@@ -16,13 +16,16 @@ class _Announcement(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self._told:
             self._told = True
-            print("rfpsurvey: compiling for this machine, once; this takes some seconds", file=sys.stderr)
+            print(
+                "rfpsurvey: compiling functions for this machine; this happens only once and takes some seconds",
+                file=sys.stderr,
+            )
 
     def on_end(self, event: event.Event) -> None:
         pass
 
 
 def announce_compilation() -> None:
-    """Print a line before the first compilation, if the output is a terminal."""
+    """Print a line before the first compilation, if standard error is a terminal."""
     if sys.stderr.isatty():
         event.register("numba:compile", _Announcement())

@@ -1,4 +1,4 @@
-"""Observing conditions on the command line."""
+"""Command-line options that set the observing conditions."""
 
 from pathlib import Path
 from typing import Annotated
@@ -29,7 +29,7 @@ ConditionsOption = Annotated[
     Path | None,
     typer.Option(
         help="TOML file with observing conditions: site, time or hour_angle, wavelength, guide_wavelength, pressure, "
-        "temperature, humidity, exposure_time, tolerance. Options such as --site override its values."
+        "temperature, humidity, exposure_time, tolerance. Options such as --site override the values in the file."
     ),
 ]
 SiteOption = Annotated[
@@ -41,20 +41,20 @@ SiteOption = Annotated[
 ]
 TimeOption = Annotated[str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00.")]
 HourAngleOption = Annotated[
-    float | None, typer.Option(help="Hour angle of the field center (hours), positive west, in place of --time.")
+    float | None, typer.Option(help="Hour angle of the field center (hours, positive in the west), in place of --time.")
 ]
 TilesTimeOption = Annotated[
     str | None,
     typer.Option(
-        help="Midpoint of the exposure (UTC) of all tiles, such as 2026-07-01T06:30:00. A column time or hour_angle of "
-        "the tiles replaces it."
+        help="Midpoint of the exposure (UTC) of all tiles, such as 2026-07-01T06:30:00. If the tiles have a "
+        "column time or hour_angle, the values of this column are used instead."
     ),
 ]
 TilesHourAngleOption = Annotated[
     float | None,
     typer.Option(
-        help="Hour angle of all tiles (hours), in place of --time. A column hour_angle (hours, or with a unit) or time "
-        "of the tiles replaces it."
+        help="Hour angle of all tiles (hours), in place of --time. If the tiles have a column hour_angle (in "
+        "hours, or with a unit) or time, the values of this column are used instead."
     ),
 ]
 WavelengthOption = Annotated[
@@ -67,8 +67,9 @@ ExposureOption = Annotated[float | None, typer.Option(help="Exposure time (s).")
 ProjectionOption = Annotated[
     str | None,
     typer.Option(
-        help="tangent, radial, refraction, dispersion or full, or auto, which is the cheapest of them that suffices. "
-        "By default, full with observing conditions, and radial without them."
+        help="Model of the projection onto the focal plane: tangent, radial, refraction, dispersion, full, "
+        "or auto, which selects the fastest sufficient model. The default is full if observing "
+        "conditions are given, and radial otherwise."
     ),
 ]
 
@@ -81,7 +82,7 @@ def conditions_of(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.ObservingConditions | None":
-    """Return the conditions of a file with the changes of the options, or None without any of them."""
+    """Read observing conditions from a file, and apply the options; return None if neither is given."""
     given = {}
     if site is not None:
         given["site"] = site if "," not in site else location(site.split(","))
@@ -89,7 +90,7 @@ def conditions_of(
         try:
             given["time"] = Time(time, scale="utc")
         except ValueError:
-            raise rs.InputError(f"--time must be a time such as 2026-07-01T06:30:00, got {time!r}") from None
+            raise rs.InputError(f"--time must be a UTC time such as 2026-07-01T06:30:00, got {time!r}") from None
     if hour_angle is not None:
         given["hour_angle"] = hour_angle * u.hourangle
     if wavelength:
@@ -101,7 +102,9 @@ def conditions_of(
     if not given:
         return None
     if "site" not in given:
-        raise rs.InputError(f"--site must be given for refraction: LONGITUDE,LATITUDE,HEIGHT or {', '.join(SITES)}")
+        raise rs.InputError(
+            f"--site must be given to compute refraction: LONGITUDE,LATITUDE,HEIGHT or {', '.join(SITES)}"
+        )
     return rs.ObservingConditions(**given)
 
 
@@ -114,7 +117,7 @@ def tiles_under(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.Tiling":
-    """Return a tiling under the conditions of a file and of options; without them, return the tiling unchanged."""
+    """Return a tiling with the observing conditions of a file and of options, or unchanged if neither is given."""
     given = any(value is not None for value in (path, site, time, hour_angle, exposure_time)) or wavelength
     if given and time is None and hour_angle is None and when_of(tiling.table) is not None:
         hour_angle = 0.0  # every tile has a time or hour angle of its own
@@ -123,7 +126,7 @@ def tiles_under(
 
 
 def _wavelengths(texts: list[str]):
-    """Return one wavelength, or one for each fiber type."""
+    """Convert the texts of --wavelength to one wavelength, or to a dict with a wavelength for each fiber type."""
     try:
         if len(texts) == 1 and "=" not in texts[0]:
             return float(texts[0]) * u.um

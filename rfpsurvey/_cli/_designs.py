@@ -14,7 +14,7 @@ __all__ = ["axes", "finish", "loss"]
 
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
-"""Default values and limits of parameters, and default number of nodes of a grid."""
+"""Default values and limits of the parameters of a scan, and the default number of grid nodes per parameter."""
 COLUMNS = (
     "central_arm",
     "ratio",
@@ -30,10 +30,10 @@ COLUMNS = (
 
 
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
-    """Convert text such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
+    """Convert texts such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
 
-    Parameters that are not given have default values. In a scan ``around`` an instrument, these parameters have the
-    values of the instrument.
+    Parameters that are not given have default values. In a scan ``around`` an instrument, parameters that are not given
+    have the values of the instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -51,8 +51,8 @@ def _axis(name, text, n_designs):
             raise ValueError
     except ValueError:
         raise rs.InputError(
-            f"{option} must be a number, or several as 7,8,9 or LOW:HIGH:NODES, or LOW:HIGH with --n-designs, got "
-            f"{text!r}"
+            f"{option} must be a number, several numbers such as 7,8,9, or LOW:HIGH:NODES, or LOW:HIGH with "
+            f"--n-designs, got {text!r}"
         ) from None
     if ":" not in text:
         return np.array(numbers)
@@ -64,7 +64,7 @@ def _axis(name, text, n_designs):
 
 
 def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
-    """Convert options of the command to the options of the loss."""
+    """Convert command-line options to the class with the options for the fraction of fibers lost to collisions."""
     return rs.design.LossOptions(
         estimand,
         method,
@@ -76,17 +76,20 @@ def loss(estimand, method, each, density: float | None, n_skies: int, time_limit
 
 
 def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
-    """Print the best designs (the front) and the sensitivities, and write the plot and the page if requested."""
+    """Print the best designs (the Pareto front) and their sensitivities; write the plot and the report if requested."""
     page = {"title": f"{len(table)} designs", "data": output}
     draw = (plot, lambda: rs.plot.plot_designs(table).figure)
     with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
         front = table[table["pareto"]]
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
-        print(f"{len(table)} designs, loss of fibers: {table['estimand'][0]}; on the front ({wanted}): {len(front)}")
+        print(
+            f"{len(table)} designs, definition of the loss: {table['estimand'][0]}; on the Pareto front "
+            f"({wanted}): {len(front)}"
+        )
         front.sort(next(iter(table.meta["objectives"])), reverse=True)
         _print_rows(front[:MOST_ROWS], table)
         if len(front) > MOST_ROWS:
-            print(f"and {len(front) - MOST_ROWS} more")
+            print(f"and {len(front) - MOST_ROWS} more designs on the front")
         if "instrument" in table.colnames:
             _print_improvements(table)
         try:
@@ -95,8 +98,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "share of the variance that each parameter explains, and change in percent if the parameter "
-                "grows by one percent:"
+                "sensitivities: the fraction of the variance that each parameter explains, and the change in "
+                "percent if the parameter grows by one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:
@@ -104,7 +107,7 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
 
 
 def _print_rows(front, table) -> None:
-    """Print the designs on the front, followed by the design of the instrument if it is not on the front."""
+    """Print the designs on the Pareto front, followed by the instrument's own design if it is not on the front."""
     columns = [*COLUMNS, *table.meta["objectives"]]
     if "instrument" in table.colnames:
         columns = ["instrument", *columns]
@@ -118,7 +121,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Set the format of a column so that distinct numbers have distinct texts, with at most 12 digits."""
+    """Set the format of a column such that distinct numbers remain distinct when printed, with at most 12 digits."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):
@@ -146,7 +149,7 @@ def _print_improvements(table) -> None:
 
 
 def _change(name, before, after, scanned) -> str:
-    """Return text with a parameter of a better design and its change in percent, or empty text without a change."""
+    """Return text with the new value of a parameter and its change in percent, or empty text if it is unchanged."""
     if abs(after - before) <= 1e-9 * abs(before):
         return ""
     edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""

@@ -1,4 +1,4 @@
-"""Options of joint plans on the command line, and the text that is printed before the search."""
+"""Command-line options of joint plans, and the text that is printed before the search for a joint plan."""
 
 import sys
 from typing import Annotated
@@ -13,7 +13,11 @@ __all__ = ["FixedOption", "GapOption", "IterationsOption", "JointTimeOption", "j
 
 GapOption = Annotated[
     float | None,
-    typer.Option("--joint-gap", help="With --order joint: end when at most this fraction of the visits is missing."),
+    typer.Option(
+        "--joint-gap",
+        help="With --order joint: end when the plan lacks at most this fraction of the largest possible number "
+        "of visits.",
+    ),
 ]
 IterationsOption = Annotated[
     int | None, typer.Option("--joint-iterations", help="With --order joint: largest number of iterations.")
@@ -23,7 +27,11 @@ JointTimeOption = Annotated[
 ]
 FixedOption = Annotated[
     str | None,
-    typer.Option("--fixed", help="With --order joint: folder of a survey whose tiles were already observed."),
+    typer.Option(
+        "--fixed",
+        help="With --order joint: folder of a survey whose tiles were already observed and whose plans therefore "
+        "do not change.",
+    ),
 ]
 # Below this fraction of additional visits, the text says that a joint plan is not worth the time.
 LITTLE = 0.001
@@ -42,14 +50,20 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
 
 
 def _print_gain(state: dict) -> None:
-    """Print how many visits a joint plan can add."""
-    visits, bound = state["visits"][-1], int(state["bound"][-1])
-    more = bound - visits
+    """Print how many visits the tiles one after the other make, and how many a search can add at most."""
+    before, visits, bound = state["visits_before"][-1], state["visits"][-1], int(state["bound"][-1])
+    more = max(bound - visits, 0)
     part = more / max(visits, 1)
-    text = f"tiles one after the other: {visits} visits; a matching without collisions: {bound} visits"
+    text = (
+        f"visits: {before} with tiles planned one after the other; {visits} after visits were moved between tiles; "
+        f"at most {max(bound, visits)} with any plan\n"
+    )
     several = any(int(b) > v for v, b in zip(state["visits"][:-1], state["bound"][:-1], strict=True))
-    if part < LITTLE and not several:
-        text += f"; a joint plan can add at most {more} visits ({part:.2%}), which is not worth much time"
+    if more == 0 and not several:
+        text += "the search cannot add visits"
+    elif part < LITTLE and not several:
+        text += f"the search can add at most {more} visits ({part:.2%}), which is not worth much time"
     else:
-        text += f"; a joint plan can add at most {more} visits ({part:.1%})"
+        text += f"the search can add at most {more} visits ({part:.2%})"
+        text += ", or replace visits to targets of lower priority" if several else ""
     print(text, file=sys.stderr)

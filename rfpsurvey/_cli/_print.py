@@ -1,4 +1,4 @@
-"""The output of commands: printed text, and files with the results."""
+"""Functions that print the results of commands and write files with the results."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,21 +27,21 @@ __all__ = [
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
 MAP = (
-    "The color gives the collision probability of each positioner. Values of single positioners scatter, since the "
-    "number of trials is finite. Inside of a regular lattice without gaps, the expected value is the same everywhere; "
-    "positioners at edges and beside gaps have fewer neighbors to collide with. Dashed circles are positioners that "
-    "are not counted."
+    "The color gives the collision probability of each positioner. The probabilities of single positioners "
+    "scatter, since the number of random trials is finite. The expected probability is the same everywhere "
+    "inside a regular lattice without gaps; positioners at edges and beside gaps have fewer neighbors. "
+    "Dashed circles mark positioners that are not counted in the mean."
 )
 
 
 @contextmanager
 def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
-    """Write files before the summary is printed, and print the file names after the summary.
+    """Write the output files before the summary is printed, and print their names after the summary.
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
-    Each parameter is a pair: the path of a file, and its content. For ``output``, the content is a function that writes
-    to a path. For ``plot`` and ``quality``, the content is a function that makes a figure. For ``report``, it is a
-    result with the options of its page.
+    ``output``, ``plot`` and ``quality`` are pairs: the path of a file, and the content of the file. For ``output``, the
+    content is a function that writes to a path. For ``plot`` and ``quality``, the content is a function that makes a
+    figure. ``report`` contains three elements: the path, the result, and the options of `write_report`.
     """
     written = []
     if output is not None and output[0] is not None:
@@ -73,7 +73,7 @@ def finish(
     targets: str | None = None,
     quality: Path | None = None,
 ) -> None:
-    """Write a tile and, if requested, its figures and page, and print its summary."""
+    """Write a tile and, if requested, its figures and its report, and print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tile.write),
@@ -83,13 +83,16 @@ def finish(
     ):
         print_summary(tile)
         if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
-            print(f"{output} will not contain the outcomes of targets; use .fits, which holds two tables, to keep them")
+            print(
+                f"{output} will not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
+                "which can hold two tables"
+            )
 
 
 def finish_tiling(
     tiling: "rs.Tiling", shown: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a tiling, its plot with the targets and the region in ``shown``, and its page; print its summary."""
+    """Write a tiling, its plot (with the targets and the region in ``shown``) and its report; print its summary."""
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
@@ -104,7 +107,7 @@ def finish_tiling(
 def finish_comparison(
     table, plans: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write a comparison of allocators and, if requested, its plot and page, and print it."""
+    """Print a comparison of allocators, and write the files that are requested: the table, the plot and the report."""
     with files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),
@@ -112,7 +115,8 @@ def finish_comparison(
         report=(report, table, {"data": output, "plans": plans}),
     ):
         print(
-            f"{table.meta['instrument']}; {table.meta['blind_science']} science targets if arms could pass each other"
+            f"{table.meta['instrument']}; {table.meta['blind_science']} science targets could be assigned if "
+            "arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():
@@ -123,7 +127,7 @@ def finish_comparison(
 def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
-    """Write the map, the plot and the page of an estimate if requested, and print the estimate, one value per line."""
+    """Print an estimate of a collision probability; write the table, the plot and the report if requested."""
     plane = model.focal_plane
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
     table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
@@ -148,7 +152,7 @@ def finish_estimate(
 
 
 def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, overwrite: bool) -> None:
-    """Write a table of results and, if requested, its plot and page, and print it."""
+    """Print a table of results, and write it with its plot and, if requested, its report."""
     name, page = table.meta["instrument"], {"data": output}
     if report is not None:
         caption = f"Computing time and error of each method, for {name}."
@@ -175,7 +179,7 @@ def print_summary(tile: "rs.Tile") -> None:
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
     elif "positions" in values:
-        print("scored from positions on the focal plane, for which no field center is needed")
+        print("the tile was scored from positions on the focal plane, which need no field center")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
     projection = tile.summary.get("projection", {})
@@ -185,7 +189,10 @@ def print_summary(tile: "rs.Tile") -> None:
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_objectives(tile)
     if tile.completeness is not None and len(tile.completeness) > 1:
-        print("targets of the field by class; observed are those that are assigned and not in collision:")
+        print(
+            "number of targets of the field by class; targets are observed if they are assigned and their arms "
+            "do not collide:"
+        )
         print_table(tile.completeness)
     seconds = tile.summary["seconds"]
     print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))

@@ -10,20 +10,32 @@ import typer
 import rfpsurvey as rs
 
 RealizationsOption = Annotated[
-    int, typer.Option("--realizations", help="Number of realizations; a multiple of 64 uses all bits.", min=1)
+    int,
+    typer.Option(
+        "--realizations",
+        help="Number of realizations; multiples of 64 fill the 64-bit integers of the output without unused bits.",
+        min=1,
+    ),
 ]
 SelectAllocatorOption = Annotated[
     str,
     typer.Option(
-        help="Allocator of all realizations. nearest, lamost and balanced plan 32 realizations together; sdss, "
-        "optimal, repair and allocators of installed packages plan one after the other."
+        help="Allocator of all realizations. The allocators nearest, lamost and balanced plan 32 "
+        "realizations together; sdss, optimal, repair and allocators of installed packages plan one "
+        "realization after the other."
     ),
 ]
-SelectOutputOption = Annotated[Path | None, typer.Option(help="Write the bits and probabilities (.fits).")]
+SelectOutputOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write the selection probabilities, and the bits that record in which realizations each target is "
+        "observed (.fits)."
+    ),
+]
 SelectFolderOption = Annotated[
     Path | None, typer.Option(help="Folder for checkpoints and for the result, selection.fits.")
 ]
-SelectResumeOption = Annotated[bool, typer.Option(help="Continue the work in --folder.")]
+SelectResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished computation in the folder --folder.")]
 
 SELECT_EXAMPLES = """\b
 Examples:
@@ -35,7 +47,7 @@ Examples:
 
 
 def with_visits(targets, visits: int):
-    """Return a catalog whose targets require the given number of visits."""
+    """Return a copy of a catalog in which every target requires the given number of visits."""
     if isinstance(targets, rs.PartitionedCatalog):
         raise rs.InputError("--visits cannot replace the visits of a catalog in partitions; give a column of visits")
     return replace(targets, visits=np.full(len(targets), visits))
@@ -45,7 +57,7 @@ LINES = {
     "n_realizations": "realizations",
     "n_tiles": "tiles",
     "n_targets": "targets",
-    "n_unreachable": "targets in reach of no tile",
+    "n_unreachable": "targets that no tile can reach",
     "n_never_observed": "targets never observed",
     "n_sometimes_observed": "targets sometimes observed",
     "n_always_observed": "targets always observed",
@@ -65,4 +77,4 @@ def print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds:
         value = s[name]
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     plans = s["n_tiles"] * s["n_realizations"]
-    print(f"{seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per plan of a tile")
+    print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")

@@ -22,7 +22,7 @@ MANY = 0.05  # the collision rate above which a hint is printed
 
 
 def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep):
-    """Return the catalog of a file or of a folder of partitions; by default, a synthetic catalog wider than a field."""
+    """Read a catalog from a file or a folder of partitions; by default, make a synthetic catalog wider than a field."""
     if path is None:
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
@@ -38,13 +38,15 @@ def tiles_of(path: Path | None, targets, model: "rs.Instrument"):
         warn_of_targets(read_table(path), len(targets))
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("a catalog in partitions needs --tiles: make a list of tiles with rfpsurvey tile --region")
+        raise rs.InputError(
+            "--tiles must be given for a catalog in partitions: make a list of tiles with rfpsurvey tile --region"
+        )
     return rs.place_tiles(targets, model, passes=2)
 
 
 @contextmanager
 def workers(number: int, scheduler: str | None, *, processes: bool):
-    """Provide an executor of the requested kind, or None if all tiles are planned in this thread."""
+    """Provide an executor (threads, processes or Dask), or None if all tiles are planned in the main thread."""
     if scheduler is not None:
         try:
             from distributed import Client
@@ -53,7 +55,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
         try:
             client = Client(scheduler, timeout="10s")
         except (OSError, ValueError, TypeError) as error:
-            raise rs.InputError(f"--scheduler: no scheduler answers at {scheduler!r}: {error}") from error
+            raise rs.InputError(f"--scheduler: no Dask scheduler answers at {scheduler!r}: {error}") from error
         with client:
             yield client.get_executor()
     elif number == 1 and not processes:
@@ -69,7 +71,7 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
 
 
 def _set_up_worker() -> None:
-    """Ignore Ctrl-C in a worker process, because the main process would wait forever for a worker that Ctrl-C ends."""
+    """Ignore Ctrl-C in a worker process; if Ctrl-C ended the worker, the main process would wait for it forever."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 
@@ -84,13 +86,16 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     if survey.joint is not None:
         last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
-        print("joint plan: visits to targets with at least this priority, and their upper bounds:")
+        print(
+            "joint plan: for each priority, the number of visits to targets of at least this priority, and its "
+            "upper bound:"
+        )
         _app.print_table(last)
     print("after each pass:")
     _app.print_table(survey.completeness)
     if s["collision_rate"] > MANY:
         print("many arms collide: --allocator repair or --allocator optimal removes collisions")
-    print(f"{seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
+    print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 
 def run(
@@ -109,9 +114,9 @@ def run(
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
     except KeyboardInterrupt:
         there = (
-            "finished tiles are kept: continue with --resume"
+            "the finished tiles are stored in the folder; continue with --resume"
             if options["folder"]
-            else "without --folder, nothing is kept"
+            else "no tiles were stored, because --folder was not given"
         )
         print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
         raise

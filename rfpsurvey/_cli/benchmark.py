@@ -1,4 +1,4 @@
-"""``rfpsurvey benchmark``."""
+"""``rfpsurvey benchmark`` and its commands."""
 
 import sys
 from pathlib import Path
@@ -7,20 +7,21 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey.instrument import as_instrument
 
 benchmark = typer.Typer(
-    no_args_is_help=True, help="Measure the speed and the errors of methods, for the arms of an instrument."
+    no_args_is_help=True,
+    help="Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
 )
-_app.app.add_typer(benchmark, name="benchmark")
+_main.app.add_typer(benchmark, name="benchmark")
 
 
-@benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
+@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
     method: Annotated[
-        list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all are compared.")
+        list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all methods are compared.")
     ] = None,
     repeats: Annotated[int, typer.Option(help="Maximum number of runs of each method.")] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
@@ -37,10 +38,30 @@ def collisions(
     _app.finish_table(table, rs.plot.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
-@benchmark.command(epilog=_options.BENCHMARK_EXAMPLES)
+@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def batches(
     instrument: _options.InstrumentOption = "lamost",
     repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
 ) -> None:
-    """Measure the time of scoring many configurations in one call, on CPU threads and on a GPU if there is one."""
+    """Measure the time of counting the collisions of many configurations, on the CPU and, if available, on a GPU."""
     _app.print_table(rs.benchmark.benchmark_batches(as_instrument(instrument), repeats=repeats))
+
+
+@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
+def probability(
+    instrument: _options.InstrumentOption = "lamost",
+    repeats: Annotated[
+        int, typer.Option(help="Number of runs of each method and effort, with different random numbers.")
+    ] = 30,
+    seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
+    plot: Annotated[
+        Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")
+    ] = Path("benchmark_probability.png"),
+    report: _options.ReportOption = None,
+    overwrite: _options.OverwriteOption = False,
+) -> None:
+    """Compare the time and the error of methods for collision probabilities, and the bias for each target density."""
+    output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
+    _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
+    table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
+    _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

@@ -11,13 +11,13 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments
 
 
-@_app.app.command(epilog=_options.COMPARE_EXAMPLES)
+@_main.app.command(epilog=_examples.COMPARE_EXAMPLES)
 def compare(
     instruments: Annotated[
         list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. By default, all presets.")
@@ -25,7 +25,8 @@ def compare(
     catalog: Annotated[
         Path | None,
         typer.Option(
-            help="Catalog for all instruments, a file or example:anticenter. The default is synthetic Poisson targets."
+            help="Catalog for all instruments, a file or example:anticenter. By default, synthetic Poisson "
+            "targets are used."
         ),
     ] = None,
     center: _options.CenterOption = None,
@@ -41,7 +42,8 @@ def compare(
         int | None, typer.Option(help="Number of synthetic fields of each instrument. By default, 4.")
     ] = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator; may be repeated. The default is lamost and optimal.")
+        list[str] | None,
+        typer.Option(help="Allocator; may be repeated. By default, the allocators lamost and optimal are used."),
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
@@ -59,7 +61,7 @@ def compare(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Compare the reach, fibers and collisions of instruments, and the targets lost to collisions."""
+    """Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out

@@ -1,4 +1,4 @@
-"""``rfpsurvey compare-allocators``."""
+"""The command ``rfpsurvey compare-allocators``."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,12 +7,12 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tile import north_of_date
 
 
-@_app.app.command(epilog=_options.COMPARE_ALLOCATORS_EXAMPLES)
+@_main.app.command(epilog=_examples.COMPARE_ALLOCATORS_EXAMPLES)
 def compare_allocators(
     catalog: _options.CatalogArgument = None,
     instrument: _options.InstrumentOption = "lamost",
@@ -21,7 +21,8 @@ def compare_allocators(
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     allocator: Annotated[
-        list[str] | None, typer.Option(help="Allocator to compare; may be repeated. By default, all allocators.")
+        list[str] | None,
+        typer.Option(help="Allocator to compare; may be repeated. By default, all allocators are compared."),
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,

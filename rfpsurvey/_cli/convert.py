@@ -5,19 +5,21 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _examples, _main, _options
 from rfpsurvey.plans import read_plan, write_plan
 
 
-@_app.app.command(epilog=_options.CONVERT_EXAMPLES)
+@_main.app.command(epilog=_examples.CONVERT_EXAMPLES)
 def convert(
-    source: Annotated[Path, typer.Argument(help="Plan of another program, or a tile (.fits or .ecsv).")],
+    source: Annotated[
+        Path, typer.Argument(help="File to convert: a plan of another program, or a tile (.fits or .ecsv).")
+    ],
     target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
     format: Annotated[  # noqa: A002
         str | None,
         typer.Option(
-            help="Format: confsummary, fiberassign, pfsdesign or table. By default, "
-            "the ending of the file determines the format."
+            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the extension of the "
+            "file name determines the format."
         ),
     ] = None,
     overwrite: _options.OverwriteOption = False,

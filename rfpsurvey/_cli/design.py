@@ -3,10 +3,10 @@
 import sys
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _designs, _options, _surveys
+from rfpsurvey._cli import _app, _designs, _examples, _main, _options, _surveys
 
 
-@_app.app.command(epilog=_options.DESIGN_EXAMPLES)
+@_main.app.command(epilog=_examples.DESIGN_EXAMPLES)
 def design(
     instrument: _options.DesignInstrumentOption = None,
     spread: _options.SpreadOption = None,
@@ -31,12 +31,15 @@ def design(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Scan designs of positioners, optionally around that of an instrument, and find the best designs."""
+    """Scan designs of positioners, optionally around the design of an instrument, and find the best designs."""
     again = overwrite or resume
     _app.check_outputs(None, plot, report, overwrite=again)
     around = instrument is not None
     if spread is not None and not around:
-        raise rs.InputError("--spread must be used with --instrument, around whose design it scans; got no instrument")
+        raise rs.InputError(
+            "--spread must be used with --instrument, the instrument around which the scan varies the design; "
+            "got no instrument"
+        )
     parameters = {"central_arm": central_arm, "ratio": ratio, "pitch": pitch, "clearance": clearance}
     scan = _designs.axes(n_designs, around=around, **parameters)
     scan["loss"] = _designs.loss(estimand, method, targets_per_positioner, target_density, n_skies, time_limit)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey._cli import _app
+from rfpsurvey._cli import _main
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument, fact_texts
 
 EXAMPLES = """\b
@@ -15,12 +15,13 @@ Examples:
 """
 
 
-@_app.app.command(epilog=EXAMPLES)
+@_main.app.command(epilog=EXAMPLES)
 def instruments(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Names of presets, or paths of TOML files; several are compared. By default, all presets are listed."
+            help="Names of presets, or paths of TOML files; if several are given, the instruments are "
+            "compared. By default, all presets are listed."
         ),
     ] = None,
 ) -> None:
@@ -42,7 +43,7 @@ def _print_list() -> None:
 
 
 def _print_one(model: Instrument) -> None:
-    """Print the description of an instrument, facts that are derived from it, and the source of every value."""
+    """Print the description of an instrument, quantities derived from its design, and the source of every value."""
     notes = model.notes.strip()
     print(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
@@ -56,7 +57,7 @@ def _print_one(model: Instrument) -> None:
 
 
 def _print_columns(models: list[Instrument]) -> None:
-    """Print the facts of several instruments, with one column for each instrument."""
+    """Print a table that compares several instruments, with one column for each instrument."""
     columns = [fact_texts(model.facts()) for model in models]
     widths = [max(len(model.name), *map(len, texts.values())) for model, texts in zip(models, columns, strict=True)]
     rows = {"": [model.name for model in models]}

@@ -5,13 +5,13 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _options
+from rfpsurvey._cli import _app, _conditions, _examples, _main, _options
 from rfpsurvey.allocation import end_on_interrupt
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tile import north_of_date
 
 
-@_app.app.command(epilog=_options.PLAN_EXAMPLES)
+@_main.app.command(epilog=_examples.PLAN_EXAMPLES)
 def plan(
     catalog: _options.CatalogArgument = None,
     instrument: _options.InstrumentOption = "lamost",
@@ -84,5 +84,8 @@ def plan(
         )
         ended_early = interrupted.is_set()
     if ended_early:
-        print("rfpsurvey: interrupted; this is the best plan found so far", file=sys.stderr)
+        print(
+            "rfpsurvey: interrupted; the output is the best plan that was found before the interruption",
+            file=sys.stderr,
+        )
     _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)

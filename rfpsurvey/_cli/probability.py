@@ -7,24 +7,32 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.probability import Precision, RandomTargets
 
 
-@_app.app.command(epilog=_options.PROBABILITY_EXAMPLES)
+@_main.app.command(epilog=_examples.PROBABILITY_EXAMPLES)
 def probability(
     instrument: Annotated[str, typer.Argument(help="Name of a preset, or path of a TOML file.")] = "lamost",
     method: _options.MethodOption = "auto",
     estimand: Annotated[
-        str | None, typer.Option(help="allocated (the default) or independent, for the method auto.")
+        str | None,
+        typer.Option(
+            help="For the method auto: targets after allocation (allocated, the default) or independent targets "
+            "(independent)."
+        ),
     ] = None,
     precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
     max_iterations: Annotated[
         int | None, typer.Option(help="Largest number of iterations, realizations or points.")
     ] = None,
     targets: Annotated[
-        str, typer.Option(help="uniform, poisson, poisson_disc, or a catalog, such as example:anticenter.")
+        str,
+        typer.Option(
+            help="Targets: uniform, poisson or poisson_disc for random targets, or a catalog, such as "
+            "example:anticenter."
+        ),
     ] = "uniform",
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
     target_radius: Annotated[
@@ -33,9 +41,12 @@ def probability(
     min_separation: Annotated[float | None, typer.Option(help="Minimum separation for poisson_disc (mm).")] = None,
     allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = "balanced",
     density: Annotated[
-        str | None, typer.Option(help="Density of independent targets: uniform, shared or voronoi.")
+        str | None,
+        typer.Option(help="Probability density of independent targets in the patrol area: uniform, shared or voronoi."),
     ] = None,
-    dynamic: Annotated[float, typer.Option(help="Rate of dynamic failures of positioners.")] = 0.0,
+    dynamic: Annotated[
+        float, typer.Option(help="Probability of an additional, independent dynamic failure of each positioner.")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
     workers: Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)] = 1,
     output: _options.MapOption = None,
@@ -64,5 +75,5 @@ def _targets(name, number, radius, separation):
     given = {"--n-targets": number, "--target-radius": radius, "--min-separation": separation}
     for option, value in given.items():
         if value is not None:
-            raise rs.InputError(f"{option} must be used with random targets, got a catalog")
+            raise rs.InputError(f"{option} must be used with random targets, but a catalog is given")
     return targets

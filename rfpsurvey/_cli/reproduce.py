@@ -7,17 +7,17 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 
 
-@_app.app.command(epilog=_options.REPRODUCE_EXAMPLES)
+@_main.app.command(epilog=_examples.REPRODUCE_EXAMPLES)
 def reproduce(
     experiment: Annotated[
         str, typer.Argument(help="Experiment: small, large, poisson, fit, intervals, speed, or all.")
     ] = "all",
-    folder: Annotated[Path, typer.Option(help="Folder for the tables, the figures, and the list of claims.")] = Path(
-        "reproduction"
-    ),
+    folder: Annotated[
+        Path, typer.Option(help="Folder for the tables, the figures, and the list of the claims of the paper.")
+    ] = Path("reproduction"),
     quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, for a short test.")] = False,
     workers: Annotated[
         int | None, typer.Option(help="Number of threads; by default, the number of cores.", min=1)

@@ -7,11 +7,11 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey.tile import north_of_date
 
 
-@_app.app.command(epilog=_options.SCORE_EXAMPLES)
+@_main.app.command(epilog=_examples.SCORE_EXAMPLES)
 def score(
     assignment: Annotated[
         Path,
@@ -22,23 +22,26 @@ def score(
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Name of a preset, or path of a TOML file or of an instrument as built. By default, the "
-            "instrument of the plan or tile."
+            help="Instrument: the name of a preset, the path of a TOML file, or the path of the calibration "
+            "files of a real instrument. By default, the instrument named in the plan or tile is used."
         ),
     ] = None,
     center: Annotated[
-        str | None, typer.Option(help="Field center (ICRS). By default, racen and deccen in the table.")
+        str | None, typer.Option(help="Field center (ICRS). By default, the values racen and deccen of the table.")
     ] = None,
     pa: Annotated[
         float | None,
         typer.Option(
-            help="Position angle (deg). By default, position_angle in the table.", callback=_options.check_angle
+            help="Position angle (deg). By default, the value position_angle of the table.",
+            callback=_options.check_angle,
         ),
     ] = None,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
     positions: Annotated[str | None, typer.Option(help="Positions to use: focal_plane or sky.")] = None,
-    select: Annotated[list[str] | None, typer.Option(help="COLUMN=VALUE, which selects rows of the table.")] = None,
+    select: Annotated[
+        list[str] | None, typer.Option(help="Select the rows of the table with this value in a column, COLUMN=VALUE.")
+    ] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -47,7 +50,7 @@ def score(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Find the collisions in the assignments of another planner."""
+    """Find the collisions in an assignment that was made by another program."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}

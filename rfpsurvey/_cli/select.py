@@ -4,12 +4,12 @@ import sys
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options, _selections, _surveys
+from rfpsurvey._cli import _app, _main, _options, _selections, _surveys
 from rfpsurvey._io import check_output
 from rfpsurvey.instrument import as_instrument
 
 
-@_app.app.command(epilog=_selections.SELECT_EXAMPLES)
+@_main.app.command(epilog=_selections.SELECT_EXAMPLES)
 def select(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
@@ -67,7 +67,11 @@ def select(
                 targets, model, tiling, realizations, executor=executor, progress=True, **options
             )
         except KeyboardInterrupt:
-            kept = "checkpoints are kept: continue with --resume" if folder else "without --folder, nothing is kept"
+            kept = (
+                "the checkpoints are stored in the folder; continue with --resume"
+                if folder
+                else "no results were stored, because --folder was not given"
+            )
             print(f"rfpsurvey: interrupted; {kept}", file=sys.stderr)
             raise
     if output is not None:

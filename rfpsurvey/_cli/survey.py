@@ -1,10 +1,10 @@
 """``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _joint, _options, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _surveys
 from rfpsurvey.instrument import as_instrument
 
 
-@_app.app.command(epilog=_options.SURVEY_EXAMPLES)
+@_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
 def survey(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
@@ -48,7 +48,7 @@ def survey(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Plan the tiles of a survey such that each target is observed the requested number of times."""
+    """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     model = as_instrument(instrument)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)

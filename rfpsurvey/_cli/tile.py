@@ -5,11 +5,11 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _examples, _main, _options
 from rfpsurvey.instrument import as_instrument
 
 
-@_app.app.command(epilog=_options.TILE_EXAMPLES)
+@_main.app.command(epilog=_examples.TILE_EXAMPLES)
 def tile(
     catalog: _options.CatalogArgument = None,
     region: _options.RegionOption = None,
@@ -73,12 +73,14 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
     """Return the targets inside a region."""
     inside = region.contains(catalog.coord)
     if not inside.any():
-        raise rs.InputError(f"--region must hold at least one target, but none of {len(catalog)} is inside")
+        raise rs.InputError(
+            f"--region must contain at least one target, but none of the {len(catalog)} targets is inside"
+        )
     return catalog[inside]
 
 
 def _centers(path, declination, pa):
-    """Return the constraints on the centers of tiles."""
+    """Return the constraints on the centers of tiles from the command-line options."""
     return rs.tiling.Centers(
         None if path is None else rs.Tiling.read(path),
         None if declination is None else declination * u.deg,
@@ -90,7 +92,9 @@ def _options_of(allocator, require, sky_separation, time_limit, parked, *, given
     """Return the options of an allocation, or None if all options have their default values."""
     asked = require is not None or sky_separation is not None or not parked
     if allocator is None and given and asked:
-        raise rs.InputError("--fibers and --radius need an --allocator if another option of the allocation is given")
+        raise rs.InputError(
+            "--allocator must be given if --fibers or --radius is given with another option of the allocation"
+        )
     if allocator is None and not asked:
         return None
     return _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)

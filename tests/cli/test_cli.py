@@ -9,7 +9,7 @@ from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey import _cli
+from rfpsurvey._cli import _app
 from rfpsurvey.reproduction._designs import Settings
 
 
@@ -49,7 +49,10 @@ def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
     path = tmp_path / name
     code, out, err = run("plan", "--instrument", "sdss_apo", "--output", path)
     assert (code, err) == (0, "")
-    told = f"{path} will not contain the outcomes of targets; use .fits, which holds two tables, to keep them"
+    told = (
+        f"{path} will not contain the outcomes of targets; to keep the outcomes, write a .fits file, which can "
+        "hold two tables"
+    )
     assert (told in out.splitlines()) == (rs.Tile.read(path).outcomes is None) == (".ecsv" in name)
     _, again, _ = run("score", path, "--output", tmp_path / "scored.ecsv")  # a scored tile has no outcomes
     assert "no outcomes" not in again
@@ -138,7 +141,9 @@ def test_score(run, tmp_path):
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0
     assert out.startswith("lamost")
-    assert "the tile was made for lamost" in sentence(*run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2])
+    assert "--instrument must be the instrument of the tile, lamost" in sentence(
+        *run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2]
+    )
     assert "selects no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
     assert "must have the form COLUMN=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
@@ -174,7 +179,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
         rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")
     _, out, _ = run("score", tmp_path / "one.ecsv", "--instrument", "sdss_apo")
-    assert "scored from positions on the focal plane, for which no field center is needed" in out
+    assert "the tile was scored from positions on the focal plane, which need no field center" in out
 
 
 def test_columns_units_and_toml(run, tmp_path):
@@ -199,7 +204,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
     code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
     assert code == 0
     assert "dropped without finite coordinates         1\n" in out
-    assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were dropped\n"
+    assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were removed\n"
 
 
 @pytest.mark.parametrize(
@@ -220,7 +225,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
         (["--instrument", "lamost.csv"], "pfs, sdss_apo, sdss_lco, or a TOML file."),
         (["--center", "400 0"], "the right ascension must lie between -360 and 360 deg"),
         (["--time-limit", "nan"], "--time-limit must be one finite value above 0 s"),
-        (["{good}.ecsv", "--frame", "altaz"], "frame must be one that has a fixed relation to ICRS"),
+        (["{good}.ecsv", "--frame", "altaz"], "frame must be a frame that has a fixed relation to ICRS"),
         (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
         (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
         (["--output", "{no}/tile.fits"], "does not exist"),
@@ -266,7 +271,7 @@ def test_usage_errors_exit_with_2(run):
 
 @pytest.mark.parametrize("center", ["95 23", "95.0,23.0", "9.5e1 2.3e1", "06:20:00 +23:00:00", "06 20 00 +23 00 00"])
 def test_centers_in_any_spelling(center):
-    coord = _cli._app.parse_center(center)
+    coord = _app.parse_center(center)
     assert (coord.ra.deg, coord.dec.deg) == pytest.approx((95, 23))
 
 
@@ -295,7 +300,7 @@ def test_a_spreadsheets_csv(run, tmp_path):
         (["--pa=1e17"], "--pa must lie between -360 and 360 deg, got 1e+17"),
         (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
         (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
-        (["{folder}/dir.fits"], "is a folder without partitions"),
+        (["{folder}/dir.fits"], "must contain partitions"),
         (["--instrument", "LAMOST"], "Did you mean 'lamost'"),
     ],
 )
@@ -332,7 +337,7 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
-    assert "--n-targets must be used with random targets, got a catalog" in sentence(code, err)
+    assert "--n-targets must be used with random targets, but a catalog is given" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 
@@ -399,9 +404,9 @@ def test_plan_draws_all_targets_and_the_quality(run, tmp_path):
     assert plot.read_bytes() != plain.read_bytes()
     assert quality.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     for options, message in (
-        (("--targets", "kind"), "--targets needs a plot"),
+        (("--targets", "kind"), "--targets colors the targets in a plot"),
         (("--targets", "all", "--plot", tmp_path / "a.png"), "unknown --targets 'all'"),
-        (("--targets", "priority", "--plot", tmp_path / "a.png"), "--targets priority needs a priority"),
+        (("--targets", "priority", "--plot", tmp_path / "a.png"), "--targets priority needs the column priority"),
         (("--quality", tmp_path / "a.txt"), "must end in"),
         (("--quality", quality), "exists"),
     ):
@@ -426,10 +431,12 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         write(["β Ori", "b", "c"], ["x", "y", "z"])
         code, _, err = run(*plan, *fits, "--overwrite")
         assert code == 2
-        assert "can contain only printable ASCII text, but 1 target ids contain others, such as 'β Ori'" in err
+        assert (
+            "can contain only printable ASCII text, but 1 target ids contain other characters, such as 'β Ori'" in err
+        )
         assert "write .ecsv instead" in err
         write(["a", "b", "c"], ["x", "ä", "z"])
         code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
         assert code == 2
-        assert "1 values of 'note' contain others, such as 'ä'" in err
+        assert "1 values of 'note' contain other characters, such as 'ä'" in err
     assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0

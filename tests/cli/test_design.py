@@ -29,7 +29,9 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     axes = ["--central-arm", "7.5:9:3", "--ratio", "1,1.5", "--pitch", "25:31:3", "--clearance", 2]
     code, out, err = run("design", *axes, "--workers", 2, "--output", output, "--plot", plot)
     assert (code, err) == (0, "")
-    assert out.startswith("18 designs, loss of fibers: independent; on the front (coverage max, loss min)")
+    assert out.startswith(
+        "18 designs, definition of the loss: independent; on the Pareto front (coverage max, loss min)"
+    )
     assert out.rstrip().endswith(f"wrote {output}\nwrote {plot}")
     found = QTable.read(output)
     for name in ("central_arm", "pitch", "loss", "pareto"):
@@ -38,7 +40,7 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     assert re.search(rf"loss +central_arm +{share:.3f}", out)
     assert b"</svg>" in plot.read_bytes()
     code, _, err = run("design", *axes, "--output", output)
-    assert "exists; continue it (--resume" in sentence(code, err)
+    assert "exists; continue the scan (--resume" in sentence(code, err)
     assert run("design", *axes, "--output", output, "--resume", "--plot", plot)[0] == 0
 
 
@@ -61,14 +63,14 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     options += ["--estimand", "collision_free", "--n-skies", 2, "--objective", "usable=max", "--objective", "loss=min"]
     code, out, _ = run("design", *options, "--output", tmp_path / "d.fits")
     assert code == 0
-    assert "loss of fibers: collision_free; on the front (usable max, loss min)" in out
+    assert "definition of the loss: collision_free; on the Pareto front (usable max, loss min)" in out
     found = QTable.read(tmp_path / "d.fits")
     assert len(found) == 16
     assert set(found["method"]) == {"optimal"}
     assert (found["targets"] == 2).all()
     code, out, _ = run("design")
     assert code == 0
-    assert "36 designs, loss of fibers: independent" in out
+    assert "36 designs, definition of the loss: independent" in out
     code, out, _ = run("design", "--ratio", 1, "--pitch", 25.6)
     assert code == 0
     assert "no sensitivities: at least one of central_arm" in out
@@ -77,8 +79,8 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--central-arm", "long"], "--central-arm must be a number, or several as 7,8,9 or LOW:HIGH:NODES"),
-        (["--pitch", "22:30:3:4"], "--pitch must be a number, or several"),
+        (["--central-arm", "long"], "--central-arm must be a number, several numbers such as 7,8,9, or LOW:HIGH:NODES"),
+        (["--pitch", "22:30:3:4"], "--pitch must be a number, several numbers"),
         (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, such as 22:30:5"),
         (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs, give only limits, such as 22:30"),
         (["--ratio", "-1"], "ratio must be finite and above 0, got -1"),
@@ -86,7 +88,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
         (["--method", "guess"], "unknown method of design studies 'guess'"),
         (["--output", "{folder}/no/d.fits"], "does not exist"),
         (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),
-        (["--resume"], "resume needs the path"),
+        (["--resume"], "resume requires the path"),
         (["--spread", 0.2], "--spread must be used with --instrument"),
         (["--instrument", "lamost", "--spread", 2], "spread must be a number above 0 and below 1, got 2"),
         (["--instrument", "lamst"], "unknown instrument 'lamst'"),
@@ -119,7 +121,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     call = ["design", "--instrument", tmp_path / "mine.toml", "--output", output, "--plot", plot, "--spread", 0.1]
     code, out, err = run(*call, "--central-arm", 8.25)
     assert (code, err) == (0, "")
-    assert out.startswith("25 designs, loss of fibers: independent")
+    assert out.startswith("25 designs, definition of the loss: independent")
     found = QTable.read(output)
     assert np.ma.filled(found["instrument"], "").tolist().count("mine") == 1
     assert set(found["clearance"].value) == {2.0}
@@ -223,5 +225,5 @@ def test_a_long_front_is_cut_and_a_comparison_may_be_impossible(run, monkeypatch
     monkeypatch.setattr(rs.design, "design_improvements", impossible)
     out = run("design", "--instrument", "sdss_apo", "--n-designs", 8)[1]
     n_front = int(out.partition("max, loss min): ")[2].split("\n")[0])
-    assert f"and {n_front - 1} more\n" in out
+    assert f"and {n_front - 1} more designs on the front\n" in out
     assert "  no comparison: no design is better\n" in out

@@ -23,12 +23,10 @@ def test_the_command_prints_the_gain_and_the_bounds(run, words, tmp_path):
     assert code == 0, err
     survey = rs.Survey.read(tmp_path / "plan")
     level = survey.summary["joint"]["levels"][0]
-    first = survey.joint["bound"][0]
-    text = (
-        f"tiles one after the other: {level['n_visits_before']} visits; a matching without collisions: {first} visits"
-    )
+    text = f"visits: {level['n_visits_before']} with tiles planned one after the other; "
     assert text in err
-    assert "joint plan: visits to targets with at least this priority" in out
+    assert f"at most {survey.joint['bound'][1]} with any plan\nthe search can" in err
+    assert "joint plan: for each priority, the number of visits to targets of at least this priority" in out
     code, _, err = run(*words, "--order", "joint", "--fixed", tmp_path / "nothing")
     assert code == 2
     assert "nothing does not hold a survey" in err
@@ -51,3 +49,10 @@ def test_every_option_reaches_the_library(run, words, monkeypatch):
     _, _, err = run(*words, *options)
     assert "have no effect without --order joint" in err
     assert seen["order"] == "color"
+
+
+@pytest.mark.parametrize(("option", "value"), [("--joint-gap", 2), ("--joint-iterations", -1), ("--joint-time", -3)])
+def test_errors_name_the_option_that_was_typed(run, words, option, value):
+    code, _, err = run(*words, "--order", "joint", option, value)
+    assert code == 2
+    assert f"rfpsurvey: {option} must be" in err

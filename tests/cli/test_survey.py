@@ -162,7 +162,7 @@ def test_instruments_are_compared_with_required_targets_and_circles(call, files,
     assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
     assert found.meta["parameters"]["required"] == ["9"]
     _, err = call("compare", "moons", "--required", 9, code=2)
-    assert "required targets need a catalog" in err
+    assert "required targets can be used only with a catalog" in err
 
 
 @pytest.mark.parametrize("command", ["plan", "compare-allocators"])
@@ -189,7 +189,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     rs.partition_catalog(sky, tmp_path / "parts")
     out, _ = call("survey", tmp_path / "parts", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
     assert f"{sky.visits.sum():>12}" in out
-    assert "needs --tiles" in call("survey", tmp_path / "parts", code=2)[1]
+    assert "--tiles must be given" in call("survey", tmp_path / "parts", code=2)[1]
 
 
 @pytest.mark.parametrize(
@@ -201,9 +201,9 @@ def test_a_folder_of_partitions(call, files, tmp_path):
         (["--resume"], "resume needs the folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),
-        (["--scheduler", "nobody"], "no scheduler answers"),
+        (["--scheduler", "nobody"], "no Dask scheduler answers"),
         (["--require", "stars=5"], ""),
-        (["--required", "nobody"], "required must hold ids of the catalog, got nobody (1 of 1)"),
+        (["--required", "nobody"], "required must hold ids of the catalog, got nobody (1 of 1 unknown)"),
         (["--keep-out", "95,23"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,23'"),
         (["--keep-out", "95,93,1"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,93,1'"),
         (["--keep-out", "box 1 2 3 4"], "--keep-out must be RA,DEC,RADIUS in deg"),
@@ -230,8 +230,8 @@ def test_bad_tiles(call, files, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ((), "without --folder, nothing is kept"),
-        (("--folder", "plan"), "finished tiles are kept: continue with --resume"),
+        ((), "no tiles were stored, because --folder was not given"),
+        (("--folder", "plan"), "the finished tiles are stored in the folder; continue with --resume"),
     ],
 )
 def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch, words, sentence):

@@ -96,13 +96,16 @@ def test_the_embedded_default(tile):
     [
         (["--region", "circle 1 2 3"], "unknown kind of region 'circle'"),
         (["--region", "cap 1 2 3", "--method", "sdss"], "needs targets, got a Region"),
-        (["--region", "cap 100 2 3", "{good}"], "--region must hold at least one target, but none of 1 is inside"),
+        (
+            ["--region", "cap 100 2 3", "{good}"],
+            "--region must contain at least one target, but none of the 1 targets is inside",
+        ),
         (["--region", "cap 1 2 3", "--exclude", "cup 1 2 3"], "unknown kind of region 'cup'"),
         (["--method", "given"], "'given' needs a list of tiles as centers"),
         (["--centers", "{folder}/no.ecsv"], "there is no such file"),
         (["--declination", "60", "-10"], "declination must be a lower and an upper limit"),
         (["--radius", "0"], "radius must be one finite value above 0"),
-        (["--radius", "1", "--require", "sky=5"], "--fibers and --radius need an --allocator"),
+        (["--radius", "1", "--require", "sky=5"], "--allocator must be given if --fibers or --radius"),
         (["--region", "cap 1 2 3", "--allocator", "lamost"], "allocator applies only to targets"),
         (["--allocator", "magic"], "unknown allocator 'magic'"),
         (["--region", "sky"], "use method='spiral'"),

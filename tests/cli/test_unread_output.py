@@ -11,7 +11,7 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey._cli import _app
+from rfpsurvey._cli import _main
 
 # this program runs commands, each given with whether Python buffers the output, and with the file for the output
 FORKED = """
@@ -101,7 +101,7 @@ def test_errors_on_the_last_flush_decide_the_exit_code(monkeypatch, tmp_path, ca
 
     with (tmp_path / "out").open("w") as file:
         monkeypatch.setattr(sys, "__stdout__", stream := Stream(os.dup(file.fileno()), "w", closefd=False))
-        assert _app._flush(0) == code
+        assert _main._flush(0) == code
         os.write(stream.fileno(), b"more")
         os.close(stream.fileno())
     assert capsys.readouterr().err == text
@@ -113,5 +113,5 @@ def test_a_pipe_that_is_closed_during_a_command_has_its_exit_code(run, monkeypat
     def broken():
         raise BrokenPipeError
 
-    monkeypatch.setattr(_app, "app", broken)
+    monkeypatch.setattr(_main, "app", broken)
     assert run("instruments") == (141, "", "")

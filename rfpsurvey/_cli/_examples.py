@@ -1,0 +1,95 @@
+"""Examples at the end of the help text of each command."""
+
+PLAN_EXAMPLES = """\b
+Examples:
+  rfpsurvey plan
+  rfpsurvey plan example:anticenter --center "95 23" --epoch 2026.5
+  rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" --output tile.fits --plot tile.png
+  rfpsurvey plan stars.fits --output tile.fits --report tile.html
+  rfpsurvey plan stars.fits --keep mag --plot tile.png --targets outcome --quality quality.png
+  rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" --pa 40 --equinox J2026.0 --epoch 2026.5
+  rfpsurvey plan stars.fits --allocator optimal --require instrument --sky-separation 10
+  rfpsurvey plan stars.fits --allocator optimal --required 4711 --required 4712 --keep-out 95.0,23.1,0.01
+"""
+
+COMPARE_ALLOCATORS_EXAMPLES = """\b
+Examples:
+  rfpsurvey compare-allocators
+  rfpsurvey compare-allocators stars.fits --instrument moons --plot allocators.png --report allocators.html
+  rfpsurvey compare-allocators stars.fits --require instrument --sky-separation 10 --allocator sdss --allocator optimal
+"""
+
+COMPARE_EXAMPLES = """\b
+Examples:
+  rfpsurvey compare
+  rfpsurvey compare lamost design.toml --targets 2 --plot comparison.png --output comparison.ecsv
+  rfpsurvey compare sdss_apo moons --catalog stars.fits --center "06h20m00s +23d00m00s" --allocator optimal
+  rfpsurvey compare lamost desi pfs --density 1000 --realizations 2 --report comparison.html
+"""
+
+CONVERT_EXAMPLES = """\b
+Examples:
+  rfpsurvey convert confSummary-26.par plan.ecsv
+  rfpsurvey convert tile.fits confSummary-26.par.gz
+  rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign --overwrite
+"""
+
+SCORE_EXAMPLES = """\b
+Examples:
+  rfpsurvey score confSummary-26.par.gz
+  rfpsurvey score confSummary-26.par.gz --instrument sloanFlatCMM
+  rfpsurvey score plan.ecsv --instrument sdss_apo
+  rfpsurvey score designs.ecsv --instrument sdss_lco --select design_id=503246 --equinox J2022.0
+"""
+
+TILE_EXAMPLES = """\b
+Examples:
+  rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --report tiles.html
+  rfpsurvey tile --region sky --method spiral --instrument desi
+  rfpsurvey tile stars.fits --method sdss --completeness 0.95 --allocator repair
+  rfpsurvey tile stars.fits --method given --centers tiles.ecsv
+  rfpsurvey tile stars.fits --region "cap 95 23 5" --exclude "cap 92.3 24.3 0.5" --declination -10 60
+  rfpsurvey tile stars.fits --radius 1.5 --fibers 400
+"""
+
+DESIGN_EXAMPLES = """\b
+Examples:
+  rfpsurvey design --ratio 1:2:5 --pitch 22:30:9
+  rfpsurvey design --instrument mine.toml --plot mine.png
+  rfpsurvey design --instrument lamost --spread 0.3 --pitch 24:32:9
+  rfpsurvey design --central-arm 7.25:14.5 --ratio 1:2 --pitch 24.6:35 --n-designs 4096 --plot front.png
+  rfpsurvey design --ratio 1:2:5 --estimand allocated --output designs.ecsv --workers 2
+  rfpsurvey design --ratio 1,1.5 --pitch 25:35:5 --estimand collision_free --targets-per-positioner 1 --processes
+"""
+
+SURVEY_EXAMPLES = """\b
+Examples:
+  rfpsurvey survey
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --report plan.html
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
+  rfpsurvey survey stars.fits --allocator repair --required 4711 --keep-out 95.0,23.1,0.01 --keep-out 95.4,22.8,0.02
+  rfpsurvey survey stars.fits --allocator optimal --order joint --joint-time 600 --folder plan
+  rfpsurvey survey hats_catalog --tiles tiles.ecsv --instrument desi --scheduler tcp://10.0.0.1:8786 --folder plan
+"""
+
+BENCHMARK_EXAMPLES = """\b
+Examples:
+  rfpsurvey benchmark collisions
+  rfpsurvey benchmark collisions --instrument sdss_apo --method exact --method sampled --plot sdss.pdf
+  rfpsurvey benchmark batches --instrument moons
+  rfpsurvey benchmark probability --instrument moons --plot moons.png
+"""
+
+PROBABILITY_EXAMPLES = """\b
+Examples:
+  rfpsurvey probability lamost
+  rfpsurvey probability sdss_apo --method monte_carlo --precision 0.002 --workers 2
+  rfpsurvey probability moons --estimand independent --density shared
+  rfpsurvey probability lamost --targets stars.fits --output map.fits --plot map.png
+"""
+
+REPRODUCE_EXAMPLES = """\b
+Examples:
+  rfpsurvey reproduce small
+  rfpsurvey reproduce all --quick --folder quick --report quick.html
+"""

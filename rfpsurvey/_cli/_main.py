@@ -1,0 +1,155 @@
+"""The command-line application, which imports a command, and all that it needs, when the command is called."""
+
+import os
+import re
+import signal
+import sys
+import warnings
+from concurrent.futures import BrokenExecutor
+from contextlib import suppress
+from importlib import import_module
+from typing import Annotated
+
+import typer
+from typer.core import TyperGroup
+
+import rfpsurvey as rs
+
+__all__ = ["COMMANDS", "app", "main"]
+
+# The exit code that a shell reports for a program that writes to a closed pipe.
+READER_GONE = 141
+COMMANDS = {
+    "compare": "Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions.",
+    "compare-allocators": "Compare allocators on the same field.",
+    "convert": "Convert a plan to the format of another program.",
+    "design": "Scan designs of positioners, optionally around the design of an instrument, and find the best designs.",
+    "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
+    "instruments.",
+    "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
+    "probability": "Estimate the probability that arms collide, with a confidence interval.",
+    "reproduce": "Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with the "
+    "paper.",
+    "score": "Find the collisions in an assignment that was made by another program.",
+    "select": "Plan a survey many times with random subpriorities, and write the probability that it observes each "
+    "target.",
+    "survey": "Plan the tiles of a survey so that as many targets as possible are observed the requested number of "
+    "times.",
+    "tile": "Place the tiles of a survey.",
+    "benchmark": "Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
+}
+"""The first sentence of the description of each command, so that the list is printed without importing the commands."""
+OPTIONS = {
+    "rotation": "--pa",
+    "position_angle": "--pa",
+    "standard_error": "--precision",
+    "passes": "--pass",
+    "targets_per_positioner": "--targets",
+    "n_realizations": "--realizations",
+    "requirements": "--require",
+    "gap": "--joint-gap",
+    "iterations": "--joint-iterations",
+    "time_limit": "--joint-time",
+}
+"""Command-line options whose names differ from those of the parameters; the keys are the names of the parameters."""
+
+
+class Commands(TyperGroup):
+    """The group of all commands."""
+
+    def list_commands(self, ctx) -> list[str]:
+        """Return the names of all commands."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx, name: str):
+        """Import a command and return it; None if there is no such command."""
+        if name not in COMMANDS:
+            return None
+        from rfpsurvey._cli._compiling import announce_compilation
+
+        import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
+        warnings.simplefilter("always", rs.RfpsurveyWarning)
+        announce_compilation()
+        return typer.main.get_command(app).commands[name]
+
+    def format_commands(self, ctx, formatter) -> None:
+        """Write the list of commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+app = typer.Typer(
+    cls=Commands,
+    help="Assign targets to theta-phi fiber positioners and find collisions between the arms of positioners.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"rfpsurvey {rs.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True),
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line; if the input is invalid, print a one-sentence message and exit with the code 2."""
+    warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
+    warnings.filterwarnings("ignore", module="astropy")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
+    code = 0
+    try:
+        app()
+    except SystemExit as stop:  # typer raises this at the end, also after a closed pipe
+        code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
+    except BrokenPipeError:
+        code = READER_GONE
+    except (rs.InputError, OSError, BrokenExecutor) as error:
+        code = _complain(error)
+    sys.exit(_flush(code))
+
+
+def _complain(error: Exception) -> int:
+    """Print a one-sentence message, and return the exit code for invalid input."""
+    with suppress(BrokenPipeError):
+        print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
+    return 2
+
+
+def _with_options(text: str, words: list[str]) -> str:
+    """Replace the names of parameters in an error message by the command-line options that the user typed."""
+    typed = {word.partition("=")[0] for word in words if word.startswith("--")}
+
+    def option(match: re.Match) -> str:
+        names = "--" + match[0].replace("_", "-"), OPTIONS.get(match[0])
+        return next((name for name in names if name in typed), match[0])
+
+    text = re.sub(r"^[a-z_]+(?= must )", option, text)
+    return re.sub(r"(?<![\w'=-])[a-z]+(_[a-z]+)+(?![\w'=(])", option, text)
+
+
+def _flush(code: int) -> int:
+    """Flush standard output and standard error, report errors that occur, and return the exit code of the program."""
+    for stream in filter(None, (sys.__stdout__, sys.__stderr__)):
+        try:
+            stream.flush()
+        except OSError as error:
+            gone = isinstance(error, BrokenPipeError)
+            code = READER_GONE if gone else _complain(error)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # the interpreter flushes again
+        except ValueError:  # the stream is closed
+            pass
+    return code

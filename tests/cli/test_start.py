@@ -1,0 +1,52 @@
+"""The list of commands and the version are printed without importing astropy, numba or numpy."""
+
+import inspect
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey._cli._main import COMMANDS
+
+PROGRAM = """
+import runpy, sys
+sys.argv = ["rfpsurvey", *sys.argv[1:]]
+try:
+    runpy.run_module("rfpsurvey", run_name="__main__", alter_sys=True)
+finally:
+    print(sorted({"astropy", "numba", "numpy", "scipy", "matplotlib"} & set(sys.modules)))
+"""
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_nothing_large_is_imported(option):
+    done = subprocess.run([sys.executable, "-c", PROGRAM, option], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert ("Usage" if option == "--help" else rs.__version__) in done.stdout
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "benchmark"])
+def test_the_list_contains_the_first_sentence_of_each_command(name, run):
+    module = import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
+    text = inspect.getdoc(getattr(module, name.replace("-", "_")))
+    assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name]
+    assert COMMANDS[name] in " ".join(run("--help")[1].split())
+
+
+def test_every_command_has_its_help(run):
+    for name in COMMANDS:
+        assert f"rfpsurvey {name} [" in run(name, "--help")[1]
+    code, _, err = run("nonsense")
+    assert code == 2
+    assert "No such command 'nonsense'" in err
+
+
+def test_every_public_name_is_found():
+    names = {}
+    exec("from rfpsurvey import *", names)
+    assert set(rs.__all__) <= set(names)
+    assert set(rs.__all__) <= set(dir(rs))
+    with pytest.raises(AttributeError, match="nothing"):
+        rs.nothing  # noqa: B018
