@@ -12,7 +12,7 @@ MOST = 2**62
 def balanced(indptr, owner, r2, count, positioner_of_target):
     """Add each target, in catalog order, to the shortest queue among the positioners that reach it.
 
-    If several queues are equally short, the nearest of these positioners is used, then the lowest index.
+    If several queues are equally short, the nearest of their positioners is used, and in a tie, the lowest index.
     """
     count[:] = 0
     for t in range(indptr.size - 1):
@@ -48,7 +48,7 @@ def fill_queues(positioner_of_target, count, indptr, queue):
 
 @kernel
 def draw_configuration(indptr, queue, uniform, target_of_positioner):
-    """Draw one target from each queue that is not empty; ``uniform`` has a number in [0, 1) for each positioner."""
+    """Draw one target from each queue that is not empty; ``uniform`` contains a random number for each positioner."""
     for i in range(indptr.size - 1):
         n = indptr[i + 1] - indptr[i]
         target_of_positioner[i] = -1
@@ -92,13 +92,13 @@ def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
 
 @kernel
 def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
-    """Mark the best targets of each positioner and code, and some of the other targets of the last class.
+    """Mark the targets to keep for each positioner and code: the best targets, and some other targets of equal rank.
 
     The input lists the positioners that reach each target. Each combination of a positioner i and a code is a cell with
     the index ``cell = i * n_codes + code``. The targets of a cell are sorted by rank, then distance, then catalog
     order, and the first ``start[cell + 1] - start[cell]`` targets are kept. Of the remaining targets that have the same
     rank as the last kept target, ``n_spread`` targets at equal steps in the catalog are also kept. The target
-    ``wanted[i]`` of positioner i is always kept. ``shortened`` marks the cells from which some targets were left out.
+    ``wanted[i]`` of positioner i is always kept. ``shortened`` marks the cells from which some targets were omitted.
     Returns the number of pairs that are kept.
     """
     n_cells = start.size - 1
@@ -277,9 +277,10 @@ def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign ``need`` targets that ``wanted`` marks: each positioner takes its nearest free one, in the given order.
+    """Assign ``need`` targets that ``wanted`` marks; each positioner, in the given order, takes the nearest of them.
 
-    The previous targets of these positioners become free. Returns the number of targets that are still missing.
+    A positioner that takes such a target releases its previous target. Returns the number of targets that are missing
+    afterwards.
     """
     for i in order:
         if need <= 0:

@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of a circle (radius ``r``) inside a second circle at the distance ``d``."""
+    """Return half the angle of the arc of a circle (radius ``r``) in a second circle whose center is ``d`` away."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -19,7 +19,7 @@ def half_angle(r, d, radius):
 
 @kernel
 def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
-    """Return the fraction of positioner i's patrol area that at least one neighbor's patrol area also covers.
+    """Return the fraction of the patrol area of positioner i that the patrol area of at least one neighbor covers.
 
     The patrol area is divided into rings of equal area. One circle in each ring represents the ring. The arcs of the
     circle that lie in the patrol areas of neighbors are computed exactly.

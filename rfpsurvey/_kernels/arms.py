@@ -1,7 +1,7 @@
-"""Kinematics of a positioner with two arms: elbows from targets, and the segments that can collide from elbows.
+"""Kinematics of positioners with two arms: positions of elbows, and segments of arms that can collide.
 
-Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. With
-segments as columns and loops without branches, the compiler can process several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. If
+segments are columns and loops have no branches, compiled code processes several positioners at a time.
 """
 
 import math
@@ -19,7 +19,7 @@ ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
 class Geometry(NamedTuple):
-    """Positions and arm lengths of all positioners, and the direction of the central arm in the parked pose."""
+    """Positions and arm lengths of all positioners, and the directions of the central arms in the parked pose."""
 
     cx: np.ndarray
     cy: np.ndarray
@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
 
 @kernel
 def inner_difference(l1, l2):
-    """Return the signed difference of the arm lengths; it is 0 if the arms are treated as equal."""
+    """Return the signed difference of the arm lengths, or 0 if the two arms are considered equal."""
     difference = l1 - l2
     return 0.0 if abs(difference) < EQUAL_ARMS else difference
 
@@ -75,7 +75,7 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner from its tip, shape (n, 2); the angles of a NaN tip are NaN."""
+    """Compute the joint angles of each positioner from the position of its tip, shape (n, 2); NaN if the tip is NaN."""
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -86,7 +86,7 @@ def solve(tips, geometry, side, theta, phi):
 
 @kernel
 def pose(theta, phi, geometry, segments):
-    """Compute the elbow and tip of each positioner for given joint angles."""
+    """Compute the positions of the elbow and tip of each positioner from its joint angles."""
     g = geometry
     for i in range(g.cx.size):
         segments[0, i] = g.cx[i] + g.l1[i] * math.cos(theta[i])
@@ -97,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner from its tip, shape (n, 2); the elbow of a NaN tip is NaN."""
+    """Compute the elbow of each positioner from the position of its tip, shape (n, 2); NaN if the tip is NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -110,7 +110,7 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """Return the end of a segment from the elbow, rotated counter-clockwise relative to the direction of the tip."""
+    """Return the end of a segment from the elbow, rotated counter-clockwise from the direction elbow to tip."""
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -118,7 +118,7 @@ def capsule_end(ex, ey, x, y, length, cosine, sine):
 
 @kernel
 def shape(segments, model, length, cosine, sine):
-    """Replace elbows and tips by the segments that can collide, in place."""
+    """Replace elbows and tips, in place, by the ends of the segments that can collide."""
     if model == CAPSULE:
         ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
         for i in range(cosine.size):
@@ -130,7 +130,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Mark positioners with a tip (``assigned``) and with a tip out of reach (``far``); return the sum of ``far``."""
+    """Mark positioners with a tip in ``assigned`` and with a tip out of reach in ``far``; return the sum of ``far``."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):

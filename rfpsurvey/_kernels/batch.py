@@ -14,7 +14,7 @@ N_COUNTS = 7
 
 
 class CollisionSetup(NamedTuple):
-    """Data that all configurations share: neighbors, limits, the shape of arms, idle arms, and obstacles."""
+    """Data that are the same for all configurations: neighbors, limits, the shape of arms, idle arms, and obstacles."""
 
     runs: np.ndarray
     limits: Limits
@@ -32,7 +32,7 @@ class CollisionSetup(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays that one thread writes to."""
+    """Arrays in which one thread stores intermediate results."""
 
     segments: np.ndarray
     halves: np.ndarray
@@ -119,7 +119,7 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
 
 @kernel
 def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
-    """Count the collisions of m configurations, in each of which one pose is drawn from the queue of each positioner.
+    """Count the collisions of m random configurations; each draws one pose from the queue of each positioner.
 
     ``uniform`` contains the random numbers of the draws, in [0, 1), with the shape (m, n). ``entries`` contains the
     segments of all poses, one queue after the other. ``idle`` contains the segments of the positioners that have no

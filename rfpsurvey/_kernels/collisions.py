@@ -1,9 +1,9 @@
-"""Find arms closer than the minimum separation: a broad phase selects pairs, whose distances have a proven error limit.
+"""Find arms closer than the minimum separation, by distances whose rounding errors have a proven limit.
 
 Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
-In all bounds, u = 2^-53 is the unit roundoff, and S is the largest of the six distances between the four ends of a
-pair of segments. The proofs are on the accuracy page of the documentation.
+In all limits of rounding errors, u = 2^-53 is the unit roundoff, and S is the largest of the six distances between the
+four ends of a pair of segments. The proofs are on the accuracy page of the documentation.
 """
 
 import math
@@ -33,25 +33,28 @@ ORIENTATION_ERROR = 4.0 * UNIT
 # The error of the broad phase is less than this factor times (largest coordinate + S). Pairs within this margin are
 # kept.
 REJECT_ERROR = 64.0 * UNIT
+# Arms are not searched if they are farther away than the nearest arm by at least this length (mm), which exceeds all
+# rounding errors.
+MARGIN = 1e-9
 # Runs of neighbors shorter than this are not vectorized.
 SHORT_RUN = 8
 
 
 class Limits(NamedTuple):
-    """Minimum separation and allowances for rounding, for segments of limited length and distance from the origin.
+    """The minimum separation, and limits of rounding errors for segments of limited length near the origin.
 
-    With an outline, the segments are the cores of the arms, and the separation is that of two cores.
+    If arms have outlines, the segments are the cores of the arms, and the separation is that of two cores.
     """
 
     separation: float
     slack: float
-    """Distance that the broad phase adds to the minimum separation."""
+    """Distance that is added to the minimum separation when pairs are preselected."""
     near: float
     """Largest distance between the midpoints of a pair that can collide, including the slack."""
     band: float
-    """Largest difference of a squared distance from separation^2 at which rounding could change their comparison."""
+    """Largest difference between a squared distance and separation^2 for which rounding could change the result."""
     outline: Outline
-    """Outline of the arms; without parts if the segments themselves collide."""
+    """Outline of the arms; it has no parts if the arms are capsules."""
     polygons: Polygons
     """Polygons of the focal plane that no arm may touch."""
 
@@ -59,8 +62,8 @@ class Limits(NamedTuple):
 def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, polygons=NO_POLYGONS):
     """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
 
-    With an outline, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding error
-    of the distances that `outlines_squared` computes.
+    If arms have outlines, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding
+    errors of `outlines_squared`.
     """
     size = 2.0 * length + separation  # S of a pair at the minimum separation; pairs with a larger S are farther apart
     slack = REJECT_ERROR * (extent + size)
@@ -105,9 +108,9 @@ def endpoints_squared(ax, ay, bx, by, cx, cy, dx, dy):
 
 @kernel
 def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
-    """Return the squared distance of the segments a-b and c-d; the error of its root is at most DISTANCE_ERROR * S.
+    """Return the squared distance of the segments a-b and c-d; the error of the distance is at most DISTANCE_ERROR * S.
 
-    The result is 0 if the segments certainly cross. If it is uncertain because of rounding whether they cross, the
+    The result is 0 if the segments certainly cross. If rounding makes it uncertain whether the segments cross, the
     result is the smallest squared distance from an end of one segment to the other segment, which is accurate enough.
     """
     crossing = (orientation(ax, ay, bx, by, cx, cy) * orientation(ax, ay, bx, by, dx, dy) < 0) & (
@@ -134,7 +137,7 @@ def pair_squared(segments, i, j):
 
 @kernel
 def outlined_squared(segments, a, b, limits, i, j):
-    """Return the square of the gap between two outlines plus the offset, for cores a and b of positioners i and j."""
+    """Return (gap + offset)^2 for the gap between the outlines of positioners i and j, whose cores are a and b."""
     return outlines_squared(
         limits.outline,
         limits.separation,
@@ -162,7 +165,7 @@ def outline_gaps(segments, pairs, limits, out):
 
 @kernel
 def apart(mx, my, ax, ay, bx, by, squared):
-    """Return whether an axis separates two segments by more than the square root of ``squared``.
+    """Return whether the projections of two segments on an axis are farther apart than the square root of ``squared``.
 
     The vector m connects the midpoints, and a and b are half the vectors from end to end. The axes tested are m and the
     normals of both segments. In the projection on any axis, the largest distance of a point of a segment from its
@@ -185,7 +188,7 @@ def apart(mx, my, ax, ay, bx, by, squared):
 
 @kernel
 def near_squared(ax, ay, bx, by, cx, cy, dx, dy, squared):
-    """Return the squared distance of the segments a-b and c-d, or infinity if `apart` is true for them."""
+    """Return the squared distance of the segments a-b and c-d, or infinity if `apart` is true for these segments."""
     mx, my = 0.5 * ((cx + dx) - (ax + bx)), 0.5 * ((cy + dy) - (ay + by))
     if apart(mx, my, 0.5 * (bx - ax), 0.5 * (by - ay), 0.5 * (dx - cx), 0.5 * (dy - cy), squared):
         return math.inf
@@ -204,7 +207,7 @@ def halve(segments, halves):
 
 @kernel
 def keep_near(halves, m, squared, first, second):
-    """Remove pairs for which `apart` is true from the first m pairs, and return the number of remaining pairs."""
+    """Remove the pairs for which `apart` is true from the first m pairs; return the number of pairs that remain."""
     n = 0
     for k in range(m):
         i, j = first[k], second[k]
@@ -216,10 +219,10 @@ def keep_near(halves, m, squared, first, second):
 
 @kernel
 def near_pairs(halves, runs, limits, first, second):
-    """List pairs that may be closer than the minimum separation in ``first`` and ``second``, and return their number.
+    """Write pairs that may be closer than the minimum separation to ``first`` and ``second``, and return their number.
 
     Each row (i, j, n) of ``runs`` stands for n pairs of neighbors: i and j, i + 1 and j + 1, and so on. Pairs of arms
-    whose midpoints are too far apart, or that an axis separates, are left out.
+    are omitted if their midpoints are too far apart or if `apart` is true for them.
     """
     m = 0
     marks = np.empty(halves.shape[1], np.bool_)
@@ -244,9 +247,9 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs closer than the minimum separation, and pairs within the band where rounding could change this.
+    """List pairs closer than the minimum separation, and borderline pairs, for which rounding could change the result.
 
-    Returns the number of all these pairs, and the number of pairs within the band.
+    Returns the number of listed pairs, and the number of borderline pairs among them.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
@@ -275,7 +278,7 @@ def segment_to_polygon(polygons, k, x0, y0, x1, y1):
 
 @kernel
 def obstacle_distance(limits, obstacles, i, x0, y0, x1, y1, j):
-    """Return the distance from the arm of positioner i to the center of circle j or, beyond the circles, to a polygon.
+    """Return the distance from the arm of positioner i to obstacle j: the center of a circle, or else a polygon.
 
     The distance is negative if the center is inside an outline, or if the arm and the polygon overlap.
     """
@@ -295,8 +298,8 @@ def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, sl
     """List pairs (arm, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
 
     Returns the number of pairs. ``obstacles`` are circles, which are followed by the polygons of the limits. The result
-    of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each arm; it is only used
-    for outlines.
+    of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each arm; this array is used
+    only if arms have outlines.
     """
     n = 0
     for k in range(pairs.shape[0]):
@@ -312,32 +315,39 @@ def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, sl
 
 
 @kernel
-def nearest_arm(segments, halves, order, out):
+def nearest_arm(segments, halves, x0, y0, size, nx, ny, start, order, out):
     """Compute the distance from each arm to the nearest other arm.
 
-    The distance is NaN for an absent arm, and infinity if there is no other arm. ``order`` sorts the arms that are
-    present by the x coordinate of their midpoints. The search for the nearest arm proceeds to both sides of each arm,
-    and ends when the difference in x alone exceeds the smallest distance found.
+    The distance is NaN for an absent arm, and infinity if there is no other arm. The midpoints of the arms in
+    ``order[start[c]:start[c + 1]]`` are in the cell c of a grid of nx columns and ny rows of squares. Around each arm,
+    one ring of cells after the other is searched, until no arm in the next ring can be closer than the nearest arm
+    found.
     """
     out[:] = np.nan
     longest = 0.0
     half = np.empty(out.size)
     for i in range(out.size):
         half[i] = math.sqrt(halves[2, i] * halves[2, i] + halves[3, i] * halves[3, i])
-    for k in range(order.size):
-        longest = max(longest, half[order[k]])
-    for k in range(order.size):
-        i = order[k]
-        best = np.inf
-        for step in (-1, 1):
-            m = k + step
-            while 0 <= m < order.size:
-                j = order[m]
-                gap = abs(halves[0, j] - halves[0, i]) - half[i] - longest
-                if gap > 0.0 and gap * gap > best:
-                    break
-                gap = abs(halves[1, j] - halves[1, i]) - half[i] - half[j]
-                if gap <= 0.0 or gap * gap <= best:
-                    best = min(best, pair_squared(segments, i, j))
-                m += step
-        out[i] = math.sqrt(best)
+    for i in order:
+        longest = max(longest, half[i])
+    for i in order:
+        column = min(int((halves[0, i] - x0) / size), nx - 1)
+        row = min(int((halves[1, i] - y0) / size), ny - 1)
+        best, near = np.inf, np.inf  # the squared distance, and the distance
+        for ring in range(max(nx, ny)):
+            if (ring - 1) * size - half[i] - longest > near + MARGIN:
+                break
+            for y in range(max(row - ring, 0), min(row + ring, ny - 1) + 1):
+                # all cells of the first and the last row of the ring, and two cells of all other rows
+                step = 1 if abs(y - row) == ring or ring == 0 else 2 * ring
+                for x in range(column - ring, column + ring + 1, step):
+                    if x < 0 or x >= nx:
+                        continue
+                    for k in range(start[y * nx + x], start[y * nx + x + 1]):
+                        j = order[k]
+                        dx, dy = halves[0, j] - halves[0, i], halves[1, j] - halves[1, i]
+                        far = near + half[i] + half[j] + MARGIN
+                        if j != i and dx * dx + dy * dy <= far * far:
+                            best = min(best, pair_squared(segments, i, j))
+                            near = math.sqrt(best)
+        out[i] = near

@@ -1,4 +1,4 @@
-"""Candidates, which are the possible poses of each arm, and the pairs of candidates that exclude each other.
+"""Candidates (the possible poses of each arm), and the pairs of candidates that exclude each other.
 
 Candidates are sorted by positioner: those of positioner i have the indices from ``start[i]`` up to, but not including,
 ``start[i + 1]``. A plan uses exactly one candidate of each positioner.
@@ -31,10 +31,10 @@ class Options(NamedTuple):
     """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
     t_indptr: np.ndarray
     t_candidate: np.ndarray
-    """Indices of candidates, sorted by target; those of target t begin at ``t_indptr[t]``."""
+    """Indices of candidates, sorted by target; the candidates of target t begin at ``t_indptr[t]``."""
     indptr: np.ndarray
     other: np.ndarray
-    """Candidates that collide with each candidate; those that collide with c begin at ``indptr[c]``."""
+    """Candidates that collide with each candidate; the list for candidate c begins at ``indptr[c]``."""
 
 
 @kernel
@@ -103,7 +103,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 @kernel
 def adjacency(first, second, indptr, other):
-    """List each pair in both directions, as rows of an array."""
+    """Write each pair (a, b) to compressed rows twice: b to the row of a, and a to the row of b."""
     indptr[:] = 0
     for k in range(first.size):
         indptr[first[k] + 1] += 1
@@ -121,7 +121,7 @@ def adjacency(first, second, indptr, other):
 
 @kernel
 def keep_pairs(pairs, keep, new, out):
-    """Write the pairs of which both ends are kept, with their new indices, to ``out``, and return their number."""
+    """Write the pairs whose two elements are kept, with new indices, to ``out``, and return their number."""
     n = 0
     for k in range(pairs.shape[1]):
         a, b = pairs[0, k], pairs[1, k]
@@ -132,7 +132,7 @@ def keep_pairs(pairs, keep, new, out):
 
 @kernel
 def join(first, second, label):
-    """Give the same label to elements that pairs connect, directly or not; ``label`` contains 0, 1, ... at first."""
+    """Give the same label to elements that are connected by pairs; on input, ``label`` must contain 0, 1, ..."""
     for k in range(first.size):
         a, b = first[k], second[k]
         while label[a] != a:
@@ -152,9 +152,9 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 
     ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
     of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
-    the second positioner. A clique is made from one candidate a and all candidates that a excludes. Each other
-    candidate of the positioner of a is added to the clique if it also excludes all of these candidates. Returns the
-    number of cliques. If ``column`` is empty, only the sizes of the cliques are computed.
+    the second positioner. Each clique is made from one candidate a and all candidates that a excludes. Another
+    candidate of the positioner that a belongs to is added if it excludes the same candidates. Returns the number of
+    cliques. If ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0

@@ -1,4 +1,4 @@
-"""Find blank sky: points in reach of each positioner that are not closer to any target than a given separation."""
+"""Find sky positions: points in reach of each positioner whose distance from every target is at least a given value."""
 
 import math
 
@@ -33,7 +33,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
-    """Return whether no point (x, y) is closer to (px, py) than ``separation``."""
+    """Return whether all points (x, y) are at least ``separation`` away from (px, py)."""
     left, right = cell_of(px - separation, x0, size, nx), cell_of(px + separation, x0, size, nx)
     for row in range(cell_of(py - separation, y0, size, ny), cell_of(py + separation, y0, size, ny) + 1):
         for k in range(start[row * nx + left], start[row * nx + right + 1]):
@@ -45,10 +45,10 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """List up to ``most`` blank points of each positioner in ``own``, and return the total number of points.
+    """Write up to ``most`` points without a nearby target for each positioner to ``own``; return the total number.
 
     ``fraction`` contains, for each tested point, the fraction of the patrol area inside the circle through this point.
-    Successive points are rotated by the golden angle about the center.
+    Each point is rotated from the previous point by the golden angle about the center of the positioner.
     """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))

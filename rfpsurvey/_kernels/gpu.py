@@ -1,8 +1,8 @@
-"""Collisions of many configurations on a GPU. This module is imported only if a GPU is requested.
+"""Count and list the collisions of configurations on a GPU. This module is imported only if a GPU is requested.
 
-The poses and the test of a pair use the same scalar functions as on the processor, compiled for the GPU. Each thread
-tests one positioner of one configuration against all its neighbors, including those with lower indices, so that it can
-determine whether the positioner collides without waiting for other threads.
+The scalar functions for the poses and for the test of a pair are the same as on the CPU, compiled for the GPU. Each
+thread tests one positioner of one configuration against all its neighbors, including those with lower indices. It
+therefore does not wait for the results of other threads.
 """
 
 import math
@@ -31,8 +31,8 @@ THREADS = 128
 def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles, segments, far):
     """Compute the segments (m, 4, n) of arms with the given tips (m, n, 2); ``far[0]`` counts the tips out of reach.
 
-    A tip is NaN for a positioner without a target. The rows of ``geometry`` are cx, cy, l1, l2, and the smallest and
-    largest squared radius in reach; ``angles`` are the cosine and sine of the angle of the capsule.
+    A tip is NaN for a positioner without a target. The rows of ``geometry`` are cx, cy, l1, l2, and the squared inner
+    and outer radius of the patrol area. ``angles`` contains the cosine and sine of the angle of the capsule.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
     if i >= tips.shape[1]:

@@ -17,7 +17,7 @@ UNIT = 2.0**-53
 
 @kernel
 def mix(number):
-    """Return a number in which each bit depends on all bits of ``number``: the output function of SplitMix64."""
+    """Return the output function of SplitMix64, each bit of which depends on all bits of ``number``."""
     z = number + GOLDEN
     z = (z ^ (z >> np.uint64(30))) * FIRST
     z = (z ^ (z >> np.uint64(27))) * SECOND
@@ -26,7 +26,7 @@ def mix(number):
 
 @kernel
 def uniform(number, seed):
-    """Return a number in [0, 1) that depends on the number of a target and on a seed for which `mix` was called."""
+    """Return a number in [0, 1) that depends on the number of a target and on ``mix(seed)``."""
     return (mix(number ^ seed) >> np.uint64(11)) * UNIT
 
 

@@ -1,12 +1,12 @@
 """Signed gaps between the outlines of two positioners, with a proven error limit.
 
 An outline consists of convex polygons, each inflated by its own radius, which move with the eccentric arm or with the
-central arm. Each polygon is processed in the frame of its own arm: the x axis points along the arm, and the origin is
-the elbow (eccentric arm) or the center of the positioner (central arm). A pair of polygons requires the relative
-position of their frames only, so that no polygon is moved and no memory is allocated.
+central arm. Each polygon is processed in the coordinate frame of its own arm. The x axis of this frame points along the
+arm, and its origin is the elbow (eccentric arm) or the center of the positioner (central arm). The test of a pair of
+polygons requires only the relative position of the two frames, so that no polygon is moved and no memory is allocated.
 
-In all bounds, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the vertices, elbows and
-centers of a pair of positioners. The proofs are on the accuracy page of the documentation.
+In all limits of rounding errors, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the
+vertices, elbows and centers of a pair of positioners. The proofs are on the accuracy page of the documentation.
 """
 
 import math
@@ -33,12 +33,12 @@ RADIUS, MX, MY, MR, START = range(5)
 
 
 class Outline(NamedTuple):
-    """The outline of all positioners, in mm; without any parts, the arms are capsules."""
+    """The outline that all positioners have, in mm; if it has no parts, the arms are capsules."""
 
     table: np.ndarray
-    """A column for each vertex and then a column for each part, and the start of the next part; see X and RADIUS.
+    """Table with a column for each vertex, followed by a column for each part; X to RADIUS are the names of rows.
 
-    It is one array because numba counts references to each array that it passes to a function.
+    All data are in one array, because numba counts references to each array that is passed to a function.
     """
     start: np.ndarray
     """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
@@ -47,26 +47,26 @@ class Outline(NamedTuple):
     n_eccentric: int
     """The first parts move with the eccentric arm, the others with the central arm."""
     offset: float
-    """Difference between the distance of two cores, and the smallest possible gap of their outlines."""
+    """Largest possible difference between the distance of two cores and the gap of the two outlines."""
     inverse_length: float
-    """Inverse length of the core, the segment along the eccentric arm."""
+    """Inverse of the length of the core, which is a segment along the eccentric arm."""
     scale: float
     """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
     eccentric_box: tuple[float, float, float, float]
     """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
-    """The same for the central parts."""
+    """Center and half the lengths of the sides of a rectangle that contains the central parts."""
     centers: np.ndarray
     """Centers of all positioners, and the inverse length of the central arm, shape (n, 3)."""
 
     @property
     def parts(self) -> np.ndarray:
-        """The columns of the parts."""
+        """The columns of the table that describe the parts."""
         return self.table[:, self.n_vertices : -1]
 
 
 def _nothing(*shape, dtype=np.float64):
-    """Return a read-only array of zeros; the arrays of all outlines are read-only."""
+    """Return a read-only array of zeros; the arrays of all outlines are read-only, so that they have the same type."""
     array = np.zeros(shape, dtype)
     array.setflags(write=False)
     return array
@@ -84,14 +84,14 @@ NO_OUTLINE = Outline(
     (0.0,) * 4,
     _nothing(0, 3),
 )
-"""The value for arms that are segments."""
+"""The value for arms that have no outline."""
 
 
 class Polygons(NamedTuple):
     """Convex polygons of the focal plane that no arm may touch."""
 
     table: np.ndarray
-    """A column for each vertex, after the columns of the vertices of the outline of the arms; see X."""
+    """Table with a column for each vertex, after the columns of the vertices of the outline of the arms."""
     start: np.ndarray
     """Polygon k has the columns ``start[k]:start[k + 1]``; an array with one element means that there is no polygon."""
 
@@ -101,7 +101,7 @@ NO_POLYGONS = Polygons(_nothing(5, 0), _nothing(1, dtype=np.int64))
 
 @kernel
 def frame(x, y, toward_x, toward_y):
-    """Return the origin of a frame, and the cosine and sine of the direction from it to another point."""
+    """Return the origin of a frame, and the cosine and sine of the direction from the origin to another point."""
     dx, dy = toward_x - x, toward_y - y
     inverse = 1.0 / math.sqrt(dx * dx + dy * dy)
     return x, y, dx * inverse, dy * inverse
@@ -109,7 +109,7 @@ def frame(x, y, toward_x, toward_y):
 
 @kernel
 def frames_apart(first, second):
-    """Return the origin of the second frame in the first frame, the cosine and sine of the rotation, and a size."""
+    """Return the origin and rotation (cosine, sine) of the second frame in the first frame, and a size of the pair."""
     x, y, c, s = first
     dx, dy = second[0] - x, second[1] - y
     tx, ty = c * dx + s * dy, c * dy - s * dx
@@ -120,8 +120,9 @@ def frames_apart(first, second):
 def separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough):
     """Return the largest separation of polygon q from polygon p along the normals of the edges of polygon p.
 
-    The polygons have the vertices from p to ``p_end`` and from q to ``q_end`` of the table v. The frame of q has the
-    origin t and the rotation (c, s) in the frame of p. The search stops at a separation of more than ``enough``.
+    The polygons have the vertices from p to ``p_end`` and from q to ``q_end`` of the table v. In the frame of polygon
+    p, the frame of polygon q has the origin t and the rotation (c, s). The search stops when it finds a separation
+    larger than ``enough``.
     """
     best, e = -math.inf, p
     while e < p_end and best <= enough:
@@ -137,7 +138,7 @@ def separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough):
 
 @kernel
 def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
-    """Return the least squared distance of a vertex of polygon q from an edge of polygon p; see above."""
+    """Return the smallest squared distance of a vertex of polygon q from an edge of polygon p."""
     best = math.inf
     for k in range(q, q_end):
         x, y = tx + (c * v[X, k] - s * v[Y, k]), ty + (s * v[X, k] + c * v[Y, k])
@@ -152,7 +153,7 @@ def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
 
 @kernel
 def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other_wide, other_high, limit):
-    """Return whether two rectangles are not separated by more than ``limit`` along any of their sides.
+    """Return whether the distance of two rectangles along each of their sides is at most ``limit``.
 
     The center, the direction and half the lengths of the sides of both rectangles are given.
     """
@@ -168,7 +169,7 @@ def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other
 
 @kernel
 def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
-    """Return the smallest gap of the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
+    """Return the smallest gap between the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
 
     ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
     first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
@@ -214,11 +215,12 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
 
 @inlined_kernel
 def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx1, by1):
-    """Return the squared sum of the signed gap of two positioners and the offset of the outline.
+    """Return (gap + offset)^2 for the signed gap between the outlines of two positioners.
 
-    The sum of gap and offset is at least 0, and infinity if it certainly exceeds ``separation``, which is the minimum
-    separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines overlap. The cores
-    of the arms i and j follow; their length is that of the outline.
+    A negative sum gap + offset is replaced by 0. The sum is infinity if it certainly exceeds ``separation``, which is
+    the minimum separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines
+    overlap. The cores of the arms i and j are the last arguments; their length is the length of the core of the
+    outline.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
@@ -304,7 +306,7 @@ def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
 def place_outline(outline, i, x0, y0, x1, y1, placed):
     """Compute the vertices of positioner i, whose core is given, as rows of ``placed``, shape (4, m).
 
-    The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to it.
+    The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to this origin.
     """
     v, start = outline.table, outline.start
     eccentric = frame(x0, y0, x1, y1)

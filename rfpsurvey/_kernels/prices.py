@@ -1,4 +1,4 @@
-"""Prices of cliques of candidates: an upper bound of the number of targets that is valid for all prices.
+"""Prices of cliques of candidates, which give an upper bound of the number of assigned targets.
 
 A clique is a set of candidates of which a plan uses at most one. Each clique has a price of at least 0. The value of a
 candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest value of each
@@ -32,7 +32,7 @@ def excludes(a, b, options):
 
 @kernel
 def collect(lo, hi, column, options, alive, pool):
-    """Write the candidates that exclude all members of a clique to ``pool``, and return their number."""
+    """Write the candidates that exclude every member of a clique to ``pool``, and return the number of candidates."""
     start, indptr, target = options.start, options.indptr, options.target
     best = column[lo]
     for k in range(lo + 1, hi):
@@ -71,8 +71,8 @@ def collect(lo, hi, column, options, alive, pool):
 def extend_cliques(indptr, column, options, alive, row_start, out, most_work):
     """Extend cliques until no candidate can be added to any of them; members are sorted.
 
-    Returns the index of the first clique for which there was no space in ``out``, or which would follow after about
-    ``most_work`` comparisons of candidates.
+    The function ends when ``out`` is full or after about ``most_work`` comparisons of candidates, and returns the index
+    of the first clique that was not extended.
     """
     pool = np.empty(POOL, np.int64)
     m = work = 0
@@ -115,7 +115,7 @@ def extend_cliques(indptr, column, options, alive, row_start, out, most_work):
 
 @kernel
 def mark_repeated(order, row_start, column, repeated):
-    """Mark cliques that are equal to an earlier clique; equal cliques must be successive in ``order``."""
+    """Mark cliques that repeat an earlier clique; equal cliques must follow one another in ``order``."""
     for k in range(1, order.size):
         a, b = order[k - 1], order[k]
         n = row_start[a + 1] - row_start[a]
@@ -129,7 +129,7 @@ def mark_repeated(order, row_start, column, repeated):
 
 @kernel
 def bound_of(start, value, price):
-    """Return the upper bound that follows from the prices and the values of the candidates."""
+    """Return the upper bound of the weight of a plan, from the prices of cliques and the values of candidates."""
     total = price.sum()
     for i in range(start.size - 1):
         best = -np.inf
@@ -144,8 +144,8 @@ def adjust_prices(start, own, row_start, column, value, price, most, width, begi
     """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
 
     The maximum over the candidates of a positioner is replaced by a smooth maximum of the given width. The price of a
-    clique then minimizes the smooth bound: the weights of its members sum to 1, or the price is 0. More generally, a
-    plan uses at most ``most`` members of each set, and the weights of the members sum to this number.
+    clique then minimizes the smooth bound: the smooth weights of its members sum to 1, or the price is 0. More
+    generally, a plan uses at most ``most`` members of each set, and the smooth weights sum to ``most``.
     """
     odds = np.empty(256)
     for r in range(begin, end, step):

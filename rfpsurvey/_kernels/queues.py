@@ -1,4 +1,4 @@
-"""Collision probabilities of positioners that each have a queue of possible poses.
+"""Collision probabilities of positioners, each of which has a queue of possible poses.
 
 The poses in a queue are called its entries. One entry of each queue is in use, with a probability proportional to its
 weight, independent of all other queues. For a given entry of a positioner, collisions with different neighbors are
@@ -19,7 +19,7 @@ BATCH = 2048
 
 
 class Entries(NamedTuple):
-    """Entries of all queues, and arrays to write to; the entries of positioner i are ``start[i]:stop[i]``."""
+    """Entries of all queues, and arrays for results; the entries of positioner i are ``start[i]:stop[i]``."""
 
     start: np.ndarray
     stop: np.ndarray
@@ -29,7 +29,7 @@ class Entries(NamedTuple):
     total: np.ndarray
     """Sum of the weights of each queue."""
     free: np.ndarray
-    """Probability that an entry does not collide, given that it is in use."""
+    """Probability that the pose of an entry does not collide, under the condition that the entry is in use."""
     hit: np.ndarray
     """For each entry, the sum of the weights of the entries of one neighbor that collide with it; work array."""
     ahead: np.ndarray
@@ -60,8 +60,8 @@ def place_queues(x, y, indptr, queue, geometry, side, model, length, cosine, sin
 def prepare_entries(indptr, idle, entries):
     """Set the start and end of each queue, and compute the fields that depend on the segments and weights.
 
-    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. If a
-    positioner has no targets in its queue, its idle arm is its only entry, provided that idle arms are obstacles.
+    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. If the
+    queue of a positioner contains no targets and idle arms are obstacles, the idle arm is its only entry.
     """
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
@@ -88,8 +88,8 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
     The probability of a positioner without entries is NaN. Entries are first compared in the projection on the line
     between the centers of the two positioners: their separation along this line is a lower limit of their distance. An
     entry is skipped if its separation along this line from every entry of the other positioner is too large for a
-    collision. All these steps are in one function, because passing the arrays to a second function takes longer than
-    testing short queues.
+    collision. This function is not divided, because passing the arrays to a second function takes longer than testing
+    short queues.
     """
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead

@@ -1,13 +1,17 @@
-"""Find pairs of positioners and targets within reach, by a grid of cells and then by a test of each annulus."""
+"""Find the targets in reach of each positioner: preselect pairs with a grid of cells, then test each patrol area."""
 
 import math
 
+import numpy as np
+
 from rfpsurvey._jit import kernel
 
-OUTSIDE, INSIDE, BORDERLINE = 0, 1, 2
+INSIDE, BORDERLINE = 1, 2
 # The relative error of r^2 - R^2 as computed below is less than 5 rounding units of 2^-53. The factor 16 leaves a
 # margin.
 BAND = 16 * 2.0**-53
+# Number of targets whose cells are looked up together.
+BATCH = 256
 
 
 @kernel
@@ -44,43 +48,51 @@ def fill_grid(cx, cy, reach, x0, y0, size, nx, ny, start, order):
             start[c + 1] += start[c]
 
 
-@kernel
-def annulus(r2, inner, outer):
-    """Return whether a squared radius is INSIDE or OUTSIDE a closed annulus, or BORDERLINE if this is uncertain."""
-    outer2 = outer * outer
-    inner2 = inner * inner
-    possible = (r2 <= outer2 * (1.0 + BAND)) & (r2 >= inner2 * (1.0 - BAND))
-    certain = (r2 < outer2 * (1.0 - BAND)) & ((inner == 0.0) | (r2 > inner2 * (1.0 + BAND)))
-    return INSIDE if certain else (BORDERLINE if possible else OUTSIDE)
+def annuli(cx, cy, inner, outer):
+    """Return the closed annuli of positioners, one per row.
+
+    The columns are the center, the limits of the squared radius of points that are possibly inside, and the limits for
+    points that are certainly inside. All numbers of a positioner are next to each other in memory.
+    """
+    low, high = inner * inner, outer * outer
+    certain_low = np.where(inner == 0.0, -1.0, low * (1.0 + BAND))
+    return np.column_stack([cx, cy, low * (1.0 - BAND), high * (1.0 + BAND), certain_low, high * (1.0 - BAND)])
 
 
 @kernel
-def reachable_pairs(
-    tx, ty, accepts, cx, cy, inner, outer, offers, x0, y0, size, nx, ny, start, order, indptr, owner, r2, code
-):
-    """List the pairs within reach in ascending order of the target, then of the positioner.
+def reachable_pairs(tx, ty, accepts, annuli, offers, x0, y0, size, nx, ny, start, order, indptr, owner, r2, code):
+    """List the pairs of positioners and targets in reach, in ascending order of the target, then of the positioner.
 
-    Returns the number of pairs. If ``owner`` is too short for all pairs, the last pairs are counted but not stored.
-    ``accepts`` (of each target) and ``offers`` (of each positioner) are bit masks of fiber types. ``code`` is INSIDE or
-    BORDERLINE for each pair.
+    Returns the number of pairs. If ``owner`` is too short for all pairs, the last pairs are counted but not stored. A
+    pair is listed only if the bit masks of fiber types ``accepts`` (of the target) and ``offers`` (of the positioner)
+    share a bit. ``code`` is INSIDE or BORDERLINE for each pair.
     """
     n = 0
     right, top = x0 + nx * size, y0 + ny * size
-    for t in range(tx.size):
-        indptr[t] = n
-        x, y = tx[t], ty[t]
-        if not (x0 <= x <= right and y0 <= y <= top):  # a coordinate that is NaN is also excluded here
-            continue
-        cell = cell_of(y, y0, size, ny) * nx + cell_of(x, x0, size, nx)
-        for k in range(start[cell], start[cell + 1]):
-            i = order[k]
-            dx = x - cx[i]
-            dy = y - cy[i]
-            d2 = dx * dx + dy * dy
-            place = annulus(d2, inner[i], outer[i])
-            if n < owner.size:
-                owner[n], r2[n], code[n] = i, d2, place
-            n += (place != OUTSIDE) & (accepts[t] & offers[i] != 0)  # a branch would often be mispredicted
+    first, last = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
+    for begin in range(0, tx.size, BATCH):
+        m = min(BATCH, tx.size - begin)
+        # Cells are looked up before the loop whose branches are often mispredicted, so that the look-ups overlap.
+        for b in range(m):
+            x, y = tx[begin + b], ty[begin + b]
+            inside = x0 <= x <= right and y0 <= y <= top  # a coordinate that is NaN is also excluded here
+            cell = cell_of(y, y0, size, ny) * nx + cell_of(x, x0, size, nx) if inside else 0
+            first[b] = start[cell]
+            last[b] = start[cell + 1] if inside else start[cell]
+        for b in range(m):
+            t = begin + b
+            indptr[t] = n
+            x, y = tx[t], ty[t]
+            for k in range(first[b], last[b]):
+                i = order[k]
+                dx = x - annuli[i, 0]
+                dy = y - annuli[i, 1]
+                d2 = dx * dx + dy * dy
+                possible = (d2 >= annuli[i, 2]) & (d2 <= annuli[i, 3])
+                certain = (d2 > annuli[i, 4]) & (d2 < annuli[i, 5])
+                if n < owner.size:
+                    owner[n], r2[n], code[n] = i, d2, INSIDE if certain else BORDERLINE
+                n += possible & (accepts[t] & offers[i] != 0)  # a branch would often be mispredicted
     indptr[tx.size] = n
     return n
 

@@ -1,4 +1,4 @@
-"""Many realizations of one tile, which differ only in the order of the targets: assignments, lost targets, and visits.
+"""Assignments, lost targets and visits in many realizations of a tile, which differ in the order of the targets only.
 
 All realizations share the reachable pairs of targets and positioners, and the segment of the arm of each pair. A
 realization is a row of ``chosen``, which contains the index of the pair that each positioner uses, or -1. Bit r of a
@@ -18,7 +18,7 @@ MOST = 32
 
 @kernel
 def sort_by_distance(indptr, r2, nearest):
-    """List the pairs of each target by distance, then by the index of the positioner, by insertion."""
+    """Sort the pairs of each target by distance, then by the index of the positioner, with an insertion sort."""
     for t in range(indptr.size - 1):
         for k in range(indptr[t], indptr[t + 1]):
             m = k
@@ -30,9 +30,9 @@ def sort_by_distance(indptr, r2, nearest):
 
 @kernel
 def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, uncertain):
-    """Mark the positioners whose arms collide in each realization, among those that have a target.
+    """Mark the positioners that have a target and collide, in each realization.
 
-    ``segments`` and ``idle`` contain the segments that can collide, of the arm of each pair and of idle arms.
+    ``segments`` contains the segment that can collide for each pair, and ``idle`` contains those of the idle arms.
     ``uncertain`` marks realizations in which rounding could change the result.
     """
     n = chosen.shape[1]
@@ -88,10 +88,10 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
 
 @kernel
 def mark_visits(chosen, lost, target, mask, counts):
-    """Set bit r of ``mask`` for each target that realization r visits, and count assigned and lost targets.
+    """Set bit r of ``mask`` for each target that is visited in realization r, and count assigned and lost targets.
 
-    ``target`` contains the target of each pair. The columns of ``counts`` are the numbers of positioners with a target,
-    and of those that are lost to a collision.
+    ``target`` contains the target of each pair. The columns of ``counts`` are the number of positioners with a target,
+    and the number of targets lost to collisions.
     """
     mask[:] = 0
     counts[:] = 0
@@ -109,7 +109,7 @@ def mark_visits(chosen, lost, target, mask, counts):
 
 @kernel
 def take_left(left, slot, out):
-    """Copy the remaining visits of the targets of a field, for all realizations."""
+    """Copy the numbers of remaining visits of the targets of a field, for all realizations."""
     for f in range(slot.size):
         for r in range(left.shape[1]):
             out[f, r] = left[slot[f], r]
@@ -117,10 +117,10 @@ def take_left(left, slot, out):
 
 @kernel
 def record_visits(mask, slot, spends, left, is_open, observed):
-    """Subtract the visits of a tile from the remaining visits, and count them for each realization.
+    """Subtract the visits of a tile from the remaining visits, and count the visits of each realization.
 
-    Only visits of targets that ``spends`` marks count. ``is_open`` marks targets with remaining visits in at least one
-    realization.
+    Visits of targets that ``spends`` does not mark are ignored. ``is_open`` marks targets with remaining visits in at
+    least one realization.
     """
     n = left.shape[1]
     for f in range(slot.size):
@@ -148,7 +148,7 @@ def to_masks(left, wanted, spends, mask):
 
 @kernel
 def set_order(number, seed, order):
-    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger subpriorities are first."""
+    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger values are served first."""
     mixed = mix(seed)
     for t in range(number.size):
         order[t] = mix(number[t] ^ mixed) >> np.uint64(11)
@@ -156,9 +156,9 @@ def set_order(number, seed, order):
 
 @inlined_kernel
 def precedes(rank, order, number, s, t):
-    """Return whether target s is served before target t.
+    """Return whether target s precedes target t in the order in which targets are assigned.
 
-    Targets are served by class, then by subpriority, then by the number of their identifier, then by row.
+    The order is by class, then by subpriority, then by the number of the identifier, then by row.
     """
     if rank[s] != rank[t]:
         return rank[s] < rank[t]
@@ -169,11 +169,12 @@ def precedes(rank, order, number, s, t):
 
 @kernel
 def nearest(indptr, owner, closest, rank, number, seeds, left, chosen):
-    """Serve the targets of one class after the other by subpriority; each is assigned to its closest free positioner.
+    """Assign targets by class, then by subpriority; each target is assigned to its closest free positioner.
 
-    ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance: each
-    target proposes to its positioners in this order, and a positioner keeps the target that is served first among those
-    that have proposed to it. The result is that of serving one target after the other, but no targets are sorted.
+    ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance. Each
+    target proposes to its positioners in the order of ``closest``, and a positioner keeps the target with the highest
+    precedence among the targets that have proposed to it. The result is the same as that of assigning one target after
+    the other, but the targets need not be sorted.
     """
     n = indptr.size - 1
     order, cursor = np.empty(n, np.uint64), np.empty(n, np.int64)
@@ -238,10 +239,11 @@ def pair_of(indptr, owner, t, i):
 
 @kernel
 def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen):
-    """Assign targets by nominations, in which each positioner nominates its target of the largest subpriority.
+    """Assign targets by nominations; each positioner nominates its target with the largest subpriority.
 
-    ``start`` has the beginning of the list of candidates of each positioner. Lists may be shorter than the number of
-    targets in reach, as long as one candidate is available if all targets that others can observe are assigned.
+    ``start`` contains the index at which the list of targets of each positioner begins. A list may omit targets in
+    reach, as long as one of its targets remains after each of the other positioners that share targets with the list
+    has taken one.
     """
     n, m = indptr.size - 1, chosen.shape[1]
     order, t_indptr, t_owner = np.empty(n, np.uint64), np.empty(n + 1, np.int64), np.empty(owner.size, np.int64)
@@ -287,7 +289,7 @@ def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen)
 
 @kernel
 def balanced(indptr, owner, r2, number, seeds, left, uniform, chosen):
-    """Add the targets to the shortest queues in the order of their subpriorities, and draw one target of each queue.
+    """Add each target, in the order of subpriority, to the shortest queue in reach; then draw one target of each queue.
 
     ``uniform`` contains a number in [0, 1) for each realization and positioner.
     """

@@ -1,4 +1,4 @@
-"""Remove candidates that an optimal plan does not need, and use a candidate if it is the last of its positioner.
+"""Remove candidates that an optimal plan does not need, and use the candidate of a positioner if only one is left.
 
 A candidate is a positioner with one target and one elbow position, or a positioner without a target. A candidate
 excludes all candidates with which its arm would collide, and all candidates of the same target.
@@ -38,12 +38,12 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
     """Set ``alive`` to False for the candidates that an optimal plan does not need.
 
     A candidate b is not needed if another candidate a of its positioner is at least as good, and if b excludes all
-    candidates that a excludes. If only one candidate of a positioner is left, it is in use, and all candidates that it
-    excludes are removed.
+    candidates that a excludes. If only one candidate of a positioner remains, this candidate is in use, and all
+    candidates that it excludes are removed.
 
-    ``queue`` is a ring buffer of the positioners that ``waiting`` marks; it begins and ends at the numbers ``ends``.
-    ``mark`` (-1 for each candidate at first) and ``removed`` are scratch arrays. The work ends after about
-    ``most_work`` comparisons, and can be continued; ``alive`` is valid at any time.
+    ``queue`` is a ring buffer of the positioners that ``waiting`` marks; ``ends`` contains its beginning and end.
+    ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends after
+    about ``most_work`` comparisons; a further call continues. ``alive`` is valid after each call.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate

@@ -8,7 +8,7 @@ from rfpsurvey._kernels.collisions import endpoints_squared, pair_squared, segme
 
 @kernel
 def sampled_squared(segments, i, j, n):
-    """Return the least squared distance between n points on one arm and n points on another arm, ends included."""
+    """Return the smallest squared distance between n points on one arm and n points on another, including the ends."""
     ax, ay, cx, cy = segments[0, i], segments[1, i], segments[0, j], segments[1, j]
     ux, uy = (segments[2, i] - ax) / (n - 1), (segments[3, i] - ay) / (n - 1)
     vx, vy = (segments[2, j] - cx) / (n - 1), (segments[3, j] - cy) / (n - 1)
@@ -23,7 +23,7 @@ def sampled_squared(segments, i, j, n):
 
 @kernel
 def sampled(segments, first, second, n, squared):
-    """Compute `sampled_squared` for all pairs."""
+    """Compute the squared distances of all pairs with `sampled_squared`."""
     for k in range(first.size):
         squared[k] = sampled_squared(segments, first[k], second[k], n)
 
@@ -38,17 +38,17 @@ def endpoints(segments, first, second, squared):
 
 @kernel
 def all_pairs(segments, first, second, squared):
-    """Compute the squared distances of all pairs, without a broad phase."""
+    """Compute the squared distances of all pairs, without a preselection of pairs."""
     for k in range(first.size):
         squared[k] = pair_squared(segments, first[k], second[k])
 
 
 @kernel
 def swept(poses, moving, first, second, squared):
-    """Compute the least squared distance between two arms over all pairs of poses, one on the path of each arm.
+    """Compute the smallest squared distance between any two poses on the paths of two arms.
 
-    The two poses need not occur at the same time. The shape of ``poses`` is (steps, 4, n), and the last pose is at the
-    target. An arm that does not move has only one pose, the last one.
+    The poses of the two arms need not occur at the same time. The shape of ``poses`` is (steps, 4, n), and the last
+    pose is at the target. An arm that does not move has only one pose, the last one.
     """
     last = poses.shape[0] - 1
     for k in range(first.size):

@@ -1,4 +1,4 @@
-"""Local moves that remove collisions: a new target, the other elbow, a move of one blocking arm, or no target.
+"""Local moves that remove collisions: change the target or elbow, move one blocking arm, or remove the target.
 
 A candidate is an assignment that a plan may use: a positioner with a target and an elbow, or with its idle arm.
 """
@@ -41,10 +41,7 @@ def put_all(plan, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Return the best unblocked candidate of positioner i that is at least as good as candidate ``least``.
-
-    Returns -1 if there is no such candidate.
-    """
+    """Return the best unblocked candidate of positioner i that is at least as good as ``least``, or -1 if none is."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -75,11 +72,11 @@ def sole_blocker(c, i, options, chosen, holder):
 
 @kernel
 def displace(i, floor, better, options, chosen, blocked, holder):
-    """Assign positioner i a candidate that exactly one other positioner blocks, and move that other positioner.
+    """Assign a candidate that exactly one other positioner blocks to positioner i, and move the blocking positioner.
 
     The new candidate of i must be at least as good as the candidate ``floor``; with ``better=1``, it must also be of a
-    more important class. The other positioner receives a candidate at least as good as its present one. Returns whether
-    the positioners were moved.
+    more important class. The blocking positioner receives a candidate that is at least as good as its present
+    candidate. Returns whether the positioners were moved.
     """
     rank, key, as_good = options.rank, options.key, options.as_good
     mine = chosen[i]
@@ -105,7 +102,7 @@ def displace(i, floor, better, options, chosen, blocked, holder):
 
 @kernel
 def give_up_target(i, options, chosen, blocked, holder, fixed):
-    """Assign positioner i its best unblocked candidate; if there is none, assign its idle arm and set ``fixed``."""
+    """Assign the best unblocked candidate to positioner i; if there is none, assign its idle arm and set ``fixed``."""
     idle = options.start[i + 1] - 1
     c = best_free(i, idle, options, chosen, blocked, holder)
     if c < 0:
@@ -116,7 +113,7 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 
 @kernel
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
-    """Assign candidates of one group to positioners in the given order, until ``need`` of them are assigned.
+    """Assign candidates of one group to positioners in the given order, until ``need`` candidates are assigned.
 
     ``held[g]`` marks the candidates of group g. ``count[g]`` is the number of candidates of group g in use, and
     ``most[g]`` is the largest number allowed.
@@ -143,9 +140,10 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def settle(options, order, fixed, chosen, blocked, holder):
-    """Move positioners whose arms collide, in place, to candidates as good as before; return how many were moved.
+    """Assign equally good candidates to positioners that collide, in place; return the number of moved positioners.
 
-    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for those with one candidate.
+    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for positioners with one
+    candidate.
     """
     moved = 0
     for i in order:
@@ -163,9 +161,9 @@ def settle(options, order, fixed, chosen, blocked, holder):
 
 @kernel
 def drop(options, order, fixed, chosen, blocked, holder):
-    """Give up targets, in place, until no arms collide; return the number of positioners that lost their target.
+    """Remove targets from positioners, in place, until no arms collide; return the number of removed targets.
 
-    The positioner that collides with the largest number of other arms is first, and then the first one in ``order``.
+    The positioner that collides with the most arms loses its target first; in a tie, the first positioner in ``order``.
     """
     place = np.empty(order.size, np.int64)
     heap = [(np.int64(0), np.int64(0))]

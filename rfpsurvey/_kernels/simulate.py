@@ -1,4 +1,4 @@
-"""Realizations of the sky: random targets, the queues of positioners, and the collisions of their configurations."""
+"""Realizations of the sky: random targets, queues of positioners, and collisions of random configurations."""
 
 import math
 from typing import NamedTuple
@@ -23,19 +23,18 @@ class Sky(NamedTuple):
 
 
 class Positioners(NamedTuple):
-    """The data of all positioners that determine reach and poses, including the grid of cells and the idle arms."""
+    """Data of all positioners that determine which targets are in reach and which poses arms have."""
 
     geometry: Geometry
     side: np.ndarray
-    inner: np.ndarray
-    outer: np.ndarray
+    annuli: np.ndarray
     offers: np.ndarray
     grid: tuple
     idle: np.ndarray
 
 
 class Realization(NamedTuple):
-    """Arrays that one thread writes to: targets, the positioners that reach them, and queues."""
+    """Arrays in which one thread stores targets, the positioners that reach each target, and queues."""
 
     x: np.ndarray
     y: np.ndarray
@@ -98,7 +97,7 @@ def scatter_apart(rng, sky, cells, x, y):
 @kernel
 def realize(rng, number, sky, positioners, realization):
     """Draw targets and distribute them to queues with `balanced`."""
-    x, y, g = realization.x[:number], realization.y[:number], positioners.geometry
+    x, y = realization.x[:number], realization.y[:number]
     if sky.separation > 0.0:
         found = scatter_apart(rng, sky, realization.cells, x, y)
         x[found:], y[found:] = np.nan, np.nan
@@ -110,10 +109,7 @@ def realize(rng, number, sky, positioners, realization):
         x,
         y,
         realization.accepts,
-        g.cx,
-        g.cy,
-        positioners.inner,
-        positioners.outer,
+        positioners.annuli,
         positioners.offers,
         x0,
         y0,
@@ -150,7 +146,7 @@ def thin(rng, most, indptr, queue):
 
 @kernel
 def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
-    """Count the collisions of one configuration per realization, and add each counted positioner to ``counted``."""
+    """Count the collisions of one configuration per realization; add 1 to ``counted`` for each counted positioner."""
     n = positioners.side.size
     uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
@@ -171,7 +167,7 @@ def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace
 
 @kernel
 def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
-    """Write the expected collisions of one realization to ``sums``, and add their number per positioner to ``times``.
+    """Write the expected collisions of a realization to ``sums``; add the probabilities of positioners to ``times``.
 
     The elements of ``sums`` are the expected number of colliding positioners, the number of counted positioners, the
     expected number of colliding assigned positioners, the number of assigned positioners, and the expected number of
@@ -254,7 +250,7 @@ def queue_and_expect(
 
 @kernel
 def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
-    """Compute the expected collisions of queues from all of their targets; ``entries`` contains the arm segments."""
+    """Compute the expected collisions from all targets of the queues; ``entries`` contains the segments of the arms."""
     prepare_entries(indptr, positioners.idle, entries)
     sum_realization(
         indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted

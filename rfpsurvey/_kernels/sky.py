@@ -16,7 +16,7 @@ HORIZON = 1e-15
 def project(vectors, basis, focal_length, out):
     """Project unit vectors gnomonically; the rows of ``basis`` are the directions +x, +y and the center.
 
-    The result is NaN for directions that have no image.
+    The result is NaN for directions that cannot be projected, 90 deg or more from the center.
     """
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
@@ -72,7 +72,7 @@ def radii(theta, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Return the field angle at radius ``r`` (NaN outside the map), by Newton's method within a shrinking interval."""
+    """Return the field angle at radius ``r`` (NaN outside the map), by Newton's method in an interval that shrinks."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:

@@ -1,4 +1,4 @@
-"""Find directions near a given direction, with an index of declination zones.
+"""Find directions near a given direction, by means of an index that is sorted by declination zones.
 
 The directions are sorted by ``zone + right ascension / 2 pi``. In each zone that a circle touches, the directions that
 can be inside the circle form one run of the index, or two runs if the circle contains right ascension 0. If the circle
@@ -28,7 +28,7 @@ def make_keys(vectors, n_zones, key):
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
-    """List the runs of the index that contain a circle, as rows (first, last + 1), and return the number of runs."""
+    """List the runs of the index that cover a circle, as rows (first, last + 1), and return the number of runs."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
     phase = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
@@ -62,8 +62,8 @@ def find_near(vectors, key, n_zones, center, radius, limit, left, out):
     """List the directions near a center for which ``left`` is larger than 0.
 
     A direction is near if the square of half the chord to the center is at most ``limit``. The positions of these
-    directions in the index are written to ``out``. Returns the number of these directions, even if ``out`` is too short
-    for all of them.
+    directions in the index are written to ``out``. Returns the number of near directions, even if ``out`` is too short
+    for all of these directions.
     """
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     n = 0
@@ -98,8 +98,9 @@ def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest,
     """Assign numbers to directions, in the order of their rows; directions near each other have distinct numbers.
 
     The number of a direction depends only on the directions near it in earlier rows. By default, the number is one more
-    than the largest number of those directions. With ``smallest``, only directions of the same group are compared, and
-    the number is the smallest one that none of them has. ``order`` contains the row of each position in the index.
+    than the largest number of the near directions in earlier rows. With ``smallest``, only directions of the same group
+    are compared, and the number is the smallest number that no near direction has. ``order`` contains the row of each
+    position in the index.
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Static collisions: the poses of the arms, and the pairs of arms closer than the minimum separation."""
+"""Static collisions: the poses of arms, and the pairs of arms that are closer than the minimum separation."""
 
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments

@@ -1,4 +1,4 @@
-"""Poses of the arms."""
+"""Compute the poses of the arms of all positioners."""
 
 from dataclasses import dataclass
 
@@ -39,9 +39,9 @@ class Arms:
     assigned: np.ndarray
     """Whether each positioner has a target."""
     parked: np.ndarray
-    """Whether each positioner is usable, has no target, and is parked as an obstacle that counts."""
+    """Whether each positioner is an obstacle: it is usable, has no target, and is parked."""
     clipped: np.ndarray
-    """Whether the target of each positioner is out of reach: the arm stretches toward it or violates joint limits."""
+    """Whether the target of each positioner is out of reach: the arm is stretched toward it or exceeds joint limits."""
     fiber: np.ndarray | None = None
     """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
 
@@ -64,13 +64,13 @@ def place_arms(
 ) -> Arms:
     """Return the poses of all positioners; the parameters are those of `find_collisions`.
 
-    With ``clip``, an arm whose tip is out of reach is stretched toward the tip as far as possible.
+    If ``clip`` is true, an arm whose tip is out of reach is stretched toward the tip as far as possible.
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), to_columns(focal_plane, fiber_type)
     idle = columns.idle(check_switch(parked_obstacles, "parked_obstacles"))
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
-        raise InputError("give either tips, or both theta and phi")
+        raise InputError("give either tips or both theta and phi")
     if tips is None:
         if handedness is not None:
             raise InputError("handedness can be given only with tips; theta and phi already determine the elbow")
@@ -96,7 +96,7 @@ def place_arms(
 
 
 def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
-    """Return elbows and tips (4, n) of all arms, whether each has a target, and whether the target is out of reach."""
+    """Return elbows and tips (4, n), and whether each arm has a target and whether this target is out of reach."""
     assigned, clipped = check_tips(columns, points, side, clip=clip)
     segments = place_tips(columns, points, side, clipped)
     arms.fill_idle(assigned, columns.idle(parked_obstacles).segments, segments)
@@ -104,21 +104,24 @@ def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
 
 
 def check_plane(focal_plane):
-    """Raise an error unless the argument is a focal plane."""
+    """Raise an error unless the argument is a FocalPlane."""
     if not isinstance(focal_plane, FocalPlane):
         hint = "; use the attribute focal_plane of the Instrument" if hasattr(focal_plane, "focal_plane") else ""
         raise InputTypeError(f"focal_plane must be a FocalPlane, got {type(focal_plane).__name__}{hint}")
 
 
 def check_arms(plane, posed):
-    """Raise an error unless the arms belong to these positioners."""
+    """Raise an error unless the arms belong to the positioners of this focal plane."""
     if len(posed.segments) != len(plane):
-        raise InputError(f"the arms are those of {len(posed.segments)} positioners, not of {len(plane)}")
+        raise InputError(
+            f"the arms must belong to the {len(plane)} positioners of the focal plane, got the arms of "
+            f"{len(posed.segments)} positioners"
+        )
     away = np.hypot(*(posed.elbow - plane.arrays.xy).T) > plane.arrays.central_arm * (1 + 1e-9) + arms.EQUAL_ARMS
     if away.any():
         raise InputError(
-            f"the arms are those of another focal plane: {int(away.sum())} elbows are farther from their "
-            "center than the length of the central arm"
+            f"the arms belong to another focal plane: {int(away.sum())} elbows are farther from the center of "
+            "the positioner than the length of the central arm"
         )
 
 
@@ -131,7 +134,7 @@ def to_tips(tips, n):
 
 
 def check_tips(columns, points, side, *, clip=False):
-    """Mark positioners with a target, and those that cannot reach it; without ``clip``, the latter raise an error."""
+    """Mark positioners with a target, and targets out of reach, which raise an error unless ``clip`` is true."""
     plane, n = columns.plane, len(columns.plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
     bounds = columns.bounds if columns.joints is None else columns.bounds_of(None, None, side)
@@ -147,19 +150,19 @@ def check_tips(columns, points, side, *, clip=False):
         if barred.any() and not clip:
             first = plane.id[np.flatnonzero(barred)[0]]
             raise InputError(
-                f"{int(barred.sum())} tips are beyond the joint limits, the first that of positioner {first}"
+                f"{int(barred.sum())} tips are beyond the joint limits; the first is the tip of positioner {first}"
             )
         far |= barred
     return assigned, far & assigned
 
 
 def joints_free(columns, side):
-    """Return whether the joint limits allow all points of the patrol areas with the given elbows."""
+    """Return whether joint limits allow positioners to reach all points of their patrol areas with the given elbows."""
     return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
 
 
 def place_tips(columns, points, side, clipped):
-    """Return elbows and tips, shape (4, n); an arm whose point is out of reach is stretched toward the point."""
+    """Return elbows and tips for given points, shape (4, n); arms are stretched toward points that are out of reach."""
     geometry = columns.geometry
     bounds = columns.bounds if columns.joints is None else columns.bounds_of(None, None, side)
     segments = np.empty((4, len(points)))
@@ -176,7 +179,7 @@ def place_tips(columns, points, side, clipped):
 
 
 def to_sides(columns, points, handedness):
-    """Return +1 for right and -1 for left elbows; None stands for the elbows of the focal plane."""
+    """Return +1 for right and -1 for left elbows; None means the default elbows of the focal plane."""
     if handedness is None:
         return columns.sides(points)
     n = len(columns.plane)
@@ -190,7 +193,7 @@ def to_sides(columns, points, handedness):
 
 
 def to_columns(plane, fiber_type):
-    """Return the arrays of a focal plane for the fiber types in use; the default is the first type of each row."""
+    """Return the arrays of a focal plane for the fiber types in use; by default, the first type of each positioner."""
     if fiber_type is None:
         return plane.arrays
     types = to_plain(fiber_type, "fiber_type").astype(str)
@@ -204,16 +207,16 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return cosine and sine of each capsule's angle; idle arms have the angle for the first fiber."""
+    """Return the cosine and sine of the angle of each capsule; idle arms have the angle for the first fiber."""
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 
 def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
-    """Return the distance (mm) from each arm to the nearest other arm: NaN if absent, infinity without another arm.
+    """Return the distance (mm) from each arm to the nearest other arm: NaN for absent arms, infinity for a single arm.
 
-    For arms with an outline, only the arms of neighbors that can touch an arm are considered.
+    If arms have an outline, only neighbors whose arms can touch are considered.
     """
     segments = np.ascontiguousarray(posed.segments.T)
     if plane.positioner.outline is not None:
@@ -221,9 +224,20 @@ def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
     halves, out = np.empty_like(segments), np.empty(len(posed.segments))
     collisions.halve(segments, halves)
     present = np.flatnonzero(posed.present)
-    order = present[np.argsort(halves[0, present], kind="stable")]
-    collisions.nearest_arm(segments, halves, order, out)
+    collisions.nearest_arm(segments, halves, *_cells(halves[:2, present], present), out)
     return out
+
+
+def _cells(points, rows):
+    """Return a grid of about as many cells as points: x0, y0, size, nx, ny, and the rows of the points by cell."""
+    low = points.min(axis=1, initial=np.inf) if len(rows) else np.zeros(2)
+    wide, high = np.ptp(points, axis=1) if len(rows) else np.ones(2)
+    size = max(np.sqrt(wide * high / max(len(rows), 1)), max(wide, high) / (len(rows) + 1), 1e-6)
+    nx, ny = int(wide / size) + 1, int(high / size) + 1
+    column, row = np.minimum(((points - low[:, None]) / size).astype(int), [[nx - 1], [ny - 1]])
+    cell = row * nx + column
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=nx * ny))])
+    return float(low[0]), float(low[1]), float(size), nx, ny, start, rows[np.argsort(cell, kind="stable")]
 
 
 def _nearest_outline(plane, segments, present):

@@ -19,12 +19,12 @@ __all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace"
 CHUNK = 64
 """Number of configurations per task. Random draws depend on this number, but not on the number of workers."""
 GPU_CHUNK = 2048
-"""Number of configurations per task on a GPU: 256 MB for 4000 positioners."""
+"""Number of configurations per task on a GPU; for 4000 positioners, a task uses 256 MB of memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionCounts:
-    """Numbers of static collisions in m configurations.
+    """Numbers of static collisions in each of m configurations.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    The counts are those of `find_collisions`, but compiled code processes all configurations. In addition to the input
-    and the counts, only memory for a few configurations is used, whatever their number.
+    The counts are the same as those of `find_collisions`, but compiled code processes all configurations in one call.
+    In addition to the input and the counts, the function uses memory for a few configurations only.
 
     Parameters
     ----------
@@ -130,7 +130,8 @@ def count_collisions(
     ------
     InputError
         If a tip is outside its patrol area or beyond the joint limits, the allocation is for another focal plane or has
-        no queues, arguments exclude each other, the method cannot run on this computer, or a shape is wrong.
+        no queues, arguments that exclude each other are given, the method cannot run on this computer, or a shape is
+        wrong.
 
     See Also
     --------
@@ -209,7 +210,7 @@ def _processor(columns, setup):
 
 
 def _on_processor(columns, setup, points, side):
-    """Return the counts, the number of collisions of each positioner, and the number of tips out of reach."""
+    """Count the collisions of a chunk; also return the number of collisions per positioner and of tips out of reach."""
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     bounds = columns.bounds
@@ -222,28 +223,32 @@ def _on_processor(columns, setup, points, side):
 
 def _device(columns, setup):
     if columns.plane.positioner.outline is not None or columns.obstacle_polygons:
-        raise InputError("the method for outlines and polygons must be 'exact', got 'cuda'")
+        raise InputError("the method must be 'exact' if arms have outlines or obstacles are polygons, got 'cuda'")
     from rfpsurvey.collision import _gpu
 
     return _gpu.make_scorer(columns, setup)
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
-"""For each method: chunk size, and a function that makes a function (points, side) -> (counts, times, far)."""
+"""For each method, the chunk size, and a function that returns a function (points, side) -> (counts, times, far)."""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that counts the collisions of a chunk of draws from queues, and the arguments of its calls."""
     if allocation.queues is None:
-        raise InputError(f"configurations are drawn from the queues of 'balanced', not of {allocation.allocator!r}")
+        raise InputError(
+            "configurations can be drawn only from the queues of the allocator 'balanced', got the allocator "
+            f"{allocation.allocator!r}"
+        )
     if len(allocation.target_of_positioner) != len(plane):
         raise InputError(
-            f"the allocation is for {len(allocation.target_of_positioner)} positioners, not for {len(plane)}"
+            f"the allocation must be for the {len(plane)} positioners of the focal plane, got "
+            f"{len(allocation.target_of_positioner)} positioners"
         )
     n = n_configurations
     check_whole(n, "n_configurations", 0)
     if method != "exact":
-        raise InputError(f"configurations are drawn and scored by the method 'exact', not by {method!r}")
+        raise InputError(f"the method must be 'exact' if configurations are drawn from queues, got {method!r}")
     indptr, entries = queue_segments(plane, allocation)
     setup = make_setup(plane.arrays, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
@@ -277,7 +282,7 @@ def queue_segments(plane, allocation):
 
 
 def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
-    """Return the data that all configurations share, from the arrays of a focal plane."""
+    """Return the data that are the same for all configurations, from the arrays of a focal plane."""
     idle = columns.idle(parked_obstacles)
     segments = idle.segments
     if columns.fibers is not None and columns.model == arms.CAPSULE:
@@ -297,7 +302,7 @@ def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
 
 
 def _turned(segments, first, used):
-    """Return idle arms whose capsules, after a rotation for the fibers in use, are those for the first fibers."""
+    """Return idle arms that have the capsules for the first fibers after the rotation for the fibers in use."""
     (c, s), (used_c, used_s) = first, used
     x, y = segments[2:] - segments[:2]
     x, y = c * x - s * y, s * x + c * y
@@ -313,7 +318,7 @@ def make_workspace(plane) -> batch.Workspace:
 
 
 def _sides_of_chunk(columns, points, side, start):
-    """Return the elbows of a chunk: one row, or one row per configuration if they depend on the joint limits."""
+    """Return the elbows of a chunk: one row, or one row per configuration if elbows depend on the joint limits."""
     if side is not None and joints_free(columns, side):
         return side
     rows = [columns.sides(p) if side is None else side[0] for p in points]

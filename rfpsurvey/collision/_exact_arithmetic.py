@@ -55,7 +55,7 @@ def closer_exactly(first, second, separation: float | Fraction) -> bool:
 
 
 def distance_exactly(first, second) -> float:
-    """Return the distance between two segments; the squared distance is computed exactly before it is rounded."""
+    """Return the distance between two segments, computed from the exact squared distance."""
     a, b, c, d = ((Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2))
     if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
         return 0.0
@@ -66,8 +66,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     """Return whether the gap between the outlines of two positioners is less than ``separation``, without rounding.
 
     ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
-    its vertices, whose positions relative to the elbow or center are rounded to double precision. Polygons without
-    radii and with a separation of 0 collide if and only if no line separates them; they may touch.
+    its vertices, whose positions relative to the elbow or center are rounded to double precision. If the radii and the
+    separation are 0, polygons collide if and only if no line separates them; polygons may touch.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]
@@ -87,8 +87,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 def touches_exactly(columns, i: int, segment, j: int) -> bool:
     """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps it.
 
-    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). The circles come first, then
-    the polygons.
+    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). The numbers ``j`` count the
+    circles first, then the polygons.
     """
     circles, outline = columns.obstacles, columns.limits.outline
     if j < len(circles):
@@ -129,7 +129,7 @@ def _hull(points):
 
 
 def _polygons_closer(first, second, limit):
-    """Return whether no line separates two convex polygons, or they are closer than ``limit``."""
+    """Return whether two convex polygons overlap or are closer than ``limit``."""
     if len(first) + len(second) > 2 and not (_separated(first, second) or _separated(second, first)):
         return True
     sides = (product(first, _edges(second)), product(second, _edges(first)))
@@ -142,7 +142,7 @@ def _edges(polygon):
 
 
 def _separated(first, second):
-    """Return whether the line through an edge of a convex polygon separates it from another convex polygon."""
+    """Return whether the line through an edge of a convex polygon separates this polygon from another one."""
     if len(first) == 1:
         return False
     return any(all(_orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))

@@ -44,8 +44,8 @@ def find_collisions(
     """Find the pairs of arms that are closer to each other than the minimum separation D.
 
     Two positioners collide if and only if the distance between their colliding segments is strictly less than D;
-    crossing segments have the distance 0. An arm collides with an obstacle if it is closer to the edge of the circle
-    than its clearance d.
+    crossing segments have the distance 0. An arm collides with an obstacle if its distance from the edge of the circle
+    is less than the clearance d of the arm.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def find_collisions(
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):
-        raise InputError(f"an Allocation or Arms have their own poses; give no {', '.join(given)}")
+        raise InputError(f"an Allocation or Arms already determine the poses; do not give {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
@@ -132,7 +132,7 @@ def find_collisions(
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
-    """Return segments (4, n), flags, and a function that computes all poses, which only a few methods require."""
+    """Return segments (4, n), flags, and a function that computes all poses, which only a few methods call."""
 
     def poses():
         return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
@@ -156,7 +156,7 @@ def _posed_segments(plane, tips, given, parked_obstacles):
 def touching(plane, segments, pairs, owner=None):
     """Return the pairs (segment, obstacle) that touch, their distances, and the number of borderline pairs.
 
-    ``owner`` contains the positioner of each segment; None if there is one segment for each positioner.
+    ``owner`` contains the positioner of each segment; it is None if there is one segment for each positioner.
     """
     circles, clearance, limits = plane.arrays.obstacles, plane.arrays.clearance, plane.arrays.limits
     hits, distances = np.empty_like(pairs), np.empty(len(pairs))

@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return pairs closer than the minimum separation plus the rounding band, as (first, second, squared distance)."""
+    """Return (first, second, squared distance) of pairs closer than the minimum separation plus a limit of rounding."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
@@ -32,7 +32,7 @@ def find_pairs(segments, pairs, limits):
 
 
 def make_scorer(columns, setup):
-    """Return a function (points, side) -> (counts, times, tips out of reach); shared data remain on the GPU."""
+    """Return a function (points, side) -> (counts, times, number of tips out of reach); its data stay on the GPU."""
     _require_device()
     n, limits = len(columns.plane), setup.limits
     g, bounds = columns.geometry, columns.bounds
@@ -85,6 +85,6 @@ def make_scorer(columns, setup):
 def _require_device():
     if not cuda.is_available():
         raise InputError(
-            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), and found none that works; "
-            "with NUMBA_ENABLE_CUDASIM=1 in the environment a small one is simulated"
+            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), but found no GPU "
+            "that works; with NUMBA_ENABLE_CUDASIM=1 in the environment, numba simulates a small GPU"
         )

@@ -17,7 +17,7 @@ __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One configuration, which is the input of a method."""
+    """One configuration of all arms, which is the input of a method."""
 
     plane: FocalPlane
     segments: np.ndarray
@@ -46,7 +46,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs by the least distance between ``n_points`` points on each arm; this method misses some pairs."""
+    """Find pairs by the smallest distance between ``n_points`` points on each arm; this method misses some pairs."""
     _require_segments(case, "sampled")
     first, second = near_pairs(case)
     squared = np.empty(len(first))
@@ -55,7 +55,7 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Find pairs by the least distance between the areas that two arms sweep from their parked poses."""
+    """Find pairs by the smallest distance between the areas that two arms sweep from their parked poses."""
     _require_segments(case, "sweep")
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
@@ -80,7 +80,7 @@ def sweep(case: Configuration) -> Found:
 
 
 def scipy(case: Configuration) -> Found:
-    """Find pairs by bounded least squares over the positions along both arms, with SciPy."""
+    """Find pairs with SciPy, by bounded least squares over the positions of two points along the two arms."""
     from scipy.optimize import lsq_linear
 
     _require_segments(case, "scipy")
@@ -95,7 +95,7 @@ def scipy(case: Configuration) -> Found:
 
 
 def cuda(case: Configuration) -> Found:
-    """Find pairs by the distances of ``exact``, computed on a GPU."""
+    """Find pairs with the method ``exact``, with distances computed on a GPU."""
     from rfpsurvey.collision import _gpu
 
     _require_segments(case, "cuda")
@@ -107,7 +107,7 @@ METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs of neighbors that the broad phase does not reject."""
+    """Return the pairs of neighbors that may be closer than the minimum separation."""
     halves, first, second = _scratch(case)
     n = collisions.near_pairs(halves, case.plane.arrays.runs, case.plane.arrays.limits, first, second)
     return first[:n], second[:n]
@@ -120,7 +120,7 @@ def keep_closer(case: Configuration, first: np.ndarray, second: np.ndarray, dist
 
 
 def _scratch(case):
-    """Return the midpoints and half vectors of the segments, and work arrays for all pairs."""
+    """Return the midpoints and half vectors (from midpoint to end) of segments, and work arrays for all pairs."""
     size = len(case.plane.arrays.neighbors)
     halves = np.empty_like(case.segments)
     collisions.halve(case.segments, halves)
@@ -128,7 +128,7 @@ def _scratch(case):
 
 
 def _settle(case, first, second, squared):
-    """Return the pairs that collide, and decide pairs within the rounding band in exact arithmetic."""
+    """Return the pairs that collide; exact arithmetic decides pairs for which rounding could change the result."""
     limits = case.plane.arrays.limits
     edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
     if len(edge):

@@ -61,12 +61,12 @@ class CollisionReport:
 
     @property
     def rate(self) -> float:
-        """Fraction of the counted positioners (assigned and parked) in collision; NaN if no positioner is counted."""
+        """Fraction of the counted positioners (assigned or parked) that collide; NaN if no positioner is counted."""
         return _ratio(self.in_collision, self.counted)
 
     @property
     def rate_assigned(self) -> float:
-        """Fraction of the assigned positioners in collision; NaN if no positioner is assigned."""
+        """Fraction of the assigned positioners that collide; NaN if no positioner is assigned."""
         return _ratio(self.in_collision, self.assigned)
 
     @cached_property

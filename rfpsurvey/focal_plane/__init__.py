@@ -1,4 +1,4 @@
-"""All positioners of an instrument as columns: their positions, their neighbors, and the targets in reach."""
+"""The positioners of an instrument as columns: positions, neighbors, and targets in reach."""
 
 from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._coverage import on_footprint

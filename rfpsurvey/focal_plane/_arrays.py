@@ -1,4 +1,4 @@
-"""A focal plane as plain numbers: read-only columns in mm and radians, and the input of the collision kernels."""
+"""A focal plane as numbers without units: read-only columns in mm and radians, and the input of collision kernels."""
 
 from copy import copy
 from functools import cached_property
@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rfpsurvey._kernels import arms, collisions
+from rfpsurvey._kernels import arms, collisions, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
-from rfpsurvey.focal_plane._kinematics import joints_allow
+from rfpsurvey.focal_plane._kinematics import MODELS, joints_allow
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
@@ -19,22 +19,16 @@ from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make
 
 __all__ = ["FocalPlaneArrays"]
 
-IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "geometry", "bounds", "angles")
+IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "annuli", "geometry", "bounds", "angles")
 """Names of the arrays that depend on the fiber types in use."""
-MODELS = {
-    "elbow_to_tip": arms.ELBOW_TO_TIP,
-    "capsule": arms.CAPSULE,
-    "fiber_tip": arms.FIBER_TIP,
-    "outline": arms.CAPSULE,  # the core of an outline
-}
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
-"""Names of costly arrays that do not depend on the fiber types in use."""
+"""Names of arrays that take long to compute and do not depend on the fiber types in use."""
 
 
 class FocalPlaneArrays:
-    """The columns of a focal plane as read-only plain numbers in mm and radians.
+    """The columns of a focal plane as read-only numbers without units, in mm and radians.
 
-    The columns are computed on first use and kept. Row i belongs to positioner i.
+    Each array is computed on first use and is then stored. Row i belongs to positioner i.
 
     Parameters
     ----------
@@ -129,13 +123,18 @@ class FocalPlaneArrays:
         return locked(patrol_radii(self)[1])
 
     @cached_property
+    def annuli(self) -> np.ndarray:
+        """Patrol areas in the form that the kernel of the search for targets in reach requires."""
+        return locked(reach.annuli(self.geometry.cx, self.geometry.cy, self.inner_radius, self.outer_radius))
+
+    @cached_property
     def fibers(self) -> Fibers | None:
-        """Places of the fibers on the eccentric arms; None if the focal plane has only lengths of eccentric arms."""
+        """Positions of fibers relative to elbows; None if the focal plane has only lengths of eccentric arms."""
         return None if self.plane.fiber_xy is None else Fibers(self.plane, self.first_index)
 
     @cached_property
     def longest_arm(self) -> np.ndarray:
-        """Largest distance from the elbow to a fiber that takes targets, for each positioner."""
+        """Largest distance from the elbow to a fiber that can observe targets, for each positioner."""
         return (
             self.eccentric_arm if self.fibers is None else self.fibers.length[: len(self.plane.fiber_types)].max(axis=0)
         )
@@ -179,7 +178,7 @@ class FocalPlaneArrays:
         return locked(np.empty((0, 3)) if plane.hidden is None else to_mm(plane.hidden, "hidden"))
 
     def is_hidden(self, points: np.ndarray) -> np.ndarray:
-        """Return whether each point (mm) is in one of the circles ``hidden``."""
+        """Return whether each point (mm) is in one of the circles ``hidden``, where fibers receive no light."""
         return self._circles.contain(points)
 
     @cached_property
@@ -195,7 +194,7 @@ class FocalPlaneArrays:
         return locked(np.array([self.plane.fiber_types.index(name) for name in self.first_type.tolist()]))
 
     def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Return the indices of fiber types; empty text stands for the first type of a positioner (by row)."""
+        """Return the indices of fiber types; empty text means the first fiber type of the positioner in this row."""
         found = self.first_index.copy() if own is None else self.first_index[own]
         for k, name in enumerate(self.plane.fiber_types):
             found[fiber_type == name] = k
@@ -206,7 +205,7 @@ class FocalPlaneArrays:
         return self.first_index
 
     def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
-        """Return the arrays for given fiber types in use (indices in ``fiber_types``); None means the first types."""
+        """Return the arrays for fiber types in use, given as indices in ``fiber_types``; None means the first types."""
         if fiber is None:
             return self
         for name in SHARED:
@@ -219,7 +218,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def offers(self) -> np.ndarray:
-        """Bit mask of the fiber types of each positioner; 0 for positioners that take no target."""
+        """Bit mask of the fiber types of each positioner; 0 for positioners that cannot have a target."""
         plane = self.plane
         masks = dict.fromkeys(np.unique(plane.fiber_type).tolist(), 0)
         for row in masks:
@@ -240,7 +239,7 @@ class FocalPlaneArrays:
         return locked(np.column_stack(np.divmod(np.sort(pairs[:, 0].astype(np.int64) * n + pairs[:, 1]), n)))
 
     def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """Mark pairs whose arms, stretched toward each other, are closer than the minimum separation plus ``slack``."""
+        """Mark pairs whose arms, when stretched toward each other, are within the minimum separation plus ``slack``."""
         distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
         return distance < self.arm_reach[pairs].sum(axis=1) + self.separation + slack
 
@@ -255,18 +254,18 @@ class FocalPlaneArrays:
         return find_obstacle_pairs(self)
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
-        """Return the pairs of a positioner and a target that it reaches; ``points`` are the targets in mm."""
+        """Return the pairs of positioners and targets in reach; ``points`` are the positions of the targets in mm."""
         if len(self.hidden):
             points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
-        """Return the elbow with which each positioner (of ``own``) points at its target: +1 is right, -1 is left."""
+        """Return the elbow with which each positioner in ``own`` reaches its target: +1 is right, -1 is left."""
         return sides(self, points, own, fiber)
 
     @cached_property
     def geometry(self) -> arms.Geometry:
-        """Geometry of the positioners, in the form that the kernels for poses require."""
+        """Geometry of all positioners, in the form that the kernels for poses require."""
         plane = self.plane
         cx, cy = self.xy.T.copy()
         home = plane.positioner.numbers.home[0]
@@ -274,19 +273,19 @@ class FocalPlaneArrays:
         return arms.Geometry(cx, cy, *lengths, float(np.cos(home)), float(np.sin(home)))
 
     def geometry_of(self, own: np.ndarray, fiber: np.ndarray | None = None) -> arms.Geometry:
-        """Return the geometry of the positioners ``own``, with the fiber types that they use (by index)."""
+        """Return the geometry of the positioners ``own``, given the indices of the fiber types that they use."""
         g = arms.Geometry(*(c[own] if isinstance(c, np.ndarray) else c for c in self.geometry))
         return g if fiber is None or self.fibers is None else g._replace(l2=self.fibers.length[fiber, own])
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Squared limits of the distances from the center at which each positioner can place its tip."""
+        """Squared limits of the distance between the center and the tip of each positioner."""
         return self.bounds_of(None)
 
     def bounds_of(
         self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
     ) -> arms.Bounds:
-        """Return the bounds of positioners (by row) with fiber types (by index) and elbows (1: right, -1: left)."""
+        """Return limits for rows of positioners, indices of fiber types, and elbows (1: right, -1: left)."""
         inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
@@ -298,12 +297,12 @@ class FocalPlaneArrays:
 
     @cached_property
     def touch_slack(self) -> float:
-        """Upper limit of the error of the gap between two stretched arms, also if arm lengths are almost equal."""
+        """Upper limit of the error of the gap between two stretched arms, which is valid for all arm lengths."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
     def limits(self) -> collisions.Limits:
-        """Minimum separation, and the allowance for rounding errors."""
+        """The minimum separation, and the limits of rounding errors."""
         return find_limits(self)
 
     @cached_property
@@ -320,7 +319,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as sorted rows (i, j, n); each stands for n pairs: i and j, i + 1 and j + 1, and so on."""
+        """Neighbors as sorted rows (i, j, n); each row stands for n pairs: (i, j), (i + 1, j + 1), and so on."""
         return find_runs(self.neighbors)
 
     @cached_property
@@ -330,11 +329,11 @@ class FocalPlaneArrays:
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the capsule's angle for the fiber types in use."""
+        """Cosine and sine of the angle of each capsule for the fiber types in use."""
         return self.angles_of(np.arange(len(self.plane)), self.fiber_index)
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the capsule's angle from the fiber, for positioners (by row) and fiber types."""
+        """Return cosine and sine of the angle between fiber and capsule, for rows of positioners and fiber types."""
         angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
         if self.fibers is not None:
             angle = angle - self.fibers.angle[fiber, own]
@@ -349,19 +348,19 @@ class FocalPlaneArrays:
         return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether all positioners reach their whole patrol areas with an elbow: +1 is right, -1 is left."""
+        """Return whether all positioners reach their whole patrol areas with the given elbow (+1: right, -1: left)."""
         numbers = self.plane.positioner.numbers
         return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
 
     @cached_property
     def joints_free(self) -> bool:
-        """Whether all positioners reach their whole patrol areas with the default elbow in spite of joint limits."""
+        """Whether all positioners reach their whole patrol areas with the default elbow, within the joint limits."""
         return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
 
     def joints_allow(
         self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
     ) -> np.ndarray:
-        """Mark positioners (by row) whose joint limits allow them to reach ``points`` (mm) with an elbow (+1 or -1)."""
+        """Return whether joint limits allow positioners (rows) to reach ``points`` (mm) with an elbow (+1 or -1)."""
         return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
@@ -379,7 +378,7 @@ class FocalPlaneArrays:
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return rows of positioners and indices of fiber types; None means all rows, and the fiber types in use."""
+        """Return rows of positioners and indices of fiber types; None means all rows and the fiber types in use."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 
@@ -396,5 +395,5 @@ class FocalPlaneArrays:
         return find_idle(self)
 
     def idle(self, parked_obstacles: bool) -> Idle:
-        """Return arms without a target: arms that cannot move, and idle arms of equal length if they are obstacles."""
+        """Return the poses of arms without a target: arms that cannot move, and parked arms if these are obstacles."""
         return self.plane.arrays._idle[bool(parked_obstacles)]

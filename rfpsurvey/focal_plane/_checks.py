@@ -14,15 +14,15 @@ __all__ = ["check_columns"]
 
 
 def check_columns(plane) -> None:
-    """Check the columns of a focal plane and convert them to plain arrays."""
+    """Check the columns of a focal plane and convert them to arrays without units."""
     if not isinstance(plane.positioner, Positioner):
         raise InputTypeError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
     xy = to_points_mm(plane.xy, "xy")
     n = len(xy)
     if n == 0:
-        raise InputError("a focal plane needs at least one positioner, got none")
+        raise InputError("a focal plane must have at least one positioner, got none")
     if not np.isfinite(xy).all():
-        raise InputError(f"xy must be finite, but {int((~np.isfinite(xy)).any(axis=1).sum())} rows are not")
+        raise InputError(f"xy must be finite, got {int((~np.isfinite(xy)).any(axis=1).sum())} rows that are not finite")
     if len(np.unique(xy, axis=0)) < n:
         raise InputError("two positioners have the same center")
     spectrograph, fiber_type = plane.spectrograph, plane.fiber_type
@@ -45,7 +45,7 @@ def check_columns(plane) -> None:
     names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
     object.__setattr__(plane, "fiber_type", np.array(names))
     if len(plane.fiber_types) > 1 and "" in plane.fiber_types:
-        raise InputError("fiber_type must name a type for every positioner, or for none")
+        raise InputError("fiber_type must contain a type for every positioner, or for no positioner")
     if len(plane.fiber_types) > 62:
         raise InputError(f"fiber_type must have at most 62 types, got {len(plane.fiber_types)}")
     width = columns["spectrograph"].shape[1:]
@@ -98,7 +98,8 @@ def _check_fibers(plane, n):
         return
     if plane.eccentric_arm is not None:
         raise InputError(
-            "fiber_xy must be given without eccentric_arm, because it contains the distances from elbows to fibers"
+            "fiber_xy must be given without eccentric_arm, because fiber_xy already contains the distances "
+            "from elbows to fibers"
         )
     if not isinstance(places, dict):
         if len(plane.fiber_types) > 1:
@@ -128,7 +129,7 @@ def _check_fibers(plane, n):
 
 
 def _check_joints(plane, n):
-    """Check the zero points and the joint limits of single positioners."""
+    """Check the zero points and the joint limits of all positioners."""
     for name in ("zero_points", "theta_range", "phi_range"):
         value = getattr(plane, name)
         if value is None:

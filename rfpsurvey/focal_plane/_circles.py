@@ -9,7 +9,7 @@ __all__ = ["Circles"]
 
 
 class Circles:
-    """Circles in mm (columns x, y and radius), with a grid of cells for a fast search."""
+    """Circles in mm (columns x, y and radius), with a grid of cells that makes the search for circles fast."""
 
     def __init__(self, rows: np.ndarray):
         self.x, self.y, self.radius = rows.T.copy()
@@ -22,7 +22,7 @@ class Circles:
         n, (x, y) = len(self.x), points.T.copy()
         any_type = np.broadcast_to(np.int64(-1), len(points)), np.broadcast_to(np.int64(-1), n)
         start, empty = np.empty(len(points) + 1, dtype=np.int64), np.empty(0)
-        circles = self.x, self.y, np.zeros(n), self.radius, any_type[1].copy()
+        circles = reach.annuli(self.x, self.y, np.zeros(n), self.radius), any_type[1].copy()
         pairs = np.empty(0, dtype=np.int64), empty, np.empty(0, dtype=np.int8)
         reach.reachable_pairs(x, y, any_type[0].copy(), *circles, *self._grid, start, *pairs)
         return np.diff(start) > 0

@@ -14,11 +14,13 @@ def footprint_of(plane) -> ConvexHull:
     try:
         return ConvexHull(plane.arrays.xy)
     except (QhullError, ValueError):
-        raise InputError(f"a footprint needs three centers that are not on a line, got {len(plane)} centers") from None
+        raise InputError(
+            f"the footprint must have at least three centers that are not on a line, got {len(plane)} centers"
+        ) from None
 
 
 def on_footprint(plane, points: np.ndarray) -> np.ndarray:
-    """Mark the points (mm) that are inside the footprint; a point at NaN is outside."""
+    """Return whether points (mm) are inside the footprint; points with NaN are outside."""
     hull = footprint_of(plane)
     inside = np.isfinite(points).all(axis=1)
     inside[inside] = Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0
@@ -39,5 +41,5 @@ def find_coverage(plane, n_points, rng) -> np.ndarray:
     points = corners.min(axis=0) + (cells + to_generator(rng).random((n * n, 2))) / n * np.ptp(corners, axis=0)
     inside = points[on_footprint(plane, points)]
     if len(inside) == 0:
-        raise InputError(f"n_points must be large enough for a point in the footprint, got {n_points}")
+        raise InputError(f"n_points must be so large that at least one point is in the footprint, got {n_points}")
     return np.bincount(np.diff(plane.arrays.reach(inside).indptr)) / len(inside)

@@ -1,4 +1,4 @@
-"""Positions of fibers relative to the elbow, and zero points and limits of joints, if positioners differ in these."""
+"""Positions of fibers relative to the elbow, and zero points and limits of joints, with values for each positioner."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ __all__ = ["Fibers", "Joints", "patrol_radii"]
 
 
 class Fibers:
-    """Lengths and directions from the elbow to each fiber.
+    """Distances and directions from the elbow to each fiber.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Fibers:
 
 
 class Joints:
-    """Conversion between the angles of the kernels and the angles of the joints.
+    """Converts angles of the kernels to angles of the joints, and vice versa.
 
     The kernels measure theta from +x, and phi from the direction of the central arm to the direction of the fiber.
 
@@ -79,7 +79,7 @@ class Joints:
             self.free[side] |= self._cut(l1, l2, side)
 
     def zeros(self, own, fiber):
-        """Return the offsets of theta and phi of the kernels from those of the joints, for positioners (by row)."""
+        """Return the kernel angles minus the joint angles, for theta and phi, for rows of positioners."""
         phi = self.phi_zero[own]
         return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
 
@@ -97,7 +97,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return the joint angles of positioners (by row), each within 360 deg above its low limit or -180 deg."""
+        """Return the joint angles of positioners (rows), at most 360 deg above the low limit (-180 deg if none)."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -105,12 +105,12 @@ class Joints:
         return found
 
     def allowed(self, theta, phi, own):
-        """Return whether joint angles are within the limits of positioners (by row)."""
+        """Return whether joint angles are within the joint limits of positioners, which are given by rows."""
         low, high, phi_low, phi_high = self.limits[:, own]
         return _within(theta, low, high) & _within(phi, phi_low, phi_high)
 
     def _allow_all(self, side):
-        """Return whether the limits of a positioner allow the whole patrol area with an elbow (1: right, -1: left)."""
+        """Return whether a positioner reaches its whole patrol area with an elbow (1: right, -1: left)."""
         low, high, phi_low, phi_high = self.limits
         offset = self.phi_zero if self.angle is None else self.phi_zero + self.angle
         first, last = (-np.pi, 0.0) if side < 0 else (0.0, np.pi)
@@ -118,7 +118,7 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the fiber's distance from the center; return where this is possible, (n,).
+        """Replace limits of phi by limits of the distance between fiber and center; return where this is possible.
 
         If theta is free, the limits allow a ring, because the distance of the fiber from the center depends on phi
         alone. The replacement is possible only if the allowed part of phi is one interval.

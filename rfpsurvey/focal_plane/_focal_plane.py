@@ -1,4 +1,4 @@
-"""All positioners of an instrument as columns: their positions, their neighbors, and the targets in reach."""
+"""The positioners of an instrument as columns: positions, neighbors, and targets in reach."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -67,15 +67,16 @@ class FocalPlane:
     ------
     InputError
         If the length of a column differs from that of ``xy``, an identifier occurs twice or contains blanks, two
-        positioners have the same center, or a positioner has no place for one of its fibers.
+        positioners have the same center, or the position of a fiber of a positioner is not given.
 
     Notes
     -----
     If ``fiber_xy`` is given, phi is the angle of the mechanical axis of the eccentric arm, and ``arm_angle`` of the
     positioner is the angle between this axis and the colliding segment. Without ``fiber_xy``, the mechanical axis
-    points to the fiber. A target without a fiber type is observed with the first fiber type of a positioner.
+    points to the fiber. A target that does not require a fiber type is observed with the first fiber type of a
+    positioner.
 
-    Idle positioners are parked, and count as obstacles, if their arms have equal lengths. If the arms of ``positioner``
+    Idle positioners are parked and are obstacles if their two arms have equal lengths. If the arms of ``positioner``
     have equal lengths, a positioner is also parked if its own arm lengths differ by at most 5 % of their sum.
 
     Examples
@@ -126,12 +127,12 @@ class FocalPlane:
 
     @cached_property
     def arrays(self) -> FocalPlaneArrays:
-        """The columns as read-only plain numbers in mm and radians (``FocalPlaneArrays``)."""
+        """The columns as read-only numbers without units, in mm and radians (``FocalPlaneArrays``)."""
         return FocalPlaneArrays(self)
 
     @cached_property
     def collision_type(self) -> int:
-        """Collision type: 1 if no arms can touch, 2 if only arms of first neighbors can, 3 if more distant arms can."""
+        """Collision type: 1 if no arms can touch, 2 if only arms of first neighbors can touch, 3 otherwise."""
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1
@@ -152,8 +153,8 @@ class FocalPlane:
     def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
         """Return the pairs of positioners and targets within reach as a sparse matrix.
 
-        Patrol areas are closed: a target on the edge is within reach. Exact arithmetic decides cases in which rounding
-        errors could change the result.
+        A target on the edge of a patrol area is within reach. Exact arithmetic decides cases in which rounding errors
+        could change the result.
 
         Parameters
         ----------
@@ -192,7 +193,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the angles have another shape, or the focal plane does not have the fiber.
+            If the angles do not have this shape, or the focal plane does not have the fiber.
 
         Examples
         --------
@@ -234,7 +235,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the points have another shape, or the focal plane does not have the fiber.
+            If the points do not have this shape, or the focal plane does not have the fiber.
         """
         return _kinematics.inverse(self, xy, fiber_type, handedness)
 
@@ -266,7 +267,7 @@ class FocalPlane:
         return footprint_of(self).volume * u.mm**2
 
     def coverage(self, *, n_points: int = 2**20, rng: int | np.random.Generator | None = 0) -> np.ndarray:
-        """Return the fractions of the footprint within reach of no positioner, of one, of two, and so on.
+        """Return the fractions of the footprint within reach of exactly 0, 1, 2, and more positioners.
 
         Parameters
         ----------
@@ -284,7 +285,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If there are fewer than three centers, or all lie on a line.
+            If there are fewer than three centers, or all centers lie on a line.
 
         Examples
         --------
@@ -343,7 +344,8 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If not exactly one of ``rings``, ``count`` and ``radius`` is given, or a value is out of range.
+            If both ``rings`` and ``count`` are given, none of ``rings``, ``count`` and ``radius`` is given, or a value
+            is out of range.
         """
         xy, _ = hexagonal_cells(
             pitch,

@@ -27,7 +27,7 @@ their sum."""
 
 
 def find_idle(columns) -> dict[bool, Idle]:
-    """Return a dict from whether parked arms are obstacles (False or True) to the poses of idle arms."""
+    """Return the poses of idle arms, in a dict with the keys True (parked arms are obstacles) and False."""
     n, stuck = len(columns.plane), columns.is_stuck
     home = columns.home.copy()
     home[:, stuck] = columns.stuck[stuck].T

@@ -1,4 +1,4 @@
-"""Conversion between joint angles and positions of fibers, for all positioners of a focal plane."""
+"""Convert joint angles to positions of fibers, and vice versa, for all positioners of a focal plane."""
 
 import astropy.units as u
 import numpy as np
@@ -7,7 +7,15 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["forward", "inverse", "joints_allow"]
+__all__ = ["MODELS", "forward", "inverse", "joints_allow"]
+
+MODELS = {
+    "elbow_to_tip": arms.ELBOW_TO_TIP,
+    "capsule": arms.CAPSULE,
+    "fiber_tip": arms.FIBER_TIP,
+    "outline": arms.CAPSULE,  # the core of an outline
+}
+"""Number of each arm model in the kernels."""
 
 
 def forward(plane, theta, phi, fiber_type) -> u.Quantity:
@@ -48,7 +56,7 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
 
 
 def joints_allow(columns, own, points, side, fiber=None) -> np.ndarray:
-    """Return whether joint limits allow poses; see `FocalPlaneArrays.joints_allow`."""
+    """Return whether joint limits allow the poses of arms; see `FocalPlaneArrays.joints_allow`."""
     side = np.broadcast_to(side, len(own)).astype(float)
     if columns.joints is not None:
         allowed = np.isfinite(points).all(axis=1)

@@ -1,4 +1,4 @@
-"""The minimum separation of arms, and the allowance for rounding, in the form of the collision kernels."""
+"""The minimum separation of arms, and limits of rounding errors, in the form that the collision kernels require."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ __all__ = ["find_limits", "find_obstacle_slack"]
 
 
 def find_limits(columns) -> collisions.Limits:
-    """Return the minimum separation and the allowances for rounding that the collision kernels need."""
+    """Return the minimum separation and the limits of rounding errors that the collision kernels require."""
     extent = np.hypot(*columns.xy.T) + columns.arm_reach
     size = float(extent.max()) + columns.reach_slack + arms.EQUAL_ARMS
     shape, polygons = columns.plane.positioner.outline, find_polygons(columns)

@@ -1,4 +1,4 @@
-"""Conversion of pairs of neighbors to the forms that the kernels read."""
+"""Convert pairs of neighbors to the forms that the kernels read."""
 
 import numpy as np
 
@@ -6,9 +6,9 @@ __all__ = ["both_ways", "find_runs"]
 
 
 def find_runs(pairs: np.ndarray) -> np.ndarray:
-    """Return runs of neighbors as sorted rows (i, j, n); each stands for the n pairs (i, j), (i + 1, j + 1), and so on.
+    """Return neighbors as sorted rows (i, j, n); each row stands for n pairs: (i, j), (i + 1, j + 1), and so on.
 
-    On a lattice that is numbered row by row, a few runs contain thousands of pairs.
+    If the positioners of a lattice are numbered row by row, a few rows (i, j, n) contain thousands of pairs.
     """
     if len(pairs) == 0:
         return np.empty((0, 3), dtype=np.int64)
@@ -22,7 +22,7 @@ def find_runs(pairs: np.ndarray) -> np.ndarray:
 def both_ways(pairs: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the neighbors of each of n positioners in compressed rows: start of each row, and all neighbors.
 
-    The array of neighbors is never empty, as arrays on a GPU must not be.
+    The array of neighbors is never empty, because arrays on a GPU must not be empty.
     """
     both = np.vstack([pairs, pairs[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]

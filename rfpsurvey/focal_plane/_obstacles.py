@@ -10,12 +10,12 @@ __all__ = ["find_obstacle_pairs", "find_polygons", "to_polygons"]
 
 
 def to_polygons(given) -> tuple[np.ndarray, ...]:
-    """Return the vertices of each polygon, mm, in counter-clockwise order."""
+    """Return the vertices of each polygon (mm) in counter-clockwise order."""
     return tuple(locked(convex_polygon(one, f"obstacle_polygons[{k}]")) for k, one in enumerate(given or ()))
 
 
 def find_polygons(columns) -> Polygons:
-    """Return the polygons for the kernels."""
+    """Return the polygons in the form that the kernels require."""
     polygons, shape = columns.obstacle_polygons, columns.plane.positioner.outline
     if not polygons:
         return NO_POLYGONS

@@ -1,4 +1,4 @@
-"""Reachable pairs of targets and positioners, exact at the edges of patrol areas, within the joint limits."""
+"""Find the pairs of targets and positioners in reach within the joint limits; the edges of patrol areas are exact."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -99,7 +99,7 @@ class Reach:
 
 
 def make_grid(xy, outer):
-    """Return square cells and the positioners that reach into each cell, as (x0, y0, size, nx, ny, start, order)."""
+    """Return a grid of square cells and the positioners that reach each cell: (x0, y0, size, nx, ny, start, order)."""
     reaches = outer * (1 + 1e-6)
     low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
     # limit the grid to a few cells per positioner, however far apart the positioners are
@@ -154,12 +154,14 @@ def _merge(parts, n) -> Reach:
 
 
 def _find_pairs(columns, points, accepts) -> Reach:
-    """Return the reachable pairs for the fiber types in use."""
-    plane, geometry = columns.plane, columns.geometry
-    positioners = (geometry.cx, geometry.cy, columns.inner_radius, columns.outer_radius, columns.offers)
+    """Return the reachable pairs of targets and positioners for the fiber types in use."""
+    plane, positioners = columns.plane, (columns.annuli, columns.offers)
     indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0
-    owner, r2 = (np.empty(2 * len(points) + 1024, dtype) for dtype in (np.int64, np.float64))
-    code, edges = np.empty(min(len(owner), 2 * BLOCK), dtype=np.int8), []
+    # Arrays that are too short are made again, and the pairs are listed again.
+    *_, start, order = columns.grid
+    expected = max(2.0, len(order) / (len(start) - 1))
+    owner, r2 = (np.empty(int(expected * len(points)) + 1024, dtype) for dtype in (np.int64, np.float64))
+    code, edges = np.empty(min(len(owner), int(expected * BLOCK)), dtype=np.int8), []
     for begin in range(0, len(points), BLOCK):
         x, y = points[begin : begin + BLOCK].T.copy()
         rows, types = indptr[begin : begin + len(x) + 1], np.ascontiguousarray(accepts[begin : begin + BLOCK])
@@ -191,7 +193,7 @@ def _find_pairs(columns, points, accepts) -> Reach:
 
 
 def sides(columns, points, own=None, fiber=None) -> np.ndarray:
-    """Return the elbow of each positioner (or of the rows ``own``) toward its point (mm): +1 is right, -1 is left.
+    """Return the elbow with which each positioner (or the rows ``own``) reaches its point: +1 is right, -1 is left.
 
     If the handedness allows both elbows, the elbow is right, unless the joint limits allow only the left elbow.
     """
@@ -212,7 +214,7 @@ def elbow_names(side: np.ndarray) -> np.ndarray:
 
 
 def _in_annulus_exactly(columns, i, point):
-    """Return whether a point is in a patrol area, decided in rational arithmetic."""
+    """Return whether a point is in a patrol area; the test uses rational arithmetic."""
     r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, columns.xy[i], strict=True))
     l1, l2 = Fraction(columns.central_arm[i]), Fraction(columns.eccentric_arm[i])
     inner, outer = 0 if columns.equal_arms[i] else abs(l1 - l2), l1 + l2

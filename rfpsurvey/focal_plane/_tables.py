@@ -21,7 +21,7 @@ JOINTS = {
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 """Names of the columns with the radii of circles; each circle has its own row."""
 POLYGONS = "obstacle_polygons_mm"
-"""Key of the vertices of obstacles in the meta of a table."""
+"""Key under which the ``meta`` of a table contains the vertices of obstacles."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -131,7 +131,7 @@ def _spare_names(ids, m):
 
 
 def _positioner_to_meta(positioner) -> dict:
-    """Return the arguments of a Positioner as text from which the numbers can be recovered exactly."""
+    """Return the arguments of a Positioner as text that represents the numbers exactly."""
 
     def text(value):
         if isinstance(value, u.Quantity):
@@ -147,8 +147,8 @@ def _positioner_to_meta(positioner) -> dict:
 def _positioner_from_meta(meta) -> Positioner:
     if not isinstance(meta, dict):
         raise InputError(
-            "without a positioner the meta of the table must have an entry 'positioner' with its arguments, "
-            f"such as {{'central_arm': '8.25 mm', ...}}, got {meta!r}"
+            "without the argument positioner, the meta of the table must have an entry 'positioner', such as "
+            "{{'central_arm': '8.25 mm', ...}}, got {meta!r}"
         )
     names = {f.name for f in fields(Positioner)}
     unknown = [name for name in meta if name not in names]

@@ -1,4 +1,4 @@
-"""Methods of `Instrument` that change the part of a positioner that can collide."""
+"""Methods of `Instrument` that change the arm model, the part of each positioner that can collide."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["FULL_OUTLINE", "ArmModels"]
 
 FULL_OUTLINE = "positioner.full_outline"
-"""Name of the entry with a published outline that is not the arm model of the instrument."""
+"""Name of an entry with the published outline of the arms, for instruments that have another arm model by default."""
 
 
 class ArmModels:
@@ -22,13 +22,13 @@ class ArmModels:
 
     @property
     def arm_models(self) -> tuple[str, ...]:
-        """Arm models that `with_arm_model` accepts; the first is that of the instrument, and the fullest is last."""
+        """Arm models that `with_arm_model` accepts; the first model is that of the instrument."""
         own = self.focal_plane.positioner.arm_model
         simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(own, ())
         return (own, *simpler, *(("outline",) if FULL_OUTLINE in self.values else ()))
 
     def with_arm_model(self, arm_model: str) -> "Instrument":
-        """Return the instrument with another part of each positioner that can collide (:doc:`/outlines`).
+        """Return the instrument with another model of the part of its positioners that can collide (:doc:`/outlines`).
 
         Parameters
         ----------

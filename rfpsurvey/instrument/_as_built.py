@@ -39,8 +39,9 @@ class AsBuilt:
     ) -> "Instrument":
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
-        The files contain no optics and no requirements. The optics, the requirements, and the clearance if it is
-        missing, are those of the preset ``desi``. The x axis is reversed, because +x is west in the files.
+        The files contain no optics and no requirements. The optics and the requirements are those of the preset
+        ``desi``. If the files do not contain the clearance, the clearance is also that of the preset. The x axis is
+        reversed, because +x is west in the files and east in this package.
 
         Parameters
         ----------
@@ -122,9 +123,9 @@ class AsBuilt:
     ) -> "Instrument":
         """Read SDSS-V as built: the calibration of the focal plane system at Apache Point or Las Campanas.
 
-        The ids of the positioners are those of their holes, such as R-1C14, theta and phi are alpha and beta of the
-        robots, and positions are wok coordinates. Values that the files do not contain are those of the presets
-        ``sdss_apo`` and ``sdss_lco``.
+        The ids of the positioners are those of their holes, such as R-1C14. The joint angles theta and phi are alpha
+        and beta of the robots, and positions are wok coordinates. Values that the files do not contain are those of the
+        preset of the site, ``sdss_apo`` or ``sdss_lco``.
 
         Parameters
         ----------

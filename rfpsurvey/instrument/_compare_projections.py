@@ -1,4 +1,4 @@
-"""Comparison of models of the projection of an instrument: the cheapest one that suffices."""
+"""Comparison of models of the projection of an instrument, to find the cheapest model that is accurate enough."""
 
 from dataclasses import dataclass
 
@@ -63,13 +63,13 @@ class ProjectionComparison:
 
     @property
     def sufficient(self) -> str | None:
-        """Name of the cheapest model that suffices; None if the tolerance is unknown."""
+        """Name of the cheapest model that is accurate enough; None if the tolerance is unknown."""
         if self.tolerance is None:
             return None
         return str(self.table["model"][np.flatnonzero(self.table["sufficient"])[0]])
 
     def __str__(self):
-        """Return a sentence on the displacements and the sufficient model."""
+        """Return a sentence on the displacements of targets and the cheapest model that is accurate enough."""
         radial = self.table[list(MODELS).index("radial")]
         moved = f"refraction and dispersion move targets by up to {radial['max']:.3g} ({radial['max_on_sky']:.2g})"
         if self.drift > 0 * u.mm:
@@ -105,12 +105,12 @@ def compare_projections(
     hour_angles: u.Quantity | None = None,
     tolerance: u.Quantity | None = None,
 ) -> ProjectionComparison:
-    """Compare models of the projection of a field, and name the cheapest one that suffices.
+    """Compare models of the projection of a field, and name the cheapest model that is accurate enough.
 
-    The models are, from the cheapest to the fullest, ``tangent`` (tangent plane), ``radial`` (radial map),
+    From the cheapest to the most complete, the models are ``tangent`` (tangent plane), ``radial`` (radial map),
     ``refraction`` (also refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (also the
-    wavelength of each fiber type) and ``full`` (also the mean over the exposure). A model suffices if no target moves
-    by more than the tolerance between this model and the full one.
+    wavelength of each fiber type) and ``full`` (also the mean over the exposure). A model is accurate enough if the
+    positions of all targets differ by at most the tolerance from those of the model ``full``.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def compare_projections(
     Returns
     -------
     ProjectionComparison
-        Table of the models, with the name of the sufficient one.
+        Table of the models, with the name of the cheapest model that is accurate enough.
 
     Raises
     ------
@@ -165,9 +165,9 @@ def compare_projections(
 def choose_projection(
     instrument: Instrument, plane: TangentPlane, conditions: ObservingConditions | None, model: str | None
 ) -> tuple[FieldProjection | ObservedField, dict]:
-    """Return the projection of a field by a model, and a record of the model and of what others neglect.
+    """Return the projection of a field with a model, and a record of the displacements that each model neglects.
 
-    The model ``auto`` is the cheapest one that suffices.
+    The model ``auto`` is the cheapest model that is accurate enough.
     """
     check_conditions(conditions, optional=True)
     compared = None if conditions is None else _compare(instrument, plane, [conditions])
@@ -187,13 +187,13 @@ def choose_projection(
 
 
 def _field(instrument, plane, conditions):
-    """Return the parameters of `field_of_model` after the model."""
+    """Return the parameters of `field_of_model` that follow the name of the model."""
     focal_length, radius = plane.plate_scale.to_value(u.mm / u.rad), instrument.field_radius.to_value(u.rad)
     return plane.plain.basis, focal_length, instrument.distortion, conditions, radius
 
 
 def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
-    """Compare the models under one or several conditions."""
+    """Compare the models of the projection for one or several observing conditions."""
     if tolerance is None:
         tolerance = cases[0].tolerance
     entry = instrument.values.get("optics.fiber_diameter")

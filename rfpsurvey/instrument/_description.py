@@ -24,7 +24,7 @@ PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 def load(path: Path, heirs: tuple = ()) -> dict:
     """Read a description, and add default values and the values of the description that it inherits from.
 
-    The key ``inherits`` is the name of that description, which is a file in the same folder or a preset.
+    The key ``inherits`` contains the name of the other description, which is a file in the same folder or a preset.
     """
     if path in heirs:
         raise InputError(f"{path} inherits from itself")
@@ -49,7 +49,7 @@ def build(content: dict, folder: Path) -> dict:
     """Return the arguments of `Instrument` for a description; tables are read from ``folder``."""
     check_description(content)
     if "positioner" not in content:
-        raise InputError("the section [positioner] must be there, got none")
+        raise InputError("the description must have the section [positioner], got none")
     lacking = {"central_arm", "eccentric_arm", "clearance"} - set(content["positioner"])
     if lacking:
         raise InputError(f"[positioner] lacks {', '.join(sorted(lacking))}")

@@ -1,8 +1,8 @@
 """DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
 
 The files of desimeter and desimodel use the coordinate system CS5, in which +x is west and +y is north at a field
-rotation of 0. In the focal plane of this package, +x is east. The mirror image, x = -X, exchanges the handedness and
-the signs of the joint angles.
+rotation of 0. In the focal plane of this package, +x is east. The conversion reverses the sign of x; this reflection
+also reverses the handedness and the signs of the joint angles.
 """
 
 import gzip
@@ -33,7 +33,7 @@ LEFT_OUT = (
     "x is the negative x of CS5, because +x is east here and west in CS5. A segment with a clearance replaces the "
     "polygons of a positioner and leaves out the wider elbow and the central bodies; with_arm_model('outline') "
     "includes them. Guide cameras, fiducials and petal edges are not treated as obstacles. The arms move in the plane "
-    "of the centers, not in planes tangent to the focal surface. The radial map is that of the preset."
+    "of the centers, not in planes tangent to the focal surface. The radial map is that of the preset desi."
 )
 
 
@@ -62,7 +62,7 @@ def read(preset, path, *, state=None, exclusions=None, time=None):
     metrology = "X_FP" in table.colnames
     for name, value in {"state": state, "exclusions": exclusions}.items():
         if metrology and value is not None:
-            raise InputError(f"{name} must be None for a metrology, got {value}")
+            raise InputError(f"{name} must be None for a metrology file, got {value}")
     if time is not None and state is None:
         raise InputError(f"time must be None without a state, got {time}")
     if metrology:
@@ -95,7 +95,7 @@ def _from_model(preset, table, path, state, exclusions, moment):
     angles = {name: numbers(table, name, u.deg, path) for name in ANGLES}
     notes, columns, polygons = [f"The {len(ids)} positioners are those in {path.name}.{others}"], {}, None
     if state is None:
-        notes.append("No state was given, so that all positioners count as working.")
+        notes.append("No state was given; therefore, all positioners count as working.")
     else:
         columns, limits, polygons, text = find_conditions(state, ids, moment)
         angles |= {name: np.where(np.isfinite(value), value, angles[name]) for name, value in limits.items()}

@@ -12,8 +12,8 @@ def find_outline(polygons: dict) -> ArmOutline:
     """Return the outline of exclusion polygons in CS5.
 
     ``phi`` is in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles become discs.
-    Lines that are not closed are joined at their nearest ends, and their first and last points are joined, because
-    fiberassign tests only the lines themselves.
+    fiberassign tests only the lines themselves, which need not be closed. Here, lines that are not closed are joined at
+    their nearest ends to one closed polygon.
     """
     return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
 
@@ -31,12 +31,12 @@ def _parts(shape: dict) -> list:
 
 
 def _divided(ring: np.ndarray) -> tuple:
-    """Return the convex parts of a polygon; fewer than three vertices are one part."""
+    """Return the convex parts of a polygon; a polygon with fewer than three vertices is one part."""
     return (ring * u.mm,) if len(ring) < 3 else divide_polygon(ring * u.mm)
 
 
 def _joined(lines: list[np.ndarray]) -> np.ndarray:
-    """Return the vertices of all lines in one order, in which each line starts near the end of the line before."""
+    """Return the vertices of all lines as one sequence; each line starts near the end of the preceding line."""
     found, *others = lines
     while others:
         gaps = [[np.hypot(*(line[end] - found[-1])) for end in (0, -1)] for line in others]

@@ -34,7 +34,7 @@ def moment_of(value: object, what: str) -> datetime:
             return value.utc.to_datetime(timezone=UTC)
         found = datetime.fromisoformat(value)
     except (TypeError, ValueError):
-        raise refusal(f"{what} must be a Time or a text such as '2021-05-14T00:00:00'", value, str, Time) from None
+        raise refusal(f"{what} must be a Time or text such as '2021-05-14T00:00:00'", value, str, Time) from None
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
@@ -62,7 +62,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
 
-    The table is a log of events: the last event of each positioner that is not after the time applies.
+    The table is a log of events. The state of a positioner is that after its last event at or before the time.
     """
     table = read_table(path)
     check_columns(table, STATE, path)
@@ -140,7 +140,11 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndar
     except (InputError, KeyError, IndexError, TypeError, ValueError):
         return found, None, f"{text} The polygons with the name {most!r} form no outline."
     text += f" The outline for with_arm_model consists of the polygons with the name {most!r}"
-    return found, outline, f"{text}, also for {number_of(others, 'positioner')} with others." if others else f"{text}."
+    return (
+        found,
+        outline,
+        f"{text}, also for {number_of(others, 'positioner')} with other polygons." if others else f"{text}.",
+    )
 
 
 def _half_width(polygon: object, what: str) -> float:

@@ -51,7 +51,7 @@ def whole(table, name: str, path) -> np.ndarray:
 
 
 def some(ids, mask) -> str:
-    """Return the number of marked positioners and the first few of their ids."""
+    """Return text with the number of positioners for which a mask is true, and the first few of their ids."""
     few = ", ".join(map(str, ids[mask][:3])) + (", ..." if mask.sum() > 3 else "")
     return f"{number_of(int(mask.sum()), 'positioner')} ({few})"
 

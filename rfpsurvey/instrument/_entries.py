@@ -163,7 +163,7 @@ ENTRIES = {
 OBSERVING = _whole(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
-"""Keys of an entry for which a description may set a default, before all sections."""
+"""Keys of entries for which a description may set a default value at the top of the file."""
 SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))

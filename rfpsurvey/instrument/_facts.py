@@ -84,7 +84,7 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) of distances from the axis (mm), the largest if they depend on the fiber type.
+    """Return the field angles (radians) at distances from the axis (mm); they are the largest of all fiber types.
 
     Outside the range of a radial map, the angle is the largest angle of the map.
     """

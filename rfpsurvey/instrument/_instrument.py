@@ -3,6 +3,7 @@
 import hashlib
 import os
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cached_property
 from numbers import Number
 from pathlib import Path
 
@@ -214,20 +215,34 @@ class Instrument(ArmModels, AsBuilt, Projections):
         Returns
         -------
         dict
-            Name to number, text or Quantity: ``positioners`` (number of all positioners), ``usable_positioners``
-            (number of those neither disabled nor stuck), ``fibers`` (dict of fiber type to the number of positioners
-            that have it; the type is ``""`` if fiber types are not distinguished), ``spectrographs``, ``obstacles``;
-            ``field_shape`` (circle, hexagon, square, triangle or irregular: the shape of the convex hull of the
-            centers), ``field_radius`` and ``focal_plane_radius`` (distance of the outermost point in reach from the
-            center, on the sky and on the focal plane), ``field_of_view`` (solid angle of the convex hull of all
-            patrol areas), ``footprint`` (area of the convex hull of the centers), ``plate_scale`` (at the field
-            center); ``pitch`` (distance to the nearest center), ``central_arm``, ``eccentric_arm``,
-            ``inner_patrol_radius``, ``patrol_radius`` (medians over all positioners); ``min_separation``,
-            ``collision_type``; ``coverage`` (fraction of the footprint that at least one positioner reaches),
-            ``multiplicity`` and ``max_multiplicity`` (mean and largest number of positioners that reach a point of
-            the footprint), computed from 2**18 points with standard errors below 0.001, NaN without a footprint;
-            ``positioner_density`` (number of positioners per area of the field of view); ``layout``; ``published``,
-            ``derived`` and ``assumed`` (names of the values with this status, see `to_table`).
+            Facts by name, as numbers, text, quantities, dicts or tuples:
+
+            - ``positioners`` and ``usable_positioners``: numbers of all positioners, and of those that are neither
+              disabled nor stuck.
+            - ``fibers``: dict of fiber type to the number of positioners that have it. The type is ``""`` if fiber
+              types are not distinguished.
+            - ``spectrographs`` and ``obstacles``: numbers of spectrographs and of obstacles.
+            - ``field_shape``: shape of the convex hull of the centers (circle, hexagon, square, triangle or irregular).
+            - ``field_radius`` and ``focal_plane_radius``: distance of the outermost point in reach from the center, on
+              the sky and on the focal plane.
+            - ``field_of_view``: solid angle of the convex hull of all patrol areas.
+            - ``footprint``: area of the convex hull of the centers.
+            - ``plate_scale``: plate scale at the field center.
+            - ``pitch``: distance to the nearest center, median over all positioners.
+            - ``central_arm``, ``eccentric_arm``, ``inner_patrol_radius`` and ``patrol_radius``: medians over all
+              positioners.
+            - ``min_separation``: minimum separation of two arms.
+            - ``collision_type``: 1 if no arms can touch, 2 if only arms of first neighbors can, 3 if more distant arms
+              can.
+            - ``coverage``: fraction of the footprint that at least one positioner reaches.
+            - ``multiplicity`` and ``max_multiplicity``: mean and largest number of positioners that reach a point of
+              the footprint.
+            - ``positioner_density``: number of positioners per area of the field of view.
+            - ``layout``: ``nominal`` or ``as built``.
+            - ``published``, ``derived`` and ``assumed``: names of the values with this status, see `to_table`.
+
+            Coverage and multiplicity are computed from 2**18 points, with standard errors below 0.001. They are NaN
+            without a footprint.
 
         Examples
         --------
@@ -254,8 +269,13 @@ class Instrument(ArmModels, AsBuilt, Projections):
     @property
     def provenance(self) -> dict:
         """Return the information on the instrument that results record."""
-        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on it
+        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}
         plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
+        return {"name": self.name, "layout": self.layout, "values": plain, "digest": self._digest}
+
+    @cached_property
+    def _digest(self) -> str:
+        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on it
         plane = self.focal_plane
         parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
@@ -271,7 +291,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
         columns += arrays.obstacle_polygons
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
-        return {"name": self.name, "layout": self.layout, "values": plain, "digest": digest.hexdigest()[:16]}
+        return digest.hexdigest()[:16]
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:

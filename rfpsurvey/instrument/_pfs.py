@@ -33,8 +33,9 @@ FOLDED = 185.9
 def find_pfs_files(path: Path) -> dict | None:
     """Return the files of PFS in a folder, or a file of dots, as arguments of `read_pfs`; None for any other path.
 
-    The files can also be in the folders ``dot`` and ``fiducials`` of the folder, as in the observatory's repository.
-    Of several files of one kind, the last by name is used, which is the latest by the dates in the names.
+    The files can also be in the folders ``dot`` and ``fiducials`` of the folder, as in the observatory's repository. If
+    there are several files of one kind, the last one in alphabetical order is used, because its name contains the
+    latest date.
     """
     if path.is_file():
         return {"dots": path} if _is_file_of_dots(path) else None
@@ -141,7 +142,7 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         "contain the positions of those that cannot move"
     )
     others = int((unknown & ~bad).sum())
-    return columns, text + (f"; so are {others} whose arm lengths are not within 1 to 5 mm." if others else ".")
+    return columns, text + (f"; {others} whose arm lengths are not from 1 to 5 mm are also parked." if others else ".")
 
 
 def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
@@ -171,9 +172,9 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     phi[rows[~by_theta]] = np.column_stack([low, extended])[~by_theta]
     columns["theta_range"], columns["phi_range"] = theta * u.deg, phi * u.deg
     return (
-        f"{len(rows)} cobras have limits because of a fiducial. A limit concerns both joints together. "
-        f"Instead, the range of theta is restricted for {by_theta.sum()} cobras and the range of phi for "
-        f"{(~by_theta).sum()} cobras, which forbids more than the limits do."
+        f"{len(rows)} cobras have limits because of a fiducial. Each limit is a condition on both joint angles. "
+        f"As an approximation, the range of theta is restricted for {by_theta.sum()} cobras and the range of phi for "
+        f"{(~by_theta).sum()} cobras, which excludes more poses than the limits."
     )
 
 

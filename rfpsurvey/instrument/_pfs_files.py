@@ -60,8 +60,8 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
     circles = np.column_stack([xy[seen], np.zeros(seen.sum())]) * u.mm
     none = [str(int(k)) for k in np.sort(table["fiducialId"][~seen])]
     text = (
-        f"{path.name}: {seen.sum()} fiducials are obstacles of radius 0, because the file has no radii; their flags "
-        "concern their light and are not used."
+        f"{path.name}: {seen.sum()} fiducials are obstacles of radius 0, because the file has no radii; the flags in "
+        "the file describe the light of the fiducials and are not used."
     )
     return circles, text + (f" Fiducials without a position: {', '.join(none)}." if none else "")
 

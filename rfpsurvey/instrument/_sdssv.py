@@ -46,7 +46,7 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
     robots = _Rows(folder / TABLE, ("site", "holeID", "alphaArmLen", *OFFSETS, *sum(FIBERS.values(), ())))
     site = robots.keep_site(site)
     nominal = preset(PRESETS[site])
-    notes = [f"{number_of(len(robots), 'robot')} of {folder.name}/{TABLE}, site {site}."]
+    notes = [f"The positioners are the {number_of(len(robots), 'robot')} in {folder.name}/{TABLE} of the site {site}."]
     robots.order_as(nominal.focal_plane.id)
     ids = robots.text("holeID")
     robots.check_unique("holeID")
@@ -96,7 +96,7 @@ class _Rows:
         return np.char.strip(np.where(np.ma.getmaskarray(np.ma.asarray(column)), "", values))
 
     def numbers(self, name: str, *, finite: bool = False) -> np.ndarray:
-        """Return a column as numbers; missing values are NaN, or an error."""
+        """Return a column as numbers; missing values become NaN or, if ``finite`` is true, raise an error."""
         texts = self.text(name)
         try:
             values = np.array([float(text) if text else np.nan for text in texts.tolist()])
@@ -117,7 +117,9 @@ class _Rows:
         if site is None:
             sites = np.unique(found).tolist()
             if len(sites) > 1:
-                raise InputError(f"{self.path}: site must be one of {', '.join(sites)}, because the table has several")
+                raise InputError(
+                    f"{self.path}: site must be one of {', '.join(sites)}, because the table has several sites"
+                )
             site = sites[0]
         if site not in PRESETS:
             raise InputError(f"{self.path}: site must be {' or '.join(PRESETS)}, got {site!r}")
@@ -170,7 +172,7 @@ def _bases(folder, site, robots, notes):
     if (rows < 0).any():
         hole = robots.text("holeID")[rows < 0][0]
         raise InputError(f"{wok.path}: the table must have all holes of {TABLE}, but {hole} is missing")
-    notes.append(f"{number_of(len(wok) - len(rows), 'hole')} of wokCoords.csv hold no robot.")
+    notes.append(f"wokCoords.csv has {number_of(len(wok) - len(rows), 'hole')} without a robot.")
     xy = np.column_stack([wok.numbers(name, finite=True) for name in ("xWok", "yWok")])[rows]
     if not all(wok.has(name) for name in VECTORS):
         return xy, np.full(len(rows), -np.pi / 2)
@@ -179,7 +181,7 @@ def _bases(folder, site, robots, notes):
     if bad.any():
         raise InputError(
             f"{wok.path}: the robots must stand perpendicular to the focal plane, with unit vectors i and j in it, "
-            f"got others for {robots.text('holeID')[bad][0]}"
+            f"got other vectors for {robots.text('holeID')[bad][0]}"
         )
     return xy, np.arctan2(i_y, i_x)
 
@@ -199,10 +201,10 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     others = int((~is_robot).sum())
     rows.keep(is_robot)
     index = rows.rows_of(holes)
-    notes.append(f"{number_of(others, 'row')} of fiberAssignments.csv that are no positioners were not used.")
+    notes.append(f"fiberAssignments.csv has {number_of(others, 'row')} of other devices, which are not used.")
     lacking, extra = holes[index < 0], len(rows) - int((index >= 0).sum())
     if len(lacking):
-        notes.append(f"Without a row in fiberAssignments.csv, and therefore without fibers: {', '.join(lacking)}.")
+        notes.append(f"These robots have no row in fiberAssignments.csv and thus no fibers: {', '.join(lacking)}.")
     if extra:
         text = f"{number_of(extra, 'positioner')} of fiberAssignments.csv without a row in {TABLE}"
         notes.append(f"Not used: {text}.")
@@ -219,16 +221,19 @@ def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
     standard = {"alphaArmLen": nominal.arrays.central_arm[0], **dict.fromkeys(OFFSETS, 0.0)}
     values = {name: np.where(bad, standard[name], v) for name, v in own.items()}
     if bad.any():
-        notes.append(f"Disabled, because values in {TABLE} are missing: {', '.join(ids[bad])}.")
+        notes.append(f"These robots are disabled, because values in {TABLE} are missing: {', '.join(ids[bad])}.")
     names = ("BOSS", "APOGEE")
     for k, name in enumerate(names):
         lost = types[:, k] & ~np.isfinite(places[name]).all(axis=1)
         types[:, k] &= ~lost
         if lost.any():
-            notes.append(f"Without the fiber {name}, because its place in {TABLE} is missing: {', '.join(ids[lost])}.")
+            notes.append(
+                f"The fiber {name} of these robots is not used, because its position in {TABLE} is missing: "
+                f"{', '.join(ids[lost])}."
+            )
     none = ~types.any(axis=1)
     if none.any():
-        notes.append(f"Disabled, because they have no fiber: {', '.join(ids[none])}.")
+        notes.append(f"These robots are disabled, because they have no fiber: {', '.join(ids[none])}.")
         arm = nominal.arrays.eccentric_arm[0]
         places["BOSS"][none & ~np.isfinite(places["BOSS"]).all(axis=1)] = arm, 0.0
         types[none, 0] = True
@@ -262,8 +267,8 @@ def _obstacles(folder, site, nominal, ids, notes):
     xy = np.column_stack([rows.numbers(name, finite=True) for name in ("xWok", "yWok")])[between]
     radius = nominal[0, 2].to_value(u.mm)
     notes.append(
-        f"{number_of(len(xy), 'fiducial')} of fiducialCoords.csv between the robots are obstacles of radius "
-        f"{radius:g} mm; the {int((~between).sum())} on the rim and the guide cameras are not."
+        f"Fiducials between the robots ({len(xy)} of {len(rows)} in fiducialCoords.csv) are obstacles of radius "
+        f"{radius:g} mm; other fiducials and the guide cameras are not obstacles."
     )
     return np.column_stack([xy, np.full(len(xy), radius)]) * u.mm
 

@@ -37,7 +37,7 @@ from rfpsurvey.pipeline import (
 )
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, where
-from rfpsurvey.tile._targets import by_positioner, counts_by_kind, targets_of_field
+from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["plan_tile"]
@@ -169,7 +169,8 @@ def plan_tile(
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
-    targets = FieldTargets(catalog.arrays.vectors[given], catalog.id[given], TargetColumns(**columns), extra=extra)
+    vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as an index of rows
+    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), extra=extra)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
@@ -222,7 +223,7 @@ def plan_tile(
         catalog.meta,
         kind=plan.kind,
         carried=by_positioner(catalog, plan, row_of),
-        targets=targets_of_field(catalog, rows, given, plan),
+        targets=TargetsOfField(catalog, rows, given, plan),
         software=packages(options),
     )
 

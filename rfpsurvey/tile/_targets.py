@@ -1,6 +1,7 @@
 """The outcome of every target of a field, and completeness by class."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +14,7 @@ from rfpsurvey.pipeline import OUTCOMES, FieldPlan, Outcome, category_classes, o
 from rfpsurvey.tile._columns import COMPLETENESS, KEPT_COLUMN, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
 from rfpsurvey.tile._idle import idle_tables
 
-__all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind", "targets_of_field"]
+__all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind"]
 
 COLUMNS = ("kind", "category", "priority")
 LOST, OBSERVED, UNREACHED, UNUSED = (
@@ -21,24 +22,73 @@ LOST, OBSERVED, UNREACHED, UNUSED = (
 )
 
 
-class TargetsOfField(NamedTuple):
-    """All targets of a field as plain arrays, from which a table is made on request."""
+@dataclass(frozen=True, eq=False)
+class TargetsOfField:
+    """All targets of a field; arrays and tables are made when they are used for the first time."""
 
-    id: np.ndarray
-    vectors: np.ndarray
-    """ICRS unit vectors."""
-    xy_mm: np.ndarray
-    """Positions on the focal plane; NaN for targets that are not requested."""
-    columns: dict
-    """Kind, category, priority and further columns of the catalog, by name."""
-    outcome: np.ndarray
-    """Index of ``OUTCOMES``."""
-    positioner: np.ndarray
-    """Row of the positioner of each target; -1 for targets without a positioner."""
-    plan: FieldPlan | None = None
-    """The plan, from which the reasons why positioners are idle are found on request."""
-    given: np.ndarray | None = None
-    """Row of each target of the plan."""
+    catalog: Catalog
+    rows: np.ndarray
+    """Rows of the targets of the field in the catalog."""
+    allocated: np.ndarray
+    """Rows of the targets that the allocator received."""
+    plan: FieldPlan
+
+    @cached_property
+    def given(self) -> np.ndarray:
+        """Row in this field of each target that the allocator received."""
+        every = len(self.allocated) == len(self.rows)
+        return np.arange(len(self.rows)) if every else np.searchsorted(self.rows, self.allocated)
+
+    @cached_property
+    def id(self) -> np.ndarray:
+        """Identifiers of the targets."""
+        return self.catalog.id[self.rows]
+
+    @cached_property
+    def vectors(self) -> np.ndarray:
+        """ICRS unit vectors."""
+        return self.catalog.arrays.vectors[self.rows]
+
+    @cached_property
+    def xy_mm(self) -> np.ndarray:
+        """Positions on the focal plane; NaN for targets that are not requested."""
+        xy = np.full((len(self.rows), 2), np.nan)
+        xy[self.given] = self.plan.allocation.xy.to_value(u.mm)[: len(self.given)]
+        return xy
+
+    @cached_property
+    def columns(self) -> dict:
+        """Kind, category, priority and further columns of the catalog, by name."""
+        columns = {name: getattr(self.catalog, name) for name in COLUMNS}
+        columns = {name: values[self.rows] for name, values in columns.items() if values is not None}
+        units, extra = self.catalog.arrays.extra_units, self.catalog.arrays.extra
+        columns.update((name, with_unit(values[self.rows], units[name])) for name, values in extra.items())
+        return columns
+
+    @cached_property
+    def outcome(self) -> np.ndarray:
+        """Index of ``OUTCOMES``."""
+        plan, n = self.plan, len(self.given)
+        of_catalog, colliding = plan.target >= 0, plan.report.in_collision[plan.positioner]
+        outcome = np.full(len(self.rows), Outcome.NOT_REQUESTED, dtype=np.uint8)
+        lost, observed = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+        lost[plan.target[of_catalog & colliding]] = True
+        observed[plan.target[of_catalog & ~colliding]] = True
+        outcome[self.given] = outcome_codes(plan.allocation.in_reach[:n], lost, observed)
+        return outcome
+
+    @cached_property
+    def positioner(self) -> np.ndarray:
+        """Row of the positioner of each target; -1 for targets without a positioner."""
+        plan, of_catalog = self.plan, self.plan.target >= 0
+        positioner = np.full(len(self.rows), -1)
+        positioner[self.given[plan.target[of_catalog]]] = plan.positioner[of_catalog]
+        return positioner
+
+    def __reduce__(self):
+        # copies and files contain the targets of the field instead of the complete catalog
+        part = self.catalog[self.rows]
+        return TargetsOfField, (part, np.arange(len(self.rows)), self.given, self.plan)
 
     def idle(self, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
         """Return a table with a row for each positioner without a target, and a table of its free targets in reach."""
@@ -56,26 +106,6 @@ class TargetsOfField(NamedTuple):
         for name, values in self.columns.items():
             table[name] = values
         return describe(table, OUTCOMES_COLUMNS, KEPT_COLUMN)
-
-
-def targets_of_field(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> TargetsOfField:
-    """Return all targets of a field (``rows`` of the catalog); ``given`` are those that the allocator received."""
-    allocation, n = plan.allocation, len(given)
-    place = np.arange(n) if n == len(rows) else np.searchsorted(rows, given)
-    outcome, positioner = np.full(len(rows), Outcome.NOT_REQUESTED, dtype=np.uint8), np.full(len(rows), -1)
-    xy = np.full((len(rows), 2), np.nan)
-    of_catalog, colliding = plan.target >= 0, plan.report.in_collision[plan.positioner]
-    lost, observed = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    lost[plan.target[of_catalog & colliding]] = True
-    observed[plan.target[of_catalog & ~colliding]] = True
-    outcome[place] = outcome_codes(allocation.in_reach[:n], lost, observed)
-    positioner[place[plan.target[of_catalog]]] = plan.positioner[of_catalog]
-    xy[place] = allocation.xy.to_value(u.mm)[:n]
-    columns = {name: getattr(catalog, name) for name in COLUMNS}
-    columns = {name: values[rows] for name, values in columns.items() if values is not None}
-    units = catalog.arrays.extra_units
-    columns.update((name, with_unit(values[rows], units[name])) for name, values in catalog.arrays.extra.items())
-    return TargetsOfField(catalog.id[rows], catalog.arrays.vectors[rows], xy, columns, outcome, positioner, plan, place)
 
 
 def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:

@@ -72,9 +72,11 @@ def test_arms_of_another_focal_plane_are_refused():
     plane, _ = SCENES["equal arms"]
     posed = place_arms(plane, plane.xy)
     elsewhere = rs.FocalPlane(plane.xy + 30 * MM, plane.positioner)
-    with pytest.raises(rs.InputError, match="the arms are those of another focal plane: 37 elbows"):
+    with pytest.raises(rs.InputError, match="the arms belong to another focal plane: 37 elbows"):
         rs.find_collisions(elsewhere, posed)
-    with pytest.raises(rs.InputError, match="the arms are those of 37 positioners, not of 7"):
+    with pytest.raises(
+        rs.InputError, match="the arms must belong to the 7 positioners of the focal plane, got the arms of 37"
+    ):
         rs.find_collisions(rs.FocalPlane.hexagonal(plane.positioner, rings=1, pitch=25.6 * MM), posed)
 
 

@@ -161,11 +161,15 @@ def test_bad_draws_are_named():
     xy = plane.xy + 1 * MM
     with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
         rs.count_collisions(plane, rs.allocate(plane, xy))
-    with pytest.raises(rs.InputError, match="drawn from the queues of 'balanced', not of 'lamost'"):
+    with pytest.raises(
+        rs.InputError, match="drawn only from the queues of the allocator 'balanced', got the allocator 'lamost'"
+    ):
         rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
-    with pytest.raises(rs.InputError, match="the method 'exact', not by 'cuda'"):
+    with pytest.raises(
+        rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
+    ):
         rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, method="cuda")
-    with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
+    with pytest.raises(rs.InputError, match="the allocation must be for the 19 positioners of the focal plane, got 7"):
         rs.count_collisions(lamost_like(2), rs.allocate(plane, xy), n_configurations=3)
     elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
     with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):

@@ -63,7 +63,7 @@ def test_rows_along_y_are_rows_along_x_with_the_axes_exchanged():
 
 @pytest.mark.parametrize("size", [{}, {"rings": 2, "count": 3}, {"rings": 1.5}, {"count": 0}, {"rings": -1}])
 def test_size_must_be_said_once(size):
-    with pytest.raises(rs.InputError, match=r"give rings or count|must be a whole number"):
+    with pytest.raises(rs.InputError, match=r"give rings, or count|must be a whole number"):
         rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, **size)
     with pytest.raises(rs.InputError, match="pitch must be one finite value above 0 mm"):
         rs.FocalPlane.hexagonal(robot(), pitch=0 * MM, rings=1)
@@ -198,7 +198,7 @@ def test_table_round_trip(tmp_path):
         ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
         ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
         ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
-        ({"x": [0] * MM, "y": [0] * MM}, "without a positioner the meta of the table must have an entry"),
+        ({"x": [0] * MM, "y": [0] * MM}, "without the argument positioner, the meta of the table must have an entry"),
     ],
 )
 def test_bad_tables_are_named(table, message):
@@ -211,7 +211,7 @@ def test_bad_tables_are_named(table, message):
     [
         ({"xy": [[0, 0], [0, 0]] * MM}, "two positioners have the same center"),
         ({"xy": np.empty((0, 2)) * MM}, "at least one positioner"),
-        ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, but 1 rows"),
+        ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, got 1 rows"),
         ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
         ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
         ({"id": [1]}, "id must have one value per positioner"),
@@ -235,7 +235,9 @@ def test_fiber_types_are_names_between_plus_signs():
     assert plane.fiber_types == ("A", "B")
     got = plane.reachable([[10, 0], [10, 0]] * MM, ["A", "B"]).toarray()
     np.testing.assert_array_equal(got, [[True, False], [False, True]])
-    with pytest.raises(rs.InputError, match="fiber_type must name a type for every positioner, or for none"):
+    with pytest.raises(
+        rs.InputError, match="fiber_type must contain a type for every positioner, or for no positioner"
+    ):
         rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), fiber_type=["A", ""])
     with pytest.raises(rs.InputError, match="central_arm must be 2 positive lengths"):
         rs.FocalPlane([[0, 0], [20, 0]] * MM, robot(), central_arm=[np.inf, 1] * MM)
@@ -248,3 +250,18 @@ def test_nearest_cells_with_equal_radius_are_taken_by_angle():
     np.testing.assert_allclose(angle, [0, 60, 120])
     with pytest.raises(rs.InputError, match="rows_along must be 'x' or 'y'"):
         rs.FocalPlane.hexagonal(robot(), count=4, pitch=10 * MM, rows_along="z")
+
+
+@pytest.mark.parametrize("n", [0, 1, 255, 256, 257, 600])
+def test_the_pairs_of_many_targets_are_those_of_single_targets(n, rng):
+    """The kernel looks up the cells of 256 targets at a time."""
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), rings=4, pitch=20 * MM)
+    points = rng.uniform(-130, 130, (n, 2))  # some are outside of the grid
+    points[::7] = np.nan
+    together = plane.arrays.reach(points)
+    assert len(together.indptr) == n + 1
+    for t in range(n):
+        alone = plane.arrays.reach(points[t : t + 1])
+        rows = slice(together.indptr[t], together.indptr[t + 1])
+        np.testing.assert_array_equal(together.owner[rows], alone.owner)
+        np.testing.assert_array_equal(together.r2[rows], alone.r2)

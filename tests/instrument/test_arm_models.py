@@ -136,7 +136,7 @@ def test_from_desi_mirrors_the_polygons_of_most_positioners(tmp_path, closed):
     path = tmp_path / "desi-exclusion_2020-01-01T00:00:00.json"
     path.write_text(json.dumps({"default": shapes, "other": other}))
     desi = rs.Instrument.from_desi(tmp_path)
-    assert "also for 1 positioner with others" in desi.notes
+    assert "also for 1 positioner with other polygons" in desi.notes
     assert desi.values["positioner.full_outline"]["status"] == "derived"
     assert_legacy(desi.with_arm_model("outline").focal_plane.positioner.outline, sign=-1)
 

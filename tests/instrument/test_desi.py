@@ -274,7 +274,7 @@ def test_lengths_in_another_unit_are_converted(tmp_path):
     ("edit", "sentence"),
     [
         (without("STATE"), "must have the column 'STATE'"),
-        (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or a text such as .*, got 'yesterday'"),
+        (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or text such as .*, got 'yesterday'"),
         (text("STATE"), "column 'STATE' must hold one whole number for each row, got 'broken'"),
         (set_("POS_T", 1, np.nan), "column 'POS_T' must hold a finite number for each row"),
     ],
@@ -336,11 +336,11 @@ def test_arguments_that_do_not_fit_are_refused(folder):
     plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
     for path, options, sentence in (
         (folder, {"time": "2019-01-01"}, "time must be at least 2020-01-01"),
-        (folder, {"time": "soon"}, "time must be a Time or a text such as .*, got 'soon'"),
-        (folder, {"time": 3}, "time must be a Time or a text such as .*, got 3"),
+        (folder, {"time": "soon"}, "time must be a Time or text such as .*, got 'soon'"),
+        (folder, {"time": 3}, "time must be a Time or text such as .*, got 3"),
         (plane, {"time": "2021-01-01"}, "time must be None without a state, got 2021-01-01"),
         (plane, {"state": log, "time": "2019-01-01"}, "time must be at least 2020-01-01T00:00:00.*, the first event"),
-        (folder / "fp.csv", {"state": log}, "state must be None for a metrology"),
+        (folder / "fp.csv", {"state": log}, "state must be None for a metrology file"),
         (folder / "none.csv", {}, "there is no such file"),
     ):
         with pytest.raises(rs.errors.InputError, match=sentence):

@@ -178,7 +178,7 @@ def test_other_packages_add_instruments(tmp_path, monkeypatch):
     ("content", "message"),
     [
         ("[[", "cannot be read as TOML"),
-        ('name = "x"', "section .positioner. must be there"),
+        ('name = "x"', "must have the section .positioner."),
         (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
         (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
         (

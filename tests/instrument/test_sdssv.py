@@ -65,8 +65,8 @@ def test_the_instrument_combines_the_files_with_the_preset(folder):
     assert inst.distortion["BOSS"].factor == preset.distortion["BOSS"].factor
     assert inst.requirements == preset.requirements
     assert "layout.pitch" not in inst.values
-    assert "1 hole of wokCoords.csv" in inst.notes
-    assert "1 fiducial of fiducialCoords.csv between the robots" in inst.notes
+    assert "wokCoords.csv has 1 hole without a robot." in inst.notes
+    assert "Fiducials between the robots (1 of 2 in fiducialCoords.csv)" in inst.notes
     assert as_instrument(str(folder)).provenance == inst.provenance
     assert inst.to_table()
 
@@ -108,9 +108,12 @@ def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
     inst = rs.Instrument.read(folder)
     plane = inst.focal_plane
     assert plane.id[plane.disabled].tolist() == ["R-1C13", "R0C13"]
-    assert "Disabled, because values in positionerTable.csv are missing: R0C13." in inst.notes
-    assert "Without the fiber BOSS, because its place in positionerTable.csv is missing: R-1C13." in inst.notes
-    assert "Disabled, because they have no fiber: R-1C13." in inst.notes
+    assert "These robots are disabled, because values in positionerTable.csv are missing: R0C13." in inst.notes
+    assert (
+        "The fiber BOSS of these robots is not used, because its position in positionerTable.csv is missing: R-1C13."
+        in inst.notes
+    )
+    assert "These robots are disabled, because they have no fiber: R-1C13." in inst.notes
     assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
 
 

@@ -1,5 +1,7 @@
 """The outcome of every target of a field, and the columns of the catalog in the table of a tile."""
 
+import pickle
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -200,3 +202,26 @@ def test_the_short_text_counts_kinds(tile, science_only):
     kinds = {kind: counts["n_assigned"] for kind, counts in tile.summary["kinds"].items()}
     assert f"({kinds['science']} science, {kinds['standard']} standard, {kinds['sky']} sky)" in repr(tile)
     assert "(" not in repr(science_only)
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_a_copied_tile_has_the_same_tables_and_only_the_targets_of_its_field(presets, early):
+    model = presets["moons"]
+    center = SkyCoord("6h20m +23d")
+    wide = rs.synthetic_catalog("uniform", center, 20 * model.field_radius, n_targets=200_000, rng=1)
+    kind = np.where(np.arange(len(wide)) % 3 == 0, "standard", "science")
+    tile = rs.plan_tile(rs.Catalog(wide.coord, kind=kind), model, center)
+    expected = (tile.outcomes, tile.idle, tile.idle_targets) if early else None
+    content = pickle.dumps(tile)
+    assert len(content) < 1_000_000  # the complete catalog has 8 MB
+    copy = pickle.loads(content)
+    expected = expected or (tile.outcomes, tile.idle, tile.idle_targets)
+    for one, other in zip((copy.outcomes, copy.idle, copy.idle_targets), expected, strict=True):
+        assert one.colnames == other.colnames
+        for name in one.colnames:
+            assert (np.asarray(one[name]) == np.asarray(other[name]))[~np.isnan(_numbers(other[name]))].all()
+
+
+def _numbers(column):
+    values = np.asarray(column)
+    return values if values.dtype.kind == "f" else np.zeros(values.shape)
