@@ -1,0 +1,133 @@
+"""Print the times of the page "Where the time goes": stages of calls, and the lower limits that this machine permits.
+
+python tests/benchmarks/profile_figures.py [tile] [collisions] [survey]
+
+All times are the smallest of many repetitions. The survey requires the file ``desi_tiles_main.ecsv.gz`` in the folder
+RFPSURVEY_TEST_DATA.
+"""
+
+import os
+import platform
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter, process_time
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from selection_figures import MIDDLE, some_tiles
+
+import rfpsurvey as rs
+from rfpsurvey._kernels import collisions as kernels
+from rfpsurvey.collision import nearest_distance, place_arms
+
+CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
+N_TILES, DENSITY = 300, 1500
+
+
+def smallest_ms(call, n=200):
+    """Return the smallest time of a call in ms."""
+    call()
+    times = []
+    for _ in range(n):
+        begin = perf_counter()
+        call()
+        times.append(perf_counter() - begin)
+    return 1e3 * min(times)
+
+
+def show(name, ms):
+    print(f"  {name:44} {ms:8.3f} ms", flush=True)
+
+
+def bandwidth():
+    """Return the bandwidth (bytes per ms) of copies of arrays in the memory and in the cache."""
+    rates = []
+    for size, n in ((1 << 25, 10), (1 << 15, 2000)):
+        source, target = np.ones(size), np.ones(size)
+        rates.append(16 * size / smallest_ms(lambda s=source, t=target: np.copyto(t, s), n))
+    return rates
+
+
+def tile():
+    """Print the stages of one tile of LAMOST with 100,000 targets, and the time to read and write its arrays."""
+    lamost = rs.Instrument.preset("lamost")
+    catalog = rs.synthetic_catalog("uniform", CENTER, 2.5 * u.deg, n_targets=100_000, rng=1)
+    plane, stages, total = lamost.focal_plane, {}, np.inf
+    for _ in range(60):
+        begin = perf_counter()
+        found = rs.plan_tile(catalog, lamost, center=CENTER)
+        total = min(total, perf_counter() - begin)
+        for name, value in found.summary["seconds"].items():
+            stages[name] = min(stages.get(name, np.inf), value)
+    print("plan_tile, LAMOST, 100,000 targets, allocator lamost")
+    for name, value in stages.items():
+        show(name, 1e3 * value)
+    show("rest", 1e3 * (total - sum(stages.values())))
+    show("whole call", 1e3 * total)
+    targets = found.outcomes
+    xy = np.column_stack([targets["x"].to_value(u.mm), targets["y"].to_value(u.mm)])
+    pairs = plane.arrays.reach(xy)
+    posed = rs.allocate(plane, xy * u.mm).place_arms(plane)
+    show("of which clearances", smallest_ms(lambda: nearest_distance(plane, posed)))
+    show("of which pairs in reach alone", smallest_ms(lambda: plane.arrays.reach(xy)))
+    # vectors are read twice and written once, positions written and read twice, pairs (17 bytes) written and read
+    size = 3 * 24 * len(xy) + 4 * 16 * len(xy) + 2 * 17 * len(pairs.owner)
+    memory, cache = bandwidth()
+    for kind, rate in (("memory", memory), ("cache", cache)):
+        print(f"  {size / 1e6:.1f} MB take {size / rate:.2f} ms at the {rate / 1e6:.0f} GB/s of the {kind}")
+
+
+def collisions():
+    """Print the stages of find_collisions for 3997 arms of LAMOST and of SDSS-V."""
+    for name, pitch in (("lamost", 25.6), ("sdss_apo", 22.4)):
+        # with one fiber per positioner, the arm extends in the direction of the fiber
+        positioner = replace(rs.Instrument.preset(name).focal_plane.positioner, arm_angle=None)
+        plane = rs.FocalPlane.hexagonal(positioner, rings=36, pitch=pitch * u.mm)
+        columns, rng = plane.arrays, np.random.default_rng(1)
+        low, high = columns.inner_radius + 1e-3, columns.outer_radius - 1e-3
+        r, angle = low + (high - low) * rng.random(len(plane)), rng.uniform(0, 2 * np.pi, len(plane))
+        tips = (columns.xy + np.column_stack([r * np.cos(angle), r * np.sin(angle)])) * u.mm
+        segments = np.ascontiguousarray(place_arms(plane, tips).segments.T)
+        n = len(columns.neighbors)
+        halves, scratch = np.empty_like(segments), (np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n))
+        kernels.halve(segments, halves)
+        args = segments, halves, columns.runs, columns.limits, *scratch
+        print(f"find_collisions, {name}, {len(plane)} positioners, {n} pairs of neighbors")
+        kernel = smallest_ms(lambda args=args: kernels.colliding_pairs(*args), 2000)
+        show("whole call", smallest_ms(lambda plane=plane, tips=tips: rs.find_collisions(plane, tips), 2000))
+        show("of which the kernel", kernel)
+        print(f"  {1e6 * kernel / n:.2f} ns per pair of neighbors")
+
+
+def survey():
+    """Print the processor time per tile of the tiles of DESI near a position."""
+    path = Path(os.environ.get("RFPSURVEY_TEST_DATA", "")) / "desi_tiles_main.ecsv.gz"
+    if not path.exists():
+        print("no survey: desi_tiles_main.ecsv.gz is not in RFPSURVEY_TEST_DATA")
+        return
+    tiling = some_tiles(rs.Tiling.read(path), N_TILES)
+    targets = rs.synthetic_catalog("uniform", MIDDLE, 15 * u.deg, density=DENSITY / u.deg**2, rng=1)
+    for repetition in range(2):
+        with tempfile.TemporaryDirectory() as folder:
+            begin = process_time()
+            rs.plan_survey(targets, "desi", tiling, allocator="nearest", folder=Path(folder) / "survey")
+            seconds = process_time() - begin
+        if repetition:  # the first repetition compiles the kernels and sorts the targets
+            print(f"plan_survey, {len(tiling)} tiles of DESI, {len(targets)} targets, allocator nearest, one thread")
+            show("processor time per tile", 1e3 * seconds / len(tiling))
+
+
+CASES = {"tile": tile, "collisions": collisions, "survey": survey}
+
+
+def main():
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}")
+    for name in sys.argv[1:] or CASES:
+        CASES[name]()
+
+
+if __name__ == "__main__":
+    main()
