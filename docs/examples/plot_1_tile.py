@@ -20,14 +20,14 @@ tile = rs.plan_tile(stars, "sdss_apo", center, epoch=2026.5, allocator="optimal"
 print(tile)
 
 # %%
-# The summary gives the number of assigned stars of each class, and the proven upper limit.
+# The summary gives the number of assigned stars of each class, and the proven upper limit of this number.
 
 for name, reached, limit in tile.summary["objectives"]:
     print(f"{name}: {reached:.0f} of {limit:.0f}")
 
 # %%
-# The patrol areas are rings, because the two arms have different lengths. Black discs are fiducials, which no arm may
-# touch.
+# The patrol areas are rings, because the two arms of each positioner have different lengths. Black discs are fiducials,
+# which no arm may touch.
 
 fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
 rs.plot.plot_focal_plane(tile, ax=ax)

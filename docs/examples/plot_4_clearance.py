@@ -30,9 +30,9 @@ for clearance in clearances:
         usable[name].append(number)
 
 # %%
-# ``sdss`` assigns the largest possible number of targets for arms that could pass through each other, and loses those
-# that collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators have at 0.25
-# mm.
+# ``sdss`` assigns the largest possible number of targets for arms that could pass through each other, and loses the
+# targets whose arms collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators
+# have at a clearance of 0.25 mm.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 for (name, numbers), color in zip(usable.items(), ("#E69F00", "#009E73", "#0072B2"), strict=True):

@@ -25,7 +25,7 @@ sunflower = rs.Instrument("sunflower", plane, plate_scale=200 * u.mm / u.deg)
 print(sunflower, "collisions of type", plane.collision_type, f"field {2 * sunflower.field_radius:.2f} across")
 
 # %%
-# The instrument can be used like a preset.
+# An instrument from a table can be used like a preset.
 
 center = SkyCoord("12h +30d")
 stars = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=400 / u.deg**2, rng=1)

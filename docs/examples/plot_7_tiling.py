@@ -2,7 +2,8 @@
 Tiling a region
 ===============
 
-A hexagonal covering leaves no gap between tiles. For clustered targets, ``max_density`` needs fewer tiles.
+A hexagonal covering leaves no gap between tiles. For clustered targets, ``max_density`` needs fewer tiles than
+a hexagonal covering.
 """
 
 import astropy.units as u

@@ -27,7 +27,7 @@ tile = rs.plan_tile(
 print(tile, "missing:", tile.summary["unmet"])
 
 # %%
-# This is the number of fibers of each kind in each of the 16 spectrographs.
+# The next lines print the smallest and the largest number of fibers of each kind among the 16 spectrographs.
 
 for kind in ("science", "standard", "sky"):
     each = np.bincount(tile.table["spectrograph"][tile.table["kind"] == kind], minlength=16)

@@ -16,7 +16,7 @@ table = rs.example_catalog("anticenter").within("95 23", 4 * u.deg).to_table()
 magnitude = table["vt_mag"].to_value(u.mag)
 # A larger priority is more important: no number of stars of a lower class outweighs one star of a higher class.
 table["priority"] = np.select([magnitude < 9, magnitude < 11], [3, 2], 1)
-# Two visits require two tiles, since a tile observes a star at most once.
+# Two visits to a star require two tiles, since a tile observes a star at most once.
 table["visits"] = np.where(magnitude < 9, 2, 1)
 stars = rs.Catalog.from_table(table)
 
@@ -25,7 +25,7 @@ stars = rs.Catalog.from_table(table)
 tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=4)
 print(tiles)
 
-# Long arms that overlap collide often; "optimal" finds the best plan of each tile without collisions.
+# The long arms of SDSS-V collide often; "optimal" finds the best plan without collisions for each tile.
 survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=2026.5)
 print(survey)
 survey.completeness["pass", "priority", "n_requested", "n_observed"][-4:].pprint(max_width=-1)

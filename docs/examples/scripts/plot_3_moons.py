@@ -2,8 +2,8 @@
 MOONS: overlapping patrol areas
 ===============================
 
-The arms of MOONS reach the centers of neighboring positioners. These overlaps are useful in
-crowded fields, but arms can collide.
+The arms of MOONS reach the centers of neighboring positioners. The resulting overlaps of
+patrol areas are useful in crowded fields, but arms can collide.
 """
 
 import astropy.units as u
@@ -13,14 +13,15 @@ import numpy as np
 import rfpsurvey as rs
 
 moons = rs.Instrument.preset("moons")
-# The galaxies form clusters of 10 on average with a radius of about 0.01 deg. There are far more galaxies than fibers.
+# The galaxies form clusters of 10 galaxies on average, with a radius of about 0.01 deg. There are far more
+# galaxies than fibers.
 center = "150.1 +2.2"
 galaxies = rs.synthetic_catalog(
     "clustered", center, 0.6 * u.deg, density=12_000 / u.deg**2, cluster_size=10, cluster_scale=0.01 * u.deg, rng=1
 )
 
-# How many positioners reach each galaxy of one field? If several positioners reach a galaxy, the allocator has a
-# choice.
+# The next lines count the galaxies of one field by the number of positioners that reach them. If several positioners
+# reach a galaxy, the allocator can assign the galaxy to any of these positioners.
 xy = moons.projection(center).to_focal_plane(galaxies.within(center, moons.field_radius)).to_value(u.mm)
 reaching = np.bincount(np.diff(moons.focal_plane.arrays.reach(xy).indptr))
 print("galaxies that 0, 1, 2, ... positioners reach:", *reaching)

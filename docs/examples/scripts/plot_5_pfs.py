@@ -2,7 +2,7 @@
 PFS: sky fibers and standards in every visit
 ============================================
 
-Each exposure of PFS needs 240 fibers on the sky and 40 on standard stars. Galaxies require one to three visits.
+Each exposure of PFS needs 240 fibers on the sky and 40 fibers on standard stars. Galaxies require one to three visits.
 """
 
 import astropy.units as u
@@ -19,8 +19,8 @@ field = rs.synthetic_catalog("poisson", center, 1.6 * u.deg, density=4000 / u.de
 kind = np.where(rng.random(len(field)) < 0.05, "standard", "science")
 targets = rs.Catalog(field.coord, kind=kind, visits=rng.integers(1, 4, len(field)))
 
-# Positions at least 5 arcsec from all targets are used as sky positions. The optimum meets all requirements without
-# collisions.
+# Positions that are at least 5 arcsec from all targets are used as sky positions. The plan of "optimal" meets all
+# requirements without collisions.
 options = rs.AllocationOptions("optimal", requirements="instrument", sky_separation=5 * u.arcsec)
 tiles = rs.place_tiles(rs.Region.cap(center, 1 * u.deg), pfs, passes=3)
 survey = rs.plan_survey(targets, pfs, tiles, allocator=options)
