@@ -1,4 +1,4 @@
-"""Write tables to files; readers are in ``_readers``.
+"""Write tables to files; the module ``_readers`` reads them.
 
 Output files are never incomplete, and existing files are replaced only on request. FITS headers cannot contain nested
 values. The ``meta`` of a table is therefore written as one JSON string with the keyword ``RFPSURVY``, in addition to
@@ -63,8 +63,8 @@ def write_table(
     """Write a table as FITS or ECSV.
 
     ``cards`` are additional cards of the FITS header (a value, or a value and a comment), and ``name`` is the name of
-    the extension. ``others`` maps the names of additional extensions to their tables; ECSV files contain only one
-    table.
+    the extension. ``others`` maps the names of additional extensions of a FITS file to their tables; an ECSV file can
+    contain only one table.
     """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
@@ -86,7 +86,8 @@ def check_output(
 ) -> Path:
     """Return the path of an output file; raise an error if its ending is not valid or the file cannot be written.
 
-    The name of a table may end in ``.gz``. The names of other files may end in ``.gz`` only if ``gzipped`` is True.
+    The file name of a table may end in ``.gz``. The names of other files may end in ``.gz`` only if ``gzipped`` is
+    True.
     """
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
@@ -106,15 +107,15 @@ def check_output(
 
 
 def check_fits_text(columns: dict, remedy: str) -> None:
-    """Raise an error if FITS files cannot contain a text; ``columns`` maps descriptions to arrays of text."""
+    """Raise an error for text that FITS files cannot contain; ``columns`` maps descriptions to arrays of text."""
     for what, values in columns.items():
         values = np.asarray(values)
         text = np.unique(values).tolist() if values.dtype.kind == "U" else []
         bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
         if bad:
             raise InputError(
-                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain others, such as "
-                f"{bad[0]!r}; change them, or {remedy}"
+                f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain other "
+                f"characters, such as {bad[0]!r}; change them, or {remedy}"
             )
 
 
@@ -123,8 +124,8 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     """Provide a temporary path that is renamed to ``path`` on success, and removed otherwise.
 
     The temporary path is in a new folder beside ``path``, with a random name and without write permission for other
-    users. Therefore, no other thread or process writes into this folder, and no link with the name of the path can
-    exist.
+    users. Therefore, no other thread or process writes into this folder, and the temporary path cannot be a symbolic
+    link that another user made.
     """
     room = None
     try:
@@ -165,7 +166,7 @@ def temporary_folder(path: str | os.PathLike):
     """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
     path = to_path(path)
     if path.exists():
-        raise InputError(f"{path} exists; give a folder that does not exist")
+        raise InputError(f"{path} exists; give the name of a new folder")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     with _in_place_of(path) as temporary:
@@ -248,19 +249,19 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
 
 
 class FitsRows(NamedTuple):
-    """A table that is written to a FITS file part after part."""
+    """A table that is written to a FITS file in parts, so that only one part is in memory at a time."""
 
     dtype: np.dtype
     cards: dict
-    """Cards of the header: a value, or a value and a comment."""
+    """Cards of the header: name to a value, or to a value and a comment."""
     parts: Iterable[np.ndarray]
     """Rows."""
 
 
 def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:
-    """Write tables to a FITS file, part after part, and return the number of rows of each table.
+    """Write tables to a FITS file in parts, and return the number of rows of each table.
 
-    The memory is that of one part.
+    Only one part of a table is in memory at a time.
     """
     counts = []
     with output_path(path, (".fits",), overwrite=overwrite) as temporary, temporary.open("wb") as file:
@@ -280,7 +281,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
-    """Return the primary HDU and the header of a table; its length does not depend on values of a fixed length."""
+    """Return the primary HDU and the header of a table; values of a fixed length do not change the number of bytes."""
     primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
     for name, card in cards.items():
@@ -344,7 +345,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return a number in the format of FITS headers, or None if this simple method needs more than 20 characters."""
+    """Return a number in the format of FITS headers, or None for long text, exponents, NaN and infinity."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

@@ -29,7 +29,7 @@ def _source_digest() -> str:
 
 
 def kernel(function: Callable) -> Callable:
-    """Compile ``function`` on its first call such that it releases the GIL, and store the machine code on disk.
+    """Compile ``function`` when it is first called, and store the machine code on disk; calls release the GIL.
 
     No machine code is stored if the environment variable ``RFPSURVEY_CACHE`` is ``0`` or no folder is writable.
     Division by zero gives infinity or NaN, as in NumPy.
@@ -47,8 +47,8 @@ def kernel(function: Callable) -> Callable:
 
 
 def inlined_kernel(function: Callable) -> Callable:
-    """Compile ``function`` as a part of each kernel that calls it.
+    """Compile ``function`` as a part of each kernel that calls it (inlining).
 
-    A call of a short function can take longer than the function itself if arrays are passed in a named tuple.
+    If arrays are passed in a named tuple, the call of a short function can take longer than the computation in it.
     """
     return numba.njit(nogil=True, error_model="numpy", inline="always")(function)

@@ -1,4 +1,4 @@
-"""Plugins, which are functions of users, or objects of other packages that are loaded when they are first used."""
+"""Plugins: functions of the user, and objects of other packages, which are imported when they are first used."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,7 +22,7 @@ class Plugin:
     """Name of the distribution that contains the plugin; empty text for a function of the user."""
     version: str = ""
     place: str = ""
-    """Location in the package, according to the entry point."""
+    """Module and name of the object in the package, as stated by the entry point."""
 
     def __str__(self):
         origin = f" of {self.package} {self.version} ({self.place})" if self.package else ""

@@ -65,7 +65,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
 def to_scalar(
     value: object, unit: u.UnitBase, name: str, *, low: float = -np.inf, high: float = np.inf, closed: bool = False
 ) -> float:
-    """Return one finite number in ``unit`` between ``low`` and ``high``; it may equal ``low`` if ``closed``."""
+    """Return one finite number in ``unit`` between ``low`` and ``high``; if ``closed``, ``low`` is allowed."""
     number = to_unit(value, unit, name)
     if number.shape != ():
         raise InputError(f"{name} must be one value, got the shape {number.shape}")
@@ -221,7 +221,7 @@ def to_labels(value: object, name: str) -> np.ndarray:
 
 
 def rows_of(mask: np.ndarray) -> str:
-    """Return a phrase with the number of marked rows and the first few row numbers, counted from 1."""
+    """Return text with the number of rows for which a mask is true, and the first few row numbers, counted from 1."""
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"

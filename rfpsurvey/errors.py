@@ -54,7 +54,7 @@ RENAMED = (
 class InputError(ValueError):
     """An input is not valid; the message states what the input must be and what was given.
 
-    If the type is wrong, the error is also a `TypeError`. If the unit is wrong, it is also an
+    If the type is wrong, the error is also a `TypeError`. If the unit is wrong, the error is also an
     `~astropy.units.UnitsError`.
     """
 
@@ -68,7 +68,7 @@ class InputUnitsError(InputError, UnitsError):
 
 
 class RfpsurveyWarning(UserWarning):
-    """A part of the input was ignored or assumed, or a goal was not reached; the message gives the details."""
+    """Warning that a part of the input was ignored or assumed, or that a goal was not reached."""
 
 
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:

@@ -35,7 +35,7 @@ def stages():
     alone.
     """
     use = "import rfpsurvey as rs; " + "; ".join(f"rs.{name}" for name in ON_USE)
-    steps = (BASE, "import rfpsurvey", PLAN, use, "", "from rfpsurvey import plot")
+    steps = (BASE, "import rfpsurvey.tile", PLAN, use, "", "from rfpsurvey import plot")
     done = subprocess.run([sys.executable, "-c", STEPS, *steps], capture_output=True, text=True, check=True)
     before, after, planned, used, _, plot = (set(names) for names in ast.literal_eval(done.stdout))
     return before, after, planned, used, plot
@@ -78,7 +78,7 @@ IMPORTS = f"""
 for _ in range(5):  # the first fills the folder
     if not os.fork():
         t = time.process_time()
-        import rfpsurvey
+        import rfpsurvey.tile
         print(time.process_time() - t, flush=True)
         os._exit(0)
     os.wait()

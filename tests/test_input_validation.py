@@ -51,8 +51,10 @@ CALLS = {
     "columns must be a dict from role to column, got ['ra']": lambda: rs.Catalog.from_table(
         sky_table(), columns=["ra"]
     ),
-    "columns must name a column for ra, got 3": lambda: rs.Catalog.from_table(sky_table(), columns={"ra": 3}),
-    "table must be an astropy Table or QTable, or a DataFrame, got {'ra': [1], 'dec': [1]}": lambda: (
+    "the value of columns for ra must be the name of a column, got 3": lambda: rs.Catalog.from_table(
+        sky_table(), columns={"ra": 3}
+    ),
+    "table must be an astropy Table, a QTable or a DataFrame, got {'ra': [1], 'dec': [1]}": lambda: (
         rs.Catalog.from_table({"ra": [1], "dec": [1]})
     ),
     "must lie between -360 and 360 deg, got 400.0 deg": lambda: rs.Catalog.from_table(
@@ -66,7 +68,7 @@ CALLS = {
         np.arange(126.0).reshape(63, 2) * 50 * MM, ROBOT, fiber_type=[f"t{k}" for k in range(63)]
     ),
     "id must be unique, but 'a' occurs more than once": lambda: replace(PLANE, id=["a", "b", "a"]),
-    "n_points must be large enough for a point in the footprint, got 1": lambda: rs.FocalPlane(
+    "n_points must be so large that at least one point is in the footprint, got 1": lambda: rs.FocalPlane(
         [[0, 0], [100, 0], [0, 100], [1, 1]] * MM, ROBOT
     ).coverage(n_points=1, rng=1),
     "fiber_type must have the shape (2,), got (1,)": lambda: TYPED.reachable(XY, ["A"]),
@@ -96,10 +98,10 @@ CALLS = {
     "the positioners have no fiber types, got the fiber type 'A'": lambda: rs.find_collisions(
         PLANE, PLANE.xy, fiber_type=["", "A", ""]
     ),
-    "an Allocation or Arms have their own poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
+    "an Allocation or Arms already determine the poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
     "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
-    "required must hold ids of targets, integers or text, got truth values": lambda: rs.AllocationOptions(
+    "required must contain ids of targets (integers or text), got truth values": lambda: rs.AllocationOptions(
         required=[True, False]
     ),
     "required must be a one-dimensional list of target ids, got the shape (1, 2)": lambda: rs.AllocationOptions(
@@ -108,23 +110,23 @@ CALLS = {
     "required must be integers or text for every row, got numbers such as 1.5": lambda: rs.AllocationOptions(
         required=1.5
     ),
-    "ids of required targets need a catalog, got 4, 5 (2 in all); use plan_tile": lambda: rs.allocate(
+    "ids of required targets can be used only with a catalog, got 4, 5 (2 in all); use plan_tile": lambda: rs.allocate(
         PLANE, XY, allocator=rs.AllocationOptions(required=[4, 5])
     ),
-    "keep_out needs positions on the sky, got 1 circles; use plan_tile": lambda: rs.allocate(
+    "keep_out can be used only with positions on the sky, got 1 circles; use plan_tile": lambda: rs.allocate(
         PLANE, XY, allocator=rs.AllocationOptions(keep_out=CIRCLE)
     ),
-    "required must hold ids of the catalog, got 7 (1 of 2)": lambda: rs.plan_tile(
+    "required must hold ids of the catalog, got 7 (1 of 2 unknown)": lambda: rs.plan_tile(
         rs.Catalog(TWO), "moons", CENTER, allocator=rs.AllocationOptions(required=["1", "7"])
     ),
-    "required must hold ids of the catalog, got 01 (1 of 1)": lambda: rs.plan_survey(
+    "required must hold ids of the catalog, got 01 (1 of 1 unknown)": lambda: rs.plan_survey(
         rs.Catalog(TWO), "moons", TWO, allocator=rs.AllocationOptions(required="01")
     ),
-    "required must hold ids of the catalog, got star (1 of 1)": lambda: rs.place_tiles(
+    "required must hold ids of the catalog, got star (1 of 1 unknown)": lambda: rs.place_tiles(
         rs.Catalog(TWO), "moons", method="max_density", allocator=rs.AllocationOptions(required="star")
     ),
-    "required targets need a catalog, got a synthetic sky of the kind 'poisson'": lambda: rs.compare_instruments(
-        "poisson", ["moons"], options=rs.AllocationOptions(required=3)
+    "required targets can be used only with a catalog, got synthetic targets of the kind 'poisson'": lambda: (
+        rs.compare_instruments("poisson", ["moons"], options=rs.AllocationOptions(required=3))
     ),
     "allocator must have no required targets and no keep_out": lambda: rs.collision_probability(
         PLANE, allocator=rs.AllocationOptions(keep_out=[CIRCLE])
@@ -137,8 +139,8 @@ CALLS = {
         PLANE, XY, forbidden=[[0], [1, 2]]
     ),
     "fiber_type of 'sky' must be a name, got 3": lambda: rs.Requirement("sky", 1, fiber_type=3),
-    "the allocators to compare are given by allocators, not by allocator": lambda: rs.compare_allocators(
-        rs.Catalog(TWO), "moons", CENTER, allocator="lamost"
+    "the argument allocators must name the allocators to compare, got the argument allocator": lambda: (
+        rs.compare_allocators(rs.Catalog(TWO), "moons", CENTER, allocator="lamost")
     ),
     "axes must be two Axes, got 1": lambda: rs.plot.plot_speed_accuracy(
         QTable(
@@ -154,7 +156,7 @@ CALLS = {
         axes=[None],
     ),
     "table must be a QTable, got Table": lambda: rs.Tiling(Table()),
-    "table must be an astropy Table or QTable, or a DataFrame, got 3": lambda: rs.Tiling.from_table(3),
+    "table must be an astropy Table, a QTable or a DataFrame, got 3": lambda: rs.Tiling.from_table(3),
     "units must be a dict from role to unit, got 'deg'": lambda: rs.Tiling.from_table(sky_table(), units="deg"),
     "columns must be a dict from role to column, got 'ra'": lambda: rs.Tiling.from_table(sky_table(), columns="ra"),
     "pass must be a whole number for every tile, got text such as 'first'": lambda: rs.Tiling.from_table(
@@ -215,13 +217,13 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
         ),
         (
             lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg),
-            "give either tips, or both",
+            "give either tips or both",
         ),
         (
             lambda s: rs.find_collisions(
                 s.focal_plane, place_arms(rs.FocalPlane([[0, 0]] * MM, s.focal_plane.positioner), [[1, 0]] * MM)
             ),
-            "the arms are those of 1 positioners, not of 37",
+            "the arms must belong to the 37 positioners of the focal plane, got the arms of 1",
         ),
         (
             lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s),
@@ -235,7 +237,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
         (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),
         (
             lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets="ten"),
-            "the number of targets must be one",
+            "the number of targets must be a single",
         ),
         (lambda s: rs.synthetic_catalog("uniform", CENTER, [1, 2] * u.deg, n_targets=1), "radius must be one value"),
         (lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=1e30), "from 0 to 1e.09"),

@@ -63,9 +63,9 @@ def test_decimal_text_is_not_sexagesimal():
 def test_a_unit_that_contradicts_the_column_is_an_error():
     """The unit of the option replaced the unit of the column without an error."""
     table = QTable({"ra": [95.5] * u.deg, "dec": [23] * u.deg})
-    with pytest.raises(rs.InputError, match="column 'ra' has the unit deg, but units says rad"):
+    with pytest.raises(rs.InputError, match="column 'ra' has the unit deg in the table, but the unit rad"):
         rs.Catalog.from_table(table, units={"ra": "rad"})
-    with pytest.raises(rs.InputError, match="units of ra must be a unit, got 'foo'"):
+    with pytest.raises(rs.InputError, match="the value of units for ra must be a unit, got 'foo'"):
         rs.Catalog.from_table(table, units={"ra": "foo"})
 
 
@@ -104,7 +104,7 @@ def test_joint_limits_are_looked_at_when_scoring(small):
     assert tile.table["status"][0] == "out_of_reach"
     tips = np.full((37, 2), np.nan) * MM
     tips[0] = x - 14 * MM, y
-    with pytest.raises(rs.InputError, match="1 tips are beyond the joint limits, the first that of positioner 0"):
+    with pytest.raises(rs.InputError, match="1 tips are beyond the joint limits; the first is the tip of positioner 0"):
         rs.find_collisions(plane, tips)
 
 
@@ -228,7 +228,7 @@ def test_epochs_matter_only_where_something_moves():
 def test_proper_motions_of_another_frame_are_not_used_without_a_word():
     """The proper motions were ignored without a warning."""
     table = QTable({"l": [1] * u.deg, "b": [2] * u.deg, "pmra": [1] * u.mas / u.yr, "pmdec": [1] * u.mas / u.yr})
-    with pytest.warns(rs.RfpsurveyWarning, match="are not in the requested frame"):
+    with pytest.warns(rs.RfpsurveyWarning, match="not in the requested frame"):
         assert not rs.Catalog.from_table(table, frame="galactic").has_proper_motion
 
 

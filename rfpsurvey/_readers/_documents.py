@@ -1,4 +1,4 @@
-"""Read TOML and JSON within limits of size and depth."""
+"""Read TOML and JSON documents of limited size and depth."""
 
 import json
 import re
@@ -39,7 +39,7 @@ def read_toml(path: Path) -> dict:
 
 
 def parse_json(text: object, what: object) -> dict:
-    """Return the object in a JSON text; error messages begin with ``what``."""
+    """Return the object in a JSON text; ``what`` is a name of the text for error messages."""
     if not isinstance(text, str):
         raise InputError(f"{what} must be an object in JSON, got {type(text).__name__}")
     if len(text) > MOST_JSON:
@@ -57,7 +57,7 @@ def parse_json(text: object, what: object) -> dict:
 
 
 def check_size(found: object, what: object) -> None:
-    """Raise an error if there are too many values or too many levels; a value counts once for each reference to it."""
+    """Raise an error if there are too many values or too many levels; each reference to a value is counted."""
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()

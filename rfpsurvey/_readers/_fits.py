@@ -42,9 +42,9 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
 
 
 def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
-    """Return the keywords of the first header of a FITS file, and all tables of the file, in which text is bytes.
+    """Return the keywords of the first header of a FITS file, and all tables of the file, with text as bytes.
 
-    The meta of each table has the keywords of its header.
+    The ``meta`` of each table contains the keywords of its header.
     """
     from astropy.io import fits
 
@@ -58,7 +58,9 @@ def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
                 found = [_table_of(units[at]) for at in numbers]
     for table, n_rows in found:
         if len(table) != n_rows:
-            raise InputError(f"{path}: each table must have the rows of its header ({n_rows}), got {len(table)}")
+            raise InputError(
+                f"{path}: each table must have as many rows as its header states ({n_rows}), got {len(table)} rows"
+            )
     return header, [table for table, _ in found]
 
 
@@ -83,7 +85,7 @@ def _table_of(unit) -> tuple[QTable, int]:
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
-    """Return the rows and header cards of a FITS file with one table; error messages begin with ``name``."""
+    """Return the rows and header cards of a FITS file with one table; ``name`` is the first word of error messages."""
     from astropy.io import fits
 
     try:
@@ -104,7 +106,7 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
 
 def read_fits_units(path: Path) -> dict:
-    """Return all tables of a FITS file by name as (header, rows), and the primary header as ``None: (header, None)``.
+    """Return a dict with (header, rows) of each table of a FITS file by name, and (header, None) for the key None.
 
     Rows are structured arrays in the byte order of the machine, with text without trailing blanks.
     """
@@ -167,13 +169,14 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
         raise InputError(f"{path}: the file must have at most {MOST_UNITS} header and data units, got more")
     if not tables:
         raise InputError(
-            f"{path}: the file must hold a table, got {number + (cards is not None)} header-data units without a table"
+            f"{path}: the file must contain a table, got {number + (cards is not None)} header-data units "
+            "without a table"
         )
     return tables
 
 
 def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:
-    """Return the required values of a header and the end of the header, or None if only padding is left in the file."""
+    """Return the required values of a header and the offset of its end, or None if only padding is left in the file."""
     file.seek(place)
     cards, first = {}, b"XTENSION" if place else b"SIMPLE  "
     for _ in range(-(-MOST_CARDS * CARD // BLOCK)):
@@ -204,7 +207,7 @@ def _refuse_rest(file, path):
 
 
 def _surplus(path) -> str:
-    return f"{path}: a FITS extension must begin with XTENSION, got bytes that belong to no table"
+    return f"{path}: each FITS extension must begin with XTENSION, got other bytes"
 
 
 def _text(value: bytes) -> str:
@@ -226,7 +229,7 @@ def _whole(cards, name: str, path, *, default: int | None = None, most: int | No
 def _data_size(cards, path) -> int:
     """Return the number of bytes that follow a header."""
     if _text(cards.get(b"GROUPS", b"F"))[:1] == "T":
-        raise InputError(f"{path}: the file must hold a table, got random groups")
+        raise InputError(f"{path}: the file must contain a table, got random groups")
     bits = cards.get(b"BITPIX", b"").split(b"/")[0].strip()
     if bits not in (b"8", b"16", b"32", b"64", b"-32", b"-64"):
         raise InputError(
@@ -241,7 +244,7 @@ def _data_size(cards, path) -> int:
 
 
 def _check_table(file, cards, what, begin, end, path):
-    """Raise an error if the columns of a table do not fill its rows, or the bytes after its rows are not padding."""
+    """Raise an error if the columns do not fill the rows of a table, or if the bytes after the rows are not zero."""
     if _whole(cards, "NAXIS", path) != 2:
         raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
     n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)
@@ -256,7 +259,9 @@ def _check_table(file, cards, what, begin, end, path):
             raise InputError(f"{path}: the header card TFORM{k} must be the format of a column, got {text or 'none'}")
         found += -(-int(match[1] or 1) * WIDTHS[match[2]] // 1)
     if what != "TABLE" and found != width:
-        raise InputError(f"{path}: the columns of a row must take NAXIS1 = {width} bytes, got {int(found)}")
+        raise InputError(
+            f"{path}: the columns of a row must have NAXIS1 = {width} bytes in all, got {int(found)} bytes"
+        )
     if width == 0 and _whole(cards, "NAXIS2", path):
         raise InputError(f"{path}: the rows of a table must have at least one byte, got NAXIS1 = 0")
     file.seek(begin)

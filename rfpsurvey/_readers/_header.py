@@ -1,4 +1,4 @@
-"""The first lines of a text table: the delimiter, and the names and units of the columns."""
+"""Read the first lines of a text table, which determine the delimiter, and the names and units of the columns."""
 
 import re
 from itertools import islice
@@ -16,12 +16,12 @@ QUOTED = re.compile(rb'"[^"]*"')
 
 
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
-    """Return the content of a table with column names as the first row, its delimiter, and its units by column name.
+    """Return the content of a table with column names in the first row, the delimiter, and the units by column name.
 
     The delimiter is taken from the line with the names of the columns. If this line contains several possible
     delimiters, the delimiter that occurs equally often in the next line is used. The names of the columns can be in a
-    comment before the first row. Lines that are not rows become comments. Examples are the line ``sep=;`` of
-    spreadsheets, and the lines with units and dashes that VizieR writes after the names.
+    comment before the first row. Lines that are not rows of the table are converted to comments. Examples are the line
+    ``sep=;`` of spreadsheets, and the lines with units and dashes that VizieR writes after the names.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
@@ -38,7 +38,7 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
         comment = content[before:begin].strip()
         words = _split(comment.lstrip(b"#"), delimiter)
         if not comment.startswith(b"#") or len(words) != len(names) or any(is_number(word) for word in words):
-            raise InputError(f"{path}: the first row must hold the names of the columns, got {names[0]!r}")
+            raise InputError(f"{path}: the first row must contain the names of the columns, got {names[0]!r}")
         return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
     for k in (1, 2):
         if (
@@ -78,7 +78,7 @@ def _split(line: bytes, delimiter: bytes) -> list[str]:
 
 
 def is_number(text: object) -> bool:
-    """Return whether a text, or another value of a table, can be read as a number."""
+    """Return whether a value of a table, such as text, can be read as a number."""
     try:
         float(text)
     except (TypeError, ValueError):

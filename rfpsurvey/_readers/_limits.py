@@ -44,9 +44,10 @@ def is_compressed(path: Path) -> bool:
 
 
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
-    """Return the decompressed content of a file; ``most`` limits its size in bytes, ``kind`` is for error messages.
+    """Return the decompressed content of a file, with at most ``most`` bytes; error messages contain ``kind``.
 
-    Without ``most``, uncompressed files have no limit, and `MOST_RATIO` limits compressed files.
+    If ``most`` is None, the size of uncompressed files is not limited, and that of compressed files is limited by
+    `MOST_RATIO`.
     """
     try:
         size, opener = path.stat().st_size, _opener(path)
@@ -68,7 +69,10 @@ def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
 def _too_large(path, limit, opener) -> str:
     if opener is None:
         return f"{path}: the file must have at most {limit} bytes, got more"
-    return f"{path}: the decompressed content must have at most {limit} bytes, {MOST_RATIO} times the file, got more"
+    return (
+        f"{path}: the decompressed content must have at most {limit} bytes, which is {MOST_RATIO} times the size of "
+        "the file, got more"
+    )
 
 
 def open_content(path: Path) -> BinaryIO:
@@ -77,7 +81,7 @@ def open_content(path: Path) -> BinaryIO:
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
-    """Raise an error if the longest value is so long that a text column of this width would not fit into memory."""
+    """Raise an error if the longest value is so long that the text column would not fit into memory."""
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(

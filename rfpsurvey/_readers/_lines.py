@@ -1,8 +1,8 @@
 """Check that each line of a text table is a complete row.
 
-Readers interpret the text after an unclosed quotation mark as one long value, and drop the rest of the file without a
-warning. The functions of this module check each line before a reader is called. If the lines are well formed, the check
-uses no Python loops.
+Without this check, a reader would take the text after an unclosed quotation mark for one long value, and omit the rest
+of the file without a warning. The functions of this module check each line before a reader is called. If the lines are
+well formed, the check uses no Python loops.
 """
 
 from pathlib import Path
@@ -51,7 +51,8 @@ def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, rag
         n_lines, n_idle, number = n_lines + n_data, n_idle + len(lines.data) - n_data, number + len(lines.data)
         if n_idle > MOST_IDLE + 10 * n_lines:
             raise InputError(
-                f"{path}: most lines must be rows, got {n_idle} blank lines and comments up to line {number}"
+                f"{path}: most lines must be rows of the table, got {n_idle} blank lines and comments up to "
+                f"line {number}"
             )
         begin = end
     check_width(path, n_lines, longest, len(content), f"line {at}")
@@ -59,7 +60,7 @@ def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, rag
 
 
 class _Lines:
-    """A block of complete lines.
+    """A block of complete lines of the file.
 
     Parameters
     ----------
@@ -116,20 +117,21 @@ class _Lines:
 
 
 def _refuse(path: Path, lines: _Lines, before: int, n_fields: int) -> None:
-    """Raise an error for the first invalid line of a block; ``before`` is the number of lines before the block."""
+    """Raise an error for the first invalid line of a block; ``before`` is the number of preceding lines."""
     for k in np.flatnonzero(lines.data).tolist():
         found = _fields(lines.line(k), lines.delimiter)
         if found == 0:
             raise InputError(_open_quote(path, before + k + 1))
         if n_fields and found != n_fields:
             raise InputError(
-                f"{path}: line {before + k + 1} must have {n_fields} fields, as the first line has, got {found}"
+                f"{path}: line {before + k + 1} must have {n_fields} fields, like the first line, got {found} fields"
             )
 
 
 def _open_quote(path, number) -> str:
     return (
-        f"{path}: a quoted value must end in the line in which it begins, got an open quotation mark in line {number}"
+        f"{path}: a quoted value must end in the line in which it begins, got an unclosed quotation mark in "
+        f"line {number}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Parquet files, whose columns can have missing values, categories and types that NumPy does not have."""
+"""Read Parquet files, whose columns can have missing values, categories, and types that NumPy does not have."""
 
 import warnings
 from pathlib import Path
@@ -22,7 +22,7 @@ def import_parquet():
     try:
         import pyarrow.parquet
     except ImportError as error:
-        text = f"reading Parquet needs another package: {error} (pip install 'rfpsurvey[parquet]')"
+        text = f"reading Parquet files needs another package: {error} (pip install 'rfpsurvey[parquet]')"
         raise InputError(text) from error
     return pyarrow.parquet
 
@@ -38,7 +38,9 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
             names = [name for name in names or schema.names if _is_plain(schema.field(name).type)]
             if not 0 <= 8 * n_rows * max(len(names), 1) <= max(FREE, MOST_RATIO * size):
-                raise InputError(f"{path}: the number of rows must fit the file of {size} bytes, got {n_rows} rows")
+                raise InputError(
+                    f"{path}: the number of rows must be possible for a file of {size} bytes, got {n_rows} rows"
+                )
             content = file.read(columns=names)
         if content.num_rows != n_rows:
             raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
@@ -132,7 +134,7 @@ def _decoded(value: bytes | None, path: Path | None, name: str) -> str:
 
 
 def _with_index(table: Table, metadata: dict) -> Table:
-    """Return the table, with the index of pandas as a column if the index is a range that has a name."""
+    """Return the table; if the index that pandas stored is a range with a name, add the index as a column."""
     for index in parse_json(metadata.get(b"pandas", b"{}").decode("utf-8"), "pandas").get("index_columns", []):
         if isinstance(index, dict) and index.get("kind") == "range" and isinstance(index.get("name"), str):
             numbers = range(*(int(index[name]) for name in ("start", "stop", "step")))

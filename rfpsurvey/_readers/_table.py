@@ -1,4 +1,4 @@
-"""Tables in any of the supported formats."""
+"""Read tables in all supported formats."""
 
 import os
 import warnings
@@ -68,7 +68,7 @@ def suffix_of(path: Path) -> str:
 
 
 def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
-    """Read a table in any of `FORMATS`; ``number`` is its number among the tables of a FITS file."""
+    """Read a table in one of `FORMATS`; in a FITS file with several tables, ``number`` selects the table."""
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
@@ -97,7 +97,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
 def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     """Return the keywords of the first header of a FITS file, and all of its tables.
 
-    Keywords that describe the structure of the file are left out. The ``meta`` of each table contains the keywords of
+    Keywords that describe the structure of the file are omitted. The ``meta`` of each table contains the keywords of
     its header, with its name as ``EXTNAME``.
     """
     path = to_path(path)
@@ -118,7 +118,7 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
 
 
 def _keywords(header: dict) -> dict:
-    """Return keywords with a single value, without those that describe the structure of a file."""
+    """Return the keywords that have a single value and do not describe the structure of a file."""
     return {
         name: value
         for name, value in header.items()
@@ -134,7 +134,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _make_text(table: QTable, name: str, path: Path) -> None:
-    """Replace a column of bytes, or of objects that are all text, by a column of text."""
+    """Convert a column of bytes, or a column of objects that are all text, to a column of text."""
     column = table[name]
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     if kind == "S":
@@ -142,7 +142,7 @@ def _make_text(table: QTable, name: str, path: Path) -> None:
             text = np.char.rstrip(np.char.decode(np.asarray(column), "utf-8"))
         except UnicodeDecodeError as error:
             raise InputError(
-                f"{path}: column {name!r} must hold text in ASCII or UTF-8, got the bytes {error.object[:20]!r}"
+                f"{path}: column {name!r} must contain text in ASCII or UTF-8, got the bytes {error.object[:20]!r}"
             ) from None
         _replace(table, name, text)
     elif kind == "O" and column.ndim == 1 and all(isinstance(v, str) for v in np.asarray(column)):

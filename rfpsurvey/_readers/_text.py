@@ -28,7 +28,7 @@ def read_csv(path: Path) -> Table:
     content, delimiter, units = find_names(path, _checked_content(path))
     n_lines = count_lines(path, content, 0, delimiter)
     if n_lines == 0:
-        raise InputError(f"{path}: the first row must hold the names of the columns, got no row")
+        raise InputError(f"{path}: the first row must contain the names of the columns, got no row")
     if delimiter == b"\t" and b'"' not in content:  # values between commas always lose blanks
         content = re.sub(rb" *\t *", b"\t", content)
     # search for the zero first, because searching for one byte is fast
@@ -69,7 +69,9 @@ def read_ecsv(path: Path) -> Table:
             raise InputError(f"{path}: a value must have at most {MOST_CELLS} elements, got [{found.decode()}]")
     for width in WIDE.findall(header):
         if len(width) > 5:
-            raise InputError(f"{path}: a value must have at most 99999 characters, got the width {width.decode()}")
+            raise InputError(
+                f"{path}: the values of a column must have at most 99999 characters, got the width {width.decode()}"
+            )
     from astropy.io import ascii as text_tables
 
     n_lines = count_lines(path, content, begin, b"," if COMMA.search(header) else b" ", ragged=True)
@@ -93,7 +95,7 @@ def _parse(text: str, options: dict) -> Table:
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
-    """Restore leading zeros in columns of digits; in ``marked``, numbers with leading zeros were read as text."""
+    """Restore leading zeros in columns of digits; ``marked`` is the table with such numbers read as text."""
     for name, other in zip(table.colnames, marked.colnames, strict=True):
         if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
             continue
@@ -145,5 +147,5 @@ def _end_of_header(content: bytes) -> int:
 
 def _with_all_rows(path, table, n_rows):
     if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have the {n_rows} rows of the file, got {len(table)}")
+        raise InputError(f"{path}: the table must have as many rows as the file ({n_rows}), got {len(table)} rows")
     return table

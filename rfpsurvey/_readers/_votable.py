@@ -1,7 +1,7 @@
 """Read VOTables, without reading the files and addresses to which they refer.
 
-A first pass over the XML counts rows and columns. The table that astropy returns must have the same numbers of rows and
-columns.
+The module first parses the XML to count the rows and columns. The table that astropy returns must have the same numbers
+of rows and columns.
 """
 
 import binascii
@@ -51,14 +51,14 @@ def read_votable(path: Path) -> QTable:
     for warning in caught:
         altered = ALTERED.search(str(warning.message))
         if altered:
-            raise InputError(f"{path}: every value must fit into its column, got one that does not: {altered[1]}")
+            raise InputError(f"{path}: every value must fit into its column, got a value that does not: {altered[1]}")
     if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have the {n_rows} rows of the file, got {len(table)}")
+        raise InputError(f"{path}: the table must have as many rows as the file ({n_rows}), got {len(table)} rows")
     return table
 
 
 class _Contents:
-    """The content of a file according to its XML elements."""
+    """Parser that counts the rows and columns of a file by its XML elements."""
 
     def __init__(self, path: Path):
         from xml.parsers import expat
@@ -74,7 +74,7 @@ class _Contents:
         self._in_stream = False
 
     def read(self, file) -> None:
-        """Read the whole file."""
+        """Parse the whole file."""
         try:
             self._parser.ParseFile(file)
         except self._error as error:
@@ -83,7 +83,7 @@ class _Contents:
     def _start(self, name, attributes):
         name = name.rpartition(":")[2]
         if self._in_stream:
-            self._refuse(f"STREAM must hold nothing but its data, got {name}")
+            self._refuse(f"the element STREAM must contain only data, got the element {name}")
         if name == "TR":
             self._n_tr += 1
         elif name == "TABLE":
@@ -94,11 +94,12 @@ class _Contents:
         elif name in ("TABLEDATA", "BINARY", "BINARY2"):
             self._data = name
         elif name in ("FITS", "PARQUET"):
-            self._refuse(f"the data must be in TABLEDATA, BINARY or BINARY2, got {name}")
+            self._refuse(f"the data must be in an element TABLEDATA, BINARY or BINARY2, got {name}")
         elif name == "STREAM":
             if "href" in attributes:
                 self._refuse(
-                    f"STREAM must hold its data, got the address {attributes['href'][:80]!r}, which is not read"
+                    f"the element STREAM must contain its data, got the address {attributes['href'][:80]!r}, "
+                    "which is not read"
                 )
             if attributes.get("encoding") != "base64":
                 self._refuse(f"the encoding of STREAM must be base64, got {attributes.get('encoding')!r}")
@@ -136,11 +137,13 @@ class _Contents:
         """Return the number of rows; raise an error if rows are incomplete or too large for a file of this ``size``."""
         path = self._path
         if self._n_tables != 1:
-            raise InputError(f"{path}: the file must hold one table, got {self._n_tables}")
+            raise InputError(f"{path}: the file must contain one table, got {self._n_tables} tables")
         n = self._n_tr if self._data == "TABLEDATA" else 0 if self._data is None else self._binary_rows()
         said = self._rows_said
         if said is not None and said.strip() != str(n):
-            raise InputError(f"{path}: the number of rows must be that of the attribute nrows = {said[:20]}, got {n}")
+            raise InputError(
+                f"{path}: the number of rows must be the value of the attribute nrows = {said[:20]}, got {n}"
+            )
         width = sum((4 if kind in ("char", "unicodeChar") else SIZES[kind]) * k for kind, k, open_ in self._fields)
         if width > MOST_ROW or (n + 512) * width > max(FREE_ROWS, MOST_PADDING * size):
             raise InputError(
@@ -150,11 +153,11 @@ class _Contents:
         return n
 
     def _binary_rows(self) -> int:
-        """Return the number of rows of a binary stream; raise an error if it contains anything else."""
+        """Return the number of rows of a binary stream; raise an error if the stream contains incomplete rows."""
         try:
             content = binascii.a2b_base64(re.sub(r"\s", "", "".join(self._stream)), strict_mode=True)
         except ValueError as error:
-            raise InputError(f"{self._path}: STREAM must be in base64: {error}") from None
+            raise InputError(f"{self._path}: the element STREAM must be in base64: {error}") from None
         steps = [(len(self._fields) + 7) // 8 if self._data == "BINARY2" else 0]
         for kind, n, varies in self._fields:
             if varies:
@@ -176,12 +179,15 @@ class _Contents:
                     break
                 n_rows += 1
         if place != len(content):
-            raise InputError(f"{self._path}: STREAM must hold whole rows, got a part of a row after {n_rows} rows")
+            raise InputError(
+                f"{self._path}: the element STREAM must contain complete rows, got an incomplete row after "
+                f"{n_rows} rows"
+            )
         return n_rows
 
 
 def _skip_row(content: bytes, place: int, steps: list) -> int:
-    """Return the end of the row at ``place``; a row has values of fixed size and arrays preceded by their length."""
+    """Return the offset at which the row that begins at ``place`` ends; arrays are preceded by their length."""
     place = int(place)
     for step in steps:
         if isinstance(step, tuple):

@@ -45,8 +45,8 @@ def allocate(
     """Assign targets to positioners: at most one target per positioner, and one positioner per target.
 
     The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
-    requirements; ``sdss``, ``optimal`` and ``repair`` also assign them to positioners that would otherwise be idle.
-    Only ``optimal`` and ``repair`` avoid collisions.
+    requirements; ``sdss``, ``optimal`` and ``repair`` also assign standards and sky positions to positioners that would
+    otherwise be idle. Only ``optimal`` and ``repair`` avoid collisions.
 
     Parameters
     ----------
@@ -136,6 +136,7 @@ def allocate(
         columns, order = columns._replace(subpriority=values), service_order(values, rows)
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
     rng = to_generator(rng)
+    points = points.copy()  # the allocation must not change if the caller changes the positions
     return assign(focal_plane, points, columns, options, rng, forbidden=forbidden, avoid=others, order=order)
 
 
@@ -153,8 +154,8 @@ def assign(
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
-    During long searches, ``tell`` is called with the completed fraction and the current stage. ``order``, which is
-    required if there are subpriorities, contains the rows of the targets in the order in which they are served.
+    During long searches, the function ``tell`` is called with the completed fraction and the current stage. ``order``,
+    which is required if there are subpriorities, contains the rows of the targets in the order of their precedence.
     """
     begin = perf_counter()
     n = len(xy_mm)
@@ -229,7 +230,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Renumber the classes, so that only classes with science targets remain; all other targets form the last class."""
+    """Renumber the classes that contain science targets; all other targets form one further class, the last one."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)
@@ -263,7 +264,7 @@ def _marked(required, n):
 
 
 def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
-    """Remove the forbidden pairs from the reachable pairs, whose targets are in the given order."""
+    """Remove the forbidden pairs from the reachable pairs; ``order`` is the order of the targets of the problem."""
     if forbidden is None:
         return reach
     try:
@@ -280,7 +281,8 @@ def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
         raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got the shape {pairs.shape}")
     if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:
         raise InputError(
-            f"forbidden must name positioners 0 to {reach.n_positioners - 1} and targets 0 to {n - 1} by their rows"
+            f"forbidden must contain rows of positioners from 0 to {reach.n_positioners - 1} and rows of "
+            f"targets from 0 to {n - 1}"
         )
     own, target = pairs.T.astype(np.int64)
     if order is not None:
@@ -291,7 +293,7 @@ def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
 def _make_start(
     problem: AllocationProblem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None
 ) -> AllocationAnswer:
-    """Return the plan from which `repair` starts; the targets of the problem are in the given order."""
+    """Return the plan from which `repair` starts; ``order`` is the order of the targets of the problem."""
     start = problem.options.start
     if isinstance(start, str):
         return find_method(start)(problem)
@@ -315,13 +317,16 @@ def _make_start(
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Return the columns of an `Allocation`, without the sky positions that no positioner observes."""
+    """Return the columns of an `Allocation`, omitting sky positions that no positioner observes."""
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
-    rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
-    new = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
-    new[rows] = np.arange(len(rows))
-    points = problem.xy[rows]
+    if len(problem.xy) == n:
+        rows, new, points = slice(None), None, problem.xy
+    else:
+        rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
+        new = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
+        new[rows] = np.arange(len(rows))
+        points = problem.xy[rows]
     levels = answer.levels
     if levels is None:
         levels = [Level(name, value, float("nan")) for name, value in problem.values(target_of).items()]
@@ -331,8 +336,8 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     fiber = problem.fiber_of(np.arange(len(plane)), target_of)
     types = np.full(len(plane), "", dtype=f"U{max(max(len(t) for t in plane.fiber_types), 1)}")
     types[used] = np.asarray(plane.fiber_types)[fiber[used]]
-    target_of = new[target_of]
-    positioner_of = np.full(len(rows), -1)
+    target_of = target_of if new is None else new[target_of]
+    positioner_of = np.full(len(points), -1)
     positioner_of[target_of[used]] = used
     elbows = answer.handedness
     return {
@@ -352,14 +357,14 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
 
 
 def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the values of targets that are given in an order, by the rows of the targets."""
+    """Return values of targets in the order of the catalog, from values in the order of the problem."""
     out = np.empty_like(values)
     out[order] = values
     return out
 
 
 def _in_given_order(found: dict, order: np.ndarray) -> dict:
-    """Return the columns of an `Allocation` for targets in the order of the catalog; blank positions remain last."""
+    """Return the columns of an `Allocation` for targets in the order of the catalog; sky positions remain last."""
     n = len(order)
     row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
     columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}

@@ -1,4 +1,4 @@
-"""The class `Allocation`."""
+"""The class `Allocation`, the result of `allocate`."""
 
 from dataclasses import dataclass
 
@@ -96,23 +96,23 @@ class Allocation:
 
     @property
     def objective(self) -> float:
-        """Number of observed targets minus the number of fibers missing for requirements."""
+        """Number of assigned targets minus the number of fibers missing for requirements."""
         lack = sum(level.value for level in self.levels if level.name == "requirements")
         return float(self.n_assigned + lack)
 
     @property
     def bound(self) -> float:
-        """Upper bound of the objective of all plans that share this plan's proven values; NaN if no bound is known."""
+        """Upper bound of `objective` for plans with the same values of all proven objectives; NaN if it is unknown."""
         # The bound of an unproven class includes all earlier classes. Therefore, the largest difference is used, not
         # the sum.
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property
     def gap(self) -> float:
-        """Relative difference between `bound` and `objective`: 0 for a proven optimum, NaN if no bound is known.
+        """Relative difference between `bound` and `objective`: 0 for a proven optimum, NaN if the bound is unknown.
 
-        The bound of ``repair`` ignores collisions. The gap of ``repair`` is therefore an upper limit of the fraction of
-        targets that are lost to collisions.
+        The upper bound that ``repair`` uses ignores collisions. The gap of ``repair`` is therefore an upper limit of
+        the fraction of targets that are lost to collisions.
         """
         missing = self.bound - self.objective
         return missing / max(abs(self.bound), 1.0) if missing else 0.0

@@ -1,4 +1,4 @@
-"""The answer that every allocator returns."""
+"""The class `Answer`, which every allocator returns."""
 
 from typing import NamedTuple
 
@@ -35,7 +35,7 @@ class Level(NamedTuple):
 
 
 class AllocationAnswer(NamedTuple):
-    """The answer of an allocator, which has the same type for built-in allocators and for those of other packages.
+    """The return value of every allocator, whether it is built in or comes from another package.
 
     Parameters
     ----------

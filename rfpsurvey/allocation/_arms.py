@@ -1,4 +1,4 @@
-"""Poses of the arms for given targets."""
+"""Compute the poses of the arms of positioners that have targets."""
 
 import numpy as np
 
@@ -13,8 +13,8 @@ def place_segments(
 ) -> np.ndarray:
     """Return the segments that can collide, shape (4, n), of positioners (given as rows) at their targets.
 
-    ``own`` contains a positioner for each segment. ``idle`` contains those indices in ``own`` that stand for idle arms,
-    one for each positioner; the target of idle arms is -1.
+    ``own`` contains a positioner for each segment. ``idle`` contains the indices of the idle arms in ``own``, one for
+    each positioner; the target of an idle arm is -1.
     """
     columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

@@ -31,9 +31,9 @@ class Candidates:
     held: np.ndarray
     """Whether each requirement counts each candidate, shape (n_groups, n)."""
     preselection: Preselection
-    """Reachable pairs from which the candidates were made; some pairs may have been left out."""
+    """Reachable pairs from which the candidates were made; some pairs may have been omitted."""
     idle_pairs: np.ndarray | None = None
-    """Pairs of positioners whose idle arms collide, shape (2, m); None for a part of the candidates."""
+    """Pairs of positioners whose idle arms collide, shape (2, m); None if only a part of the candidates is given."""
 
     def __len__(self):
         return len(self.side)
@@ -47,10 +47,10 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates with fewer collisions; their best plan gives an upper bound for all plans.
+        """Return candidates without some collisions, so that their best plan gives an upper bound for all plans.
 
-        The collisions of candidates that represent omitted candidates are removed. The bound is therefore also valid
-        for plans that use omitted candidates.
+        The collisions of each candidate that represents omitted candidates are removed. The bound is therefore also
+        valid for plans that use omitted candidates.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -70,9 +70,9 @@ def find_candidates(
 ) -> Candidates:
     """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
 
-    Without ``collide``, arms may collide, and each target has only one elbow. ``keep_target`` contains one target for
-    each positioner; this target is always kept. If it takes longer than ``seconds`` to find the
-    collisions, or if there are more than ``most_pairs`` collisions, `OutOfTimeError` is raised.
+    If ``collide`` is false, collisions are ignored, and each pair of a target and a positioner has only one elbow.
+    ``keep_target`` contains one target for each positioner; this target is always kept. If it takes longer than
+    ``seconds`` to find the collisions, or if there are more than ``most_pairs`` collisions, `OutOfTimeError` is raised.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -98,13 +98,13 @@ def find_candidates(
 
 
 def _pairs_where(pairs, keep, new):
-    """Return the pairs of which both ends are kept, with the new indices of their ends."""
+    """Return the pairs whose two candidates are kept, with the new indices of the candidates."""
     out = np.empty((2, pairs.shape[1] + 1), dtype=np.int64)
     return np.ascontiguousarray(out[:, : conflicts.keep_pairs(pairs, keep, new, out)])
 
 
 def _assemble(problem, preselection, start, own, target, side, cost, pairs):
-    """Return candidates with the data that are derived from the given columns."""
+    """Return `Candidates` with the given columns and the data that are derived from these columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
@@ -117,7 +117,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def list_candidates(problem, reach, both):
-    """Return the candidates as columns: targets in reach, once for each elbow that reaches them, and idle arms."""
+    """Return columns of all candidates: each target in reach with each possible elbow, and the idle arms."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
@@ -137,7 +137,7 @@ def list_candidates(problem, reach, both):
 
 
 def obstacle_hits(plane, start, segments):
-    """Return the pairs (candidate, obstacle) that touch, shape (k, 2)."""
+    """Return the pairs (candidate, obstacle) that collide, shape (k, 2)."""
     pairs = plane.arrays.obstacle_pairs
     size = start[pairs[:, 0] + 1] - start[pairs[:, 0]]
     first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)

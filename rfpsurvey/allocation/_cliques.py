@@ -101,7 +101,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
 
 
 def _scramble(values):
-    """Return whole numbers that look random, such that the sums of different sets are usually different."""
+    """Return reproducible pseudo-random integers, so that sums over different sets are almost always different."""
     mixed = (values.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= mixed >> np.uint64(31)
     mixed *= np.uint64(0xBF58476D1CE4E5B9)

@@ -1,4 +1,4 @@
-"""The time that is left for a search, and the end of a search by the user."""
+"""Functions that determine the time left for a search, and that let a user end a search."""
 
 import signal
 from collections.abc import Iterator
@@ -9,12 +9,12 @@ from time import perf_counter
 __all__ = ["OutOfTimeError", "end_on_interrupt", "left", "searching", "share", "stop"]
 
 stop = Event()
-"""It is set to end all searches early; they then return the best plans found so far."""
+"""Event that is set to end all searches early; the searches then return the best plans found so far."""
 _active = Event()
 
 
 class OutOfTimeError(Exception):
-    """The deadline passed before a step was complete."""
+    """Exception: the deadline passed before a step of the search was complete."""
 
 
 def left(deadline: float) -> float:
@@ -29,7 +29,7 @@ def share(deadline: float, fraction: float) -> float:
 
 @contextmanager
 def searching() -> Iterator[None]:
-    """Mark the time during which an interrupt may end a search early."""
+    """Context manager for the part of a search that an interrupt (Ctrl-C) may end early."""
     _active.set()
     try:
         yield
@@ -39,9 +39,10 @@ def searching() -> Iterator[None]:
 
 @contextmanager
 def end_on_interrupt() -> Iterator[Event]:
-    """Let the first interrupt during a search end the search early, such that the best plan so far is returned.
+    """Let the first interrupt (Ctrl-C) during a search end the search, so that the best plan found so far is returned.
 
-    All other interrupts raise KeyboardInterrupt as usual. In threads other than the main thread, nothing changes.
+    All other interrupts raise KeyboardInterrupt as usual. In threads other than the main thread, the function has no
+    effect.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Plans and upper bounds for many positioners: integer programs for clusters of neighboring positioners."""
+"""Find plans and upper bounds for many positioners by integer programs for clusters of neighboring positioners."""
 
 import numpy as np
 from scipy.sparse import csr_array, vstack
@@ -27,10 +27,11 @@ ANGLE = 2.399963
 
 
 def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarray, deadline: float):
-    """Return an upper bound of the weight of a plan, and a plan whose clusters may collide with each other.
+    """Return an upper bound of the weight of a plan, and a plan in which arms of different clusters may collide.
 
-    The cliques with members in several clusters are replaced by their prices, and each cluster is solved as an integer
-    program. If a program is not solved before the deadline, the bound from the prices is used for its cluster.
+    Cliques with members in several clusters are replaced by the prices of these cliques, and each cluster is solved as
+    an integer program. If a program is not solved before the deadline, the bound from the prices is used for its
+    cluster.
 
     Parameters
     ----------
@@ -102,10 +103,10 @@ def _solve_cluster(matrix, rows, start, value, deadline):
 
 
 def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None) -> np.ndarray:
-    """Return a plan, improved by integer programs for clusters of positioners while all other arms remain in place.
+    """Improve a plan with an integer program for each cluster of positioners, while all other arms are fixed.
 
-    The positioners are divided into clusters several times, each time along other lines. The search ends at the
-    deadline, when ``is_best(chosen)`` is true, or when programs of the largest size change nothing.
+    The positioners are divided into clusters several times, each time with a different orientation of the clusters. The
+    search ends at the deadline, when ``is_best(chosen)`` is true, or when the largest programs find no better plan.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
 
 
 def _improve_cluster(candidates, members, now, blocked, holder, deadline):
-    """Solve one cluster in place; return whether its plan is better, and whether the program was solved in time."""
+    """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
     options, problem = candidates.options, candidates.problem
     before = now[members].copy()
     size = options.start[members + 1] - options.start[members]
@@ -186,7 +187,7 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline):
 
 
 def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
-    """Return the collisions between some candidates.
+    """Return the collisions among the candidates ``rows``.
 
     Parameters
     ----------
@@ -213,8 +214,8 @@ def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
 def _partition(candidates, members, size, angle):
     """Divide positioners into clusters of about ``size`` candidates, and return the cluster of each positioner.
 
-    The clusters are rectangles in a coordinate system that is rotated by ``angle``. Positioners that are not members
-    receive -1.
+    The clusters are rectangles in a coordinate system that is rotated by ``angle``. Positioners that are not in
+    ``members`` have the cluster -1.
     """
     options = candidates.options
     xy = candidates.problem.focal_plane.arrays.xy[members]

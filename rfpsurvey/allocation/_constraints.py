@@ -20,7 +20,7 @@ def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
         return ()
     names = to_labels(np.atleast_1d(required), "required")
     if np.asarray(required).dtype.kind == "b":
-        raise InputTypeError("required must hold ids of targets, integers or text, got truth values")
+        raise InputTypeError("required must contain ids of targets (integers or text), got truth values")
     if names.ndim != 1:
         raise InputError(f"required must be a one-dimensional list of target ids, got the shape {names.shape}")
     return tuple(dict.fromkeys(names.tolist()))
@@ -48,13 +48,13 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return the identifiers or circles as results record them: the complete list, or its length and a digest."""
+    """Return text that results record for identifiers or circles: the complete list, or its length and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]
 
 
 def brief(values: tuple, most: int = 5) -> str:
-    """Return text with the first values and the number of all values."""
+    """Return text with the first values of a list and the total number of values."""
     listed = ", ".join(str(value) for value in values[:most])
     return f"{listed} ({len(values)} in all)"

@@ -1,4 +1,4 @@
-"""The last objective: few collisions of idle arms with each other, at equal values of all other objectives."""
+"""Optimize the last objective: minimize the collisions between idle arms without a change of other objectives."""
 
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
@@ -20,10 +20,10 @@ FOR_ONE = 0.25
 
 
 def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: float) -> np.ndarray:
-    """Return a plan of equal value in which as few idle arms as possible collide with each other.
+    """Return a plan with the same values of all objectives and as few collisions between idle arms as possible.
 
-    The plan is optimal in this respect if there are at most ``SIZE`` candidates. Otherwise, only the positioners around
-    each collision are changed.
+    The number of these collisions is minimal if there are at most ``SIZE`` candidates. Otherwise, only the positioners
+    around each collision are changed.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
 
 
 def _separate(candidates, members, state, deadline):
-    """Solve the program of some positioners in place while all other arms remain in place."""
+    """Optimize the candidates of some positioners in place, while all other arms are fixed."""
     options, problem, (now, blocked, holder) = candidates.options, candidates.problem, state
     before = now[members].copy()
     inside, idle = np.zeros(len(now), dtype=bool), options.start[1:] - 1
@@ -87,7 +87,7 @@ def _separate(candidates, members, state, deadline):
 
 
 def _fewest(program, pairs, idle, now, x, deadline):
-    """Return variables with the fewest collisions of idle arms that have the values of the variables ``x``."""
+    """Return the variables with the fewest collisions of idle arms and the same values of all objectives as ``x``."""
     place = program.index[idle[pairs]]  # -1 for positioners that are not members
     cost = np.zeros(program.n)
     both = place[:, (place >= 0).all(axis=0)]

@@ -21,7 +21,7 @@ FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
 class Solution(NamedTuple):
-    """The plan for one part: the chosen candidate of each positioner, and the value and bound of each objective."""
+    """The plan of some positioners: the candidate of each positioner, and the value and bound of each objective."""
 
     chosen: np.ndarray | None
     """Candidates in use; None if no plan was found within the time limit."""
@@ -59,7 +59,7 @@ class _Pursuit:
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the variables that maximize a goal, and its bound; try a linear program first unless ``integral``."""
+        """Return the variables that maximize a goal, and an upper bound of the goal."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:
@@ -70,13 +70,13 @@ class _Pursuit:
         return x, bound
 
     def take(self, x):
-        """Store the variables if they are better than the stored variables."""
+        """Store the variables if their plan is better than the stored plan."""
         values = self.program.reaches(x)
         if self.x is None or tuple(values) > tuple(self.values):
             self.x, self.values = x, values
 
     def next_pack(self, k, largest):
-        """Return the number of objectives from objective k on that can be combined into one, and their weights."""
+        """Return how many objectives, beginning with k, can be combined into a weighted sum, and the weights."""
         sizes, product = [], 1.0
         for objective in self.program.objectives[k:]:
             product *= objective.high - objective.low + 1.0
@@ -86,7 +86,7 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Solve objective k and those combined with it; return the number proven, and a bound of objective k."""
+        """Optimize objective k and those combined with it; return the number of proven objectives and a bound of k."""
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
@@ -121,14 +121,14 @@ class _Pursuit:
         return 0, np.inf
 
     def fill(self, k, deadline):
-        """Improve objective k and all later objectives, which are not proven, approximately in their order."""
+        """Improve objective k and all later objectives, approximately in order, without proof of an optimum."""
         worth = np.maximum(STEEP ** -np.arange(len(self.program.objectives) - k, dtype=float), FLATTEST)
         x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
 
     def is_kept(self, values):
-        """Return whether the values of a plan are equal to all values that are already proven."""
+        """Return whether a plan has the proven values of all objectives that are already proven."""
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
@@ -137,7 +137,7 @@ def pursue(
 ) -> Solution:
     """Return the best plan that is found before the deadline; the search starts from ``first`` if it is feasible.
 
-    ``limit``, if given, contains the values of the objectives for a matching whose arms may collide. With
+    ``limit``, if given, contains the values of the objectives for the best plan that ignores collisions. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. ``tell``, if given, is called with
     the number of proven objectives and the total number of objectives.
     """

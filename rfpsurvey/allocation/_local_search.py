@@ -1,4 +1,4 @@
-"""Plans that are not proven optimal: the best matching if arms may collide, and local moves that remove collisions."""
+"""Plans without proof of optimality: the best plan that ignores collisions, and local moves that remove collisions."""
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 
 def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Remove the least important targets from a plan, so that it exceeds no maximum of a requirement."""
+    """Remove the least important targets from a plan until the plan exceeds no maximum of a requirement."""
     target_of = target_of.copy()
     if problem.watched is not None:
         target_of = np.where(problem.watched >= 0, problem.watched, target_of)
@@ -75,7 +75,7 @@ def repair_collisions(
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
 
     def order():
-        """Return the order of moves: first positioners that no requirement counts, then low-priority targets."""
+        """Return the order of positioners: those that no requirement counts are first, then low-priority targets."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = _repair(options, order(), now, *state, deadline)
@@ -97,9 +97,9 @@ def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf
 
 
 def _repair(options, order, now, blocked, holder, deadline):
-    """Remove collisions and assign better targets, in place; return the numbers of moved and of lost targets.
+    """Remove collisions and assign better targets, in place; return the numbers of moved positioners and lost targets.
 
-    The search for better targets, and for equally good targets in place of those with collisions, ends at the deadline.
+    The deadline ends the search for better targets, and for equally good targets of positioners that collide.
     """
     moved, fixed = 0, np.diff(options.start) == 1
     for some in _batches(options, order):
@@ -127,7 +127,7 @@ def _batches(options, order):
 
 
 def stand(candidates, chosen):
-    """Return the candidates in use, how many of them block each candidate, and the positioner of each target."""
+    """Return the candidates in use, the number of arms that block each candidate, and the positioner of each target."""
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

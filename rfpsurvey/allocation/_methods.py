@@ -33,7 +33,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
     """Assign the targets of one class after the other; in each class, assign the closest pairs first.
 
-    With subpriorities, assign each target of a class, in this order, to its closest free positioner.
+    If subpriorities are given, assign each target of a class, by subpriority, to the closest free positioner.
     """
     reach, rank, _ = _in_order(problem)
     if problem.subpriority is not None:
@@ -49,7 +49,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the targets of one class after the other by nominations of positioners; then fill the requirements."""
+    """Assign the targets of one class after the other; in each round, every free positioner nominates one target."""
     reach, rank, n_ranks = _in_order(problem)
     indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
@@ -64,20 +64,20 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
 
-    With subpriorities, their sum is maximized in place of the squared distances.
+    If subpriorities are given, the sum of the subpriorities is maximized instead.
     """
     with searching():
         return decide(_with_cost(problem), collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets, one class after the other, such that no arms collide; then subpriorities."""
+    """Maximize the number of targets, one class after the other, without collisions; then maximize subpriorities."""
     with searching():
         return decide(_with_cost(problem), collide=True, squared_cost=problem.subpriority is not None)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
-    """Remove the collisions of another plan by local moves."""
+    """Remove the collisions of the plan of another allocator by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
     candidates = find_candidates(problem, keep_target=before)
@@ -114,7 +114,7 @@ def _with_cost(problem):
 
 
 def _bounded(problem, target_of, blind):
-    """Return the objectives of a plan; their bounds are the values of a second plan, whose arms may collide."""
+    """Return the objectives of a plan, with the values of a second plan, which ignores collisions, as upper bounds."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():
@@ -124,9 +124,9 @@ def _bounded(problem, target_of, blind):
 
 
 def _in_order(problem):
-    """Return the pairs that may be assigned, the class of each target, and the number of classes.
+    """Return the pairs (positioner, target) that may be assigned, the class of each target, and the number of classes.
 
-    Required targets of any kind form a class before all other classes.
+    Required targets of any kind form the first and most important class.
     """
     if not problem.any_required:
         return problem.only(problem.science), problem.rank, len(problem.classes)
@@ -135,12 +135,12 @@ def _in_order(problem):
 
 
 def _best(problem, reach, rank):
-    """Return the candidates of each positioner, sorted by class, then distance, and its number of targets in reach.
+    """Return the targets of each positioner, sorted by class, then distance, and the number of targets in reach.
 
-    With subpriorities, candidates of one class are sorted by subpriority.
+    With subpriorities, the targets of each class are sorted by subpriority instead of by distance.
 
-    If k other positioners reach candidates of a positioner, they can observe at most k of these candidates. One of the
-    first k + 1 candidates of the positioner is therefore always available, and its further candidates are omitted.
+    If k other positioners share targets with a positioner, they can observe at most k of its targets. One of the first
+    k + 1 targets of the positioner is therefore always available, and its further targets are omitted.
     """
     in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
     indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
@@ -152,14 +152,14 @@ def _best(problem, reach, rank):
 
 
 def _with_watched(problem, target_of):
-    """Add the sky positions that stuck positioners observe."""
+    """Add the sky positions that stuck positioners observe at their fixed positions."""
     if problem.watched is None:
         return target_of
     return np.where(problem.watched >= 0, problem.watched, target_of)
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Fill the requirements in place, first with idle positioners, then with those of the least important targets."""
+    """Meet requirements in place: use idle positioners first, then the positioners of the least important targets."""
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

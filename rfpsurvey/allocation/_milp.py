@@ -1,4 +1,4 @@
-"""The integer program for positioners with several candidates: its variables, constraints and objectives."""
+"""The integer program for positioners that have several candidates, with variables, constraints and objectives."""
 
 from typing import NamedTuple
 
@@ -25,15 +25,15 @@ class Objective(NamedTuple):
 
     low: float
     high: float
-    """Smallest and largest possible value of the sum."""
+    """Smallest and largest possible value of the objective."""
     is_class: bool = False
-    """Whether the objective is the number of targets of a priority class."""
+    """Whether the objective is the number of assigned targets of a priority class."""
 
 
 class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are candidates of other positioners that are already in use; they also count for the requirements.
+    ``others`` are candidates in use of positioners outside the program; the requirements also count these candidates.
     ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a candidate is 1 if
     the candidate is in use. The variable of a requirement is its number of missing fibers.
     """
@@ -75,7 +75,7 @@ class Program:
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
-        """Return the value of each objective."""
+        """Return the value of each objective for a plan."""
         return np.round(self.matrix @ x)
 
     def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
@@ -103,12 +103,12 @@ class Program:
         return maximize((matrix, low, high), goal, most, deadline, integral=integral, gap=gap, presolve=presolve)
 
     def _may_presolve(self, matrix) -> bool:
-        """Return whether the presolve is fast enough, from an estimate that is the same on all computers."""
+        """Return whether the presolve of the solver is fast enough; the estimate is the same on all computers."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add constraints whose coefficients are all 1, and the bounds of these constraints.
+        """Add constraints, with their bounds, whose coefficients are all 1.
 
         For each coefficient, ``row`` is the index of its constraint, counted from the first added constraint.
         """
@@ -131,7 +131,7 @@ class Program:
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))
 
     def _cliques(self, edges, deadline):
-        """Add the constraints that no two arms collide; two arms at the same target also exclude each other."""
+        """Add the constraints that no two arms collide and that no two positioners have the same target."""
         indptr, column = cover_by_pairs(self.candidates.options, self.candidate, edges, deadline)
         if self.n > EXTENDED:
             alive = self.index >= 0
@@ -141,7 +141,7 @@ class Program:
             self._add(np.repeat(np.arange(n), np.diff(indptr)), self.index[column], -np.inf, np.ones(n))
 
     def _requirements(self, others):
-        """Add the constraints of the requirements: a minimum may be missed, but a maximum must not be exceeded."""
+        """Add constraints for the requirements: the plan may miss a minimum, but must not exceed a maximum."""
         held = self.candidates.held
         for g, group in enumerate(self.problem.groups):
             column = np.flatnonzero(held[g, self.candidate])

@@ -1,4 +1,4 @@
-"""The options of an allocation, which plans of tiles, surveys, tilings and comparisons share."""
+"""The options of an allocation, which are the same for plans of tiles, surveys, tilings and comparisons."""
 
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -28,7 +28,7 @@ from rfpsurvey.region import Region
 __all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
 
 SEPARATION = (
-    "sky_separation, the least distance of sky positions from all targets, must be an angle on the sky such as "
+    "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky such as "
     "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
 )
 OBJECTIVES = ("priority", "count")
@@ -175,7 +175,7 @@ class AllocationOptions:
         return isinstance(self.requirements, str) and self.requirements == "instrument"
 
     def check_for_fields(self, what: str) -> None:
-        """Raise an error if ``start`` is an allocation, which belongs to a single field.
+        """Raise an error if ``start`` is an allocation, because an allocation is valid for a single field only.
 
         Parameters
         ----------
@@ -188,7 +188,10 @@ class AllocationOptions:
             If ``start`` is an allocation.
         """
         if not isinstance(self.start, str):
-            raise InputError(f"start must be the name of an allocator for {what}, got an allocation of one field")
+            raise InputError(
+                f"start must be the name of an allocator for {what}, got an allocation, which is valid for one "
+                "field only"
+            )
 
     @property
     def name(self) -> str:
@@ -206,7 +209,7 @@ class AllocationOptions:
         return float(self.time_limit.to_value(u.s))
 
     def for_instrument(self, instrument: object) -> "AllocationOptions":
-        """Return the options for an instrument, with its requirements and with ``sky_separation`` as a length.
+        """Return the options with the requirements of an instrument, and with ``sky_separation`` as a length.
 
         Parameters
         ----------
@@ -216,8 +219,8 @@ class AllocationOptions:
         Returns
         -------
         AllocationOptions
-            Options that `allocate` accepts and that a result records. Options that the allocator does not use have
-            their default values.
+            Options that `allocate` accepts and that a result records. Options that the allocator does not use are set
+            to their default values.
 
         Raises
         ------
@@ -228,26 +231,31 @@ class AllocationOptions:
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
             given = "requirements='instrument'" if self._of_instrument else f"sky_separation={separation}"
-            raise InputError(f"{given} needs an instrument; use plan_tile, or pass lengths and requirements")
+            raise InputError(
+                f"{given} can be used only with an instrument; use plan_tile, or pass lengths and requirements"
+            )
         if instrument is None and self.required:
             raise InputError(
-                f"ids of required targets need a catalog, got {brief(self.required)}; use plan_tile, or pass rows "
-                "of targets as the argument required of allocate"
+                f"ids of required targets can be used only with a catalog, got {brief(self.required)}; use "
+                "plan_tile, or pass rows of targets as the argument required of allocate"
             )
         if instrument is None and isinstance(self.subpriority, str):
             raise InputError(
-                f"the column of subpriorities needs a catalog, got {self.subpriority!r}; use plan_tile, or pass the "
-                "values as the argument subpriority of allocate"
+                f"a column of subpriorities can be used only with a catalog, got {self.subpriority!r}; use "
+                "plan_tile, or pass the values as the argument subpriority of allocate"
             )
         if instrument is None and self.keep_out:
             raise InputError(
-                f"keep_out needs positions on the sky, got {len(self.keep_out)} circles; use plan_tile, or define "
-                "obstacles of the focal plane"
+                f"keep_out can be used only with positions on the sky, got {len(self.keep_out)} circles; use "
+                "plan_tile, or define obstacles of the focal plane"
             )
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
-            text = "sky_separation has no effect: no requirement asks for sky positions, such as 'sky=20/spectrograph'"
+            text = (
+                "sky_separation has no effect: no requirement counts sky positions; add one, such as "
+                "'sky=20/spectrograph'"
+            )
             warn(text)
             separation = None
         elif separation is not None and _is_angle(separation):
@@ -262,7 +270,7 @@ class AllocationOptions:
 
     @property
     def record(self) -> dict:
-        """The options as text and numbers, as they are written to files."""
+        """Return the options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
         requirements = self.requirements
         return {
@@ -285,7 +293,7 @@ def as_options(given: object) -> AllocationOptions:
 
 
 def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") -> None:
-    """Raise an error unless an allocator is built in, is provided by a package, or is a function."""
+    """Raise an error unless an allocator is built in, is provided by an installed package, or is a function."""
     if not (isinstance(given, str) and given in known):
         find_function(GROUP, given, known, what)
 

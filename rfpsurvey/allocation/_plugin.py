@@ -1,4 +1,4 @@
-"""Find allocators, and check the answers of allocators that are not built in."""
+"""Find allocators, and check the return values of allocators that are not built in."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,14 +20,14 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function of an allocator from this function, or from the name of a built-in or installed allocator."""
+    """Return the function of an allocator, which is given as this function or as a name (built in or installed)."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
 
 
 def packages(options: AllocationOptions) -> dict[str, str]:
-    """Return names and versions of the packages that provide the allocator and the initial plan of ``repair``."""
+    """Return the names and versions of the packages that provide the allocators ``allocator`` and ``start``."""
     found, own = {}, name_of(options.allocator)
     for name in (options.allocator, options.start) if own == "repair" or own not in METHODS else ():
         if isinstance(name, str) and name not in METHODS:
@@ -36,7 +36,7 @@ def packages(options: AllocationOptions) -> dict[str, str]:
 
 
 def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
-    """Call a plugin with a problem, and check its answer."""
+    """Call an allocator of another package with a problem, and check the return value."""
     with plugin.answering():
         answer = plugin.value(problem)
         if not isinstance(answer, AllocationAnswer):
@@ -53,33 +53,39 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Raise an error if levels are not those of the plan, or if queues contain targets out of reach."""
+    """Raise an error if the levels disagree with the plan, or if queues contain targets that are out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}
         if given != real or any(bound < value for _, value, bound in answer.levels):
-            raise InputError(f"levels must be those of the plan, {real}, with bounds that are not below them")
+            raise InputError(
+                f"levels must contain the values of the objectives of the plan, {real}, and bounds that are not "
+                "below these values"
+            )
     if answer.queues is not None:
         indptr, queue = (np.asarray(column) for column in answer.queues)
         n, pairs = len(target_of), problem.pairs
         fits = indptr.shape == (n + 1,) and indptr[0] == 0 and indptr[-1] == len(queue) and (np.diff(indptr) >= 0).all()
         own = np.repeat(np.arange(n), np.diff(indptr)) if fits else None
         if not fits or not np.isin(queue * n + own, pairs.target * n + pairs.owner).all():
-            raise InputError(f"queues must be indptr, shape ({n + 1},), and targets that the positioners reach")
+            raise InputError(
+                f"queues must contain indptr, shape ({n + 1},), and the rows of targets that the positioners reach"
+            )
 
 
 def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
-    """Return the target of each positioner from an allocator's answer; raise an error if the answer is not valid."""
+    """Return the target of each positioner from the return value of an allocator; raise an error if it is not valid."""
     n, n_targets = len(problem.focal_plane), len(problem.xy)
     target_of = _plain(given)
     if target_of.shape != (n,) or target_of.dtype.kind not in "iu":
         raise InputError(
-            f"an allocator must return whole numbers of the shape ({n},), the target of each positioner or -1, or a "
-            f"tuple of these and the elbows; got {type(given).__name__} of the shape {target_of.shape}"
+            "an allocator must return the row of the target of each positioner or -1 (whole numbers of the "
+            f"shape ({n},)), or a tuple of these numbers and the elbows; got {type(given).__name__} of the "
+            f"shape {target_of.shape}"
         )
     strange = target_of[(target_of < -1) | (target_of >= n_targets)]
     if len(strange):
-        raise InputError(f"targets must be rows from 0 to {n_targets - 1}, or -1 for none, got {strange[0]}")
+        raise InputError(f"targets must be rows from 0 to {n_targets - 1}, or -1 for no target, got {strange[0]}")
     target_of = target_of.astype(np.int64)
     if problem.watched is not None:  # answers based on `start` contain the sky positions that stuck fibers observe
         target_of[(problem.watched >= 0) & (target_of == problem.watched)] = -1
@@ -88,19 +94,25 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     if (counts > 1).any():
         twice = used[counts > 1][0]
         who = np.flatnonzero(target_of == twice)
-        raise InputError(f"target {twice} must have one positioner at most, got {who[0]} and {who[1]} (by row)")
+        raise InputError(
+            f"target {twice} must have at most one positioner, got the positioners {who[0]} and {who[1]} (rows)"
+        )
     pairs = problem.pairs
     able = np.isin(target_of[own] * n + own, pairs.target * n + pairs.owner)
     if not able.all():
         first = own[~able][0]
         idle = not problem.focal_plane.arrays.usable[first]
-        why = "it is disabled or stuck" if idle else "it is out of reach, forbidden, or needs another fiber"
-        raise InputError(f"positioner {first} (by row) cannot observe target {target_of[first]}: {why}")
+        why = (
+            "the positioner is disabled or stuck"
+            if idle
+            else "the target is out of reach, is forbidden, or requires another fiber type"
+        )
+        raise InputError(f"positioner {first} (row) cannot observe target {target_of[first]}: {why}")
     return target_of
 
 
 def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -> np.ndarray:
-    """Return the elbows of all arms; raise an error if a positioner does not allow the given elbow at its target."""
+    """Return the elbows of all arms; raise an error if a positioner cannot reach its target with the given elbow."""
     plane, own = problem.focal_plane, np.flatnonzero(target_of >= 0)
     names = _plain(elbows)
     if names.shape != target_of.shape or not np.isin(names[own], ELBOWS).all():
@@ -118,12 +130,12 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
         allowed[rows] = plane.arrays.joints_allow(own[rows], points, one, fiber[own[rows]])
     if not allowed.all():
         first = own[~allowed][0]
-        raise InputError(f"positioner {first} (by row) cannot have the elbow {str(names[first])!r} at its target")
+        raise InputError(f"positioner {first} (row) cannot have the elbow {str(names[first])!r} at its target")
     return elbow_names(side)
 
 
 def _plain(given: object) -> np.ndarray:
-    """Convert a column of an allocator's answer to an array; return an array of shape (0, 0) if it cannot be."""
+    """Convert a value that an allocator returned to an array; return an array of shape (0, 0) if this is impossible."""
     try:
         return to_plain(given)
     except (TypeError, ValueError):

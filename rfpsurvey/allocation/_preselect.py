@@ -19,13 +19,13 @@ BATCH = 1 << 18
 
 
 class Preselection(NamedTuple):
-    """Reachable pairs that are kept."""
+    """The reachable pairs (positioner, target) that remain after the preselection."""
 
     reach: Reach
     code: np.ndarray
-    """Code of each target; the same requirements count all targets with the same code."""
+    """Code of each target; targets have the same code if the same requirements count them."""
     shortened: np.ndarray
-    """Whether any targets were omitted for each positioner and code, shape (n_positioners, n_codes)."""
+    """Whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)."""
     n_left_out: int
 
 
@@ -33,7 +33,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     """Return a subset of the reachable pairs (positioner, target) that is sufficient for an optimal plan.
 
     If k other positioners reach targets of a positioner, they can observe at most k of its targets. At least one of the
-    positioner's best k + 1 targets of each code is therefore always free, and the preselection is exact if arms may
+    positioner's best k + 1 targets of each code is therefore always free. The preselection is exact if arms may
     collide. If arms must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs;
     `replaceable` is used to find an upper limit of the difference.
 
@@ -67,12 +67,12 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
 
 
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
-    """Mark the candidates that represent omitted candidates.
+    """Mark the kept candidates that can replace omitted candidates in every plan.
 
     An omitted target is no better than the kept targets of its positioner and code. At most ``n_rivals`` other
-    positioners share these targets, so that one of the last ``n_rivals + 1`` kept targets is always free. Suppose that
-    these last targets, and all targets of their class or of a later class, cannot collide. Replacing any omitted target
-    in a plan by one of these kept targets then gives a plan that is at least as good.
+    positioners share targets with the positioner, so that one of its last ``n_rivals + 1`` kept targets is always free.
+    Suppose that arms at these last targets, and at all targets of the same or a later class, cannot collide. Replacing
+    any omitted target in a plan by one of these kept targets then gives a plan that is at least as good.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
 
 def _codes(problem):
-    """Return a code for each target and the number of codes; the same requirements count all targets with one code."""
+    """Return a code for each target, and the number of codes; a code stands for a set of requirements."""
     columns, seen = [], set()
     for group in problem.groups:
         if group.requirement not in seen:
@@ -127,7 +127,7 @@ def _codes(problem):
 
 
 def _without_obstacles(problem, reach, crowded):
-    """Omit pairs for which the arm touches an obstacle with every elbow; only ``crowded`` positioners are tested."""
+    """Omit pairs whose arm touches an obstacle with every possible elbow; only ``crowded`` positioners are tested."""
     plane = problem.focal_plane
     pairs = plane.arrays.obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]

@@ -1,4 +1,4 @@
-"""Upper bounds from prices of cliques; they are valid whenever the search for better prices ends."""
+"""Upper bounds from prices of cliques; the bounds are valid even if the search for better prices ends early."""
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -50,7 +50,7 @@ class Prices:
         return bound + ROUNDING * (len(self.options.start) + float(self.price.sum()))
 
     def improve(self, weights: np.ndarray, deadline: float) -> float:
-        """Adjust the prices for an objective until a deadline, and return the upper bound."""
+        """Adjust the prices for an objective until a deadline, and return the upper bound of the objective."""
         start, own = self.options.start, self.options.own
         value, n = self.values(weights), len(self.price)
         best, best_price = self.bound(weights), self.price.copy()
@@ -76,9 +76,9 @@ class Prices:
 
 
 def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
-    """Return the weights of all candidates for each objective, or None for requirements.
+    """Return the weights of all candidates for each objective, or None for an objective that is a requirement.
 
-    For a class, targets of this class and of all earlier classes count.
+    The weights for a class include the targets of this class and of all earlier classes.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ __all__ = ["AllocationProblem", "TargetColumns"]
 
 
 class TargetColumns(NamedTuple):
-    """Columns with one value per target, shape (n_targets,); a column that is not given is None."""
+    """Columns of the targets, shape (n_targets,); a column that is not given is None."""
 
     priority: np.ndarray | None = None
     kind: np.ndarray | None = None
@@ -30,7 +30,7 @@ class TargetColumns(NamedTuple):
 
 
 def _no_start() -> AllocationAnswer:
-    raise InputError("the option start must be given for an allocator that begins with another plan")
+    raise InputError("the option start must be given for an allocator that improves another plan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class AllocationProblem:
 
     @property
     def objective(self) -> str:
-        """Objective: ``priority`` (one class after the other) or ``count`` (the number of science targets first)."""
+        """Quantity to maximize: ``priority`` (one class after the other) or ``count`` (all science targets first)."""
         return self.options.objective
 
     @property
@@ -152,7 +152,7 @@ class AllocationProblem:
 
     @property
     def parked_obstacles(self) -> bool:
-        """Whether idle positioners with equal arms are obstacles."""
+        """Whether idle positioners with two arms of equal length are obstacles."""
         return self.options.parked_obstacles
 
     @cached_property
@@ -188,7 +188,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets; the class of a row of -1 (no target) follows all other classes.
+        """Return the classes of targets, which are given by rows; the row -1 (no target) has the last class.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class AllocationProblem:
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires, -1 for any type; one last element stands for no target."""
+        """Index of the fiber type that each target requires (-1: any type), and a last element for "no target"."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
@@ -232,7 +232,7 @@ class AllocationProblem:
         return np.where(code < 0, first, code)
 
     def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the spectrographs that receive the light of targets through the fibers of positioners.
+        """Return the spectrograph that receives the light of each target through the fiber of its positioner.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class AllocationProblem:
         return levels
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return the number of fibers of a plan that each group counts."""
+        """Return the number of fibers of a plan that each group (targets and fibers of a requirement) counts."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
@@ -326,11 +326,15 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Return a hint at the cause of a shortfall: an unknown name, or a minimum above the number of fibers."""
+        """Return a hint about the cause of a shortfall: an unknown name, or a minimum above the number of fibers."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
-            return f"all requirements need {asked} fibers, but there are {there}" if asked > there and enough else ""
+            return (
+                f"all requirements together need {asked} fibers, but the number of fibers is {there}"
+                if asked > there and enough
+                else ""
+            )
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
@@ -345,5 +349,5 @@ class AllocationProblem:
 
 
 def _holds(column: np.ndarray, word: str) -> bool:
-    """Return whether a column contains a word; if the column repeats one value, only this value is tested."""
+    """Return whether a column contains a word."""
     return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

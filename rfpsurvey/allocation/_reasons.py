@@ -1,4 +1,4 @@
-"""The reason why a positioner has no target, found from the plan after the allocation."""
+"""Find the reasons why positioners have no target, after the allocation."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -41,7 +41,7 @@ IDLE_REASONS = (
 
 
 class IdleReasons(NamedTuple):
-    """Why positioners have no target, and each attempt to move one of them to a free target in reach.
+    """Reasons why positioners have no target, and the attempts to move each of these positioners to a free target.
 
     An attempt moves one arm, with one of its elbows, to a target that no positioner observes; all other arms remain as
     in the plan.
@@ -85,9 +85,9 @@ class IdleReasons(NamedTuple):
 
 
 def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms) -> IdleReasons:
-    """Return for each positioner without a target why it has none.
+    """Return the reason why a positioner has no target, for each positioner without a target.
 
-    The targets are those that the allocator received; targets in gaps that were added for sky fibers are not counted.
+    Only the targets that the allocator received are considered, and not the sky positions that were added in gaps.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     Returns
     -------
     IdleReasons
-        The reasons, with every attempt on which they rest.
+        The reasons, and all attempts from which the reasons follow.
 
     Raises
     ------
     InputError
-        If the plan or the arms are those of another number of positioners.
+        If the plan or the arms belong to a focal plane with another number of positioners.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     n, given = len(focal_plane), allocation.n_given
     for name, number in (("allocation", len(allocation.target_of_positioner)), ("arms", len(arms.segments))):
         if number != n:
-            raise InputError(f"{name} must be that of the {n} positioners of the focal plane, got {number} positioners")
+            raise InputError(f"{name} must have the {n} positioners of the focal plane, got {number} positioners")
     idle = np.flatnonzero(allocation.target_of_positioner < 0)
     is_idle = np.zeros(n, dtype=bool)
     is_idle[idle] = True
@@ -146,7 +146,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
 
 
 def _attempts(plane, allocation, arms, reach):
-    """Return positioner, target and colliding arms and obstacles of each attempt."""
+    """Return the positioner, the target, and the colliding arms and obstacles of each attempt."""
     problem = AllocationProblem(
         plane,
         allocation.xy.to_value(u.mm)[: allocation.n_given],

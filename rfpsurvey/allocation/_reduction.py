@@ -12,7 +12,7 @@ BATCH = 10_000_000
 
 
 def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
-    """Mark the candidates that are left after the removal of those that an optimal plan does not need.
+    """Mark the candidates that remain after removing candidates that an optimal plan does not need.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
     Returns
     -------
     ndarray of bool, shape (n_candidates,)
-        Whether each candidate is left.
+        Whether each candidate remains.
     """
     n = len(options.start) - 1
     alive, queue, waiting = np.ones(len(options.own), dtype=bool), np.arange(n), np.ones(n, dtype=bool)

@@ -23,7 +23,7 @@ class Requirement:
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
-    ``repair`` do not exceed the maximum. The other allocators ignore the maximum, and results report a maximum that is
+    ``repair`` do not exceed the maximum. The other allocators ignore the maximum; results report each maximum that is
     exceeded.
 
     Parameters
@@ -61,7 +61,7 @@ class Requirement:
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
-            raise refusal("a requirement must name a kind or category of targets", self.what, str)
+            raise refusal("a requirement must contain the name of a kind or category of targets", self.what, str)
         if not isinstance(self.fiber_type, str):
             raise refusal(f"fiber_type of {self.what!r} must be a name", self.fiber_type, str)
         check_choice(self.per, PERS, "range of a requirement")
@@ -73,12 +73,13 @@ class Requirement:
                 raise refusal(f"{name} of {self.what!r} must be a whole number from 0 to 10^9", value, Number)
         if self.maximum is not None and self.minimum > self.maximum:
             raise InputError(
-                f"the requirement on {self.what!r} contradicts itself: at least {self.minimum}, at most {self.maximum}"
+                f"the minimum of the requirement on {self.what!r} must not exceed its maximum {self.maximum}, "
+                f"got {self.minimum}"
             )
 
     @classmethod
     def parse(cls, text: str) -> "Requirement":
-        """Make a requirement from text.
+        """Make a requirement from text such as ``sky=20/spectrograph``.
 
         Parameters
         ----------
@@ -94,7 +95,7 @@ class Requirement:
         Raises
         ------
         InputError
-            If the text does not have one of these forms, or if a number or name is not valid.
+            If the text does not have one of the allowed forms, or if a number or name is not valid.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
@@ -117,7 +118,7 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A requirement that a plan does not meet.
+    """A requirement that a plan does not meet, with the required and actual numbers of targets.
 
     Parameters
     ----------
@@ -186,7 +187,7 @@ def _few(n):
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """The targets and fibers that one requirement counts."""
+    """The targets and fibers that one requirement counts, in all spectrographs or in one spectrograph."""
 
     requirement: Requirement
     spectrograph: int | None
@@ -194,7 +195,7 @@ class Group:
     """Whether the requirement counts each target, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return which pairs of a target (-1: no target) and a spectrograph the requirement counts."""
+        """Return whether the requirement counts each pair of a target (-1: no target) and a spectrograph."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 

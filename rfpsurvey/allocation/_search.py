@@ -57,7 +57,7 @@ ROUNDING = 1e-4
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan that is found in time, with upper bounds; if ``collide`` is true, arms must not collide."""
+    """Return the best plan found in time, with upper bounds; if ``collide`` is true, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
     everything, whole = _candidates_in_time(problem, deadline, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
@@ -93,7 +93,7 @@ def decide(
 
 
 def _candidates_in_time(problem, deadline, *, collide, squared_cost):
-    """Return the candidates, and whether they are complete.
+    """Return the candidates, and whether the list of candidates is complete.
 
     If it takes too long to find all collisions, only the best targets of each positioner are used.
     """
@@ -126,7 +126,7 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
 
 
 def _best_pairs(problem, most):
-    """Return the pairs of each positioner with its best targets."""
+    """Return the reachable pairs of each positioner and its best targets."""
     reach = problem.pairs
     n = reach.n_positioners
     start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
@@ -141,7 +141,7 @@ def _best_pairs(problem, most):
 
 
 def _chosen_in(everything, used, chosen):
-    """Return the indices of candidates in use among all candidates."""
+    """Return the indices of the candidates in use, counted among all candidates."""
     if used is everything:
         return chosen
     found = pick(everything, used.options.target[chosen], used.side[chosen])
@@ -154,10 +154,10 @@ def _values(candidates, chosen):
 
 
 def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
-    """Improve a plan, and find smaller upper limits of the objectives from ``first`` on.
+    """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
-    The limit of a class is for the sum of its targets and those of all earlier classes. The limits are computed for the
-    candidates ``bounding``, unless it is None.
+    The limit of a class is for the number of targets of this class and of all earlier classes. The limits are computed
+    for the candidates ``bounding``, unless it is None.
     """
     problem = used.problem
 
@@ -193,7 +193,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
 
 
 def _whole(bound):
-    """Return the largest whole number that does not exceed a bound with rounding errors."""
+    """Return the largest whole number that does not exceed a bound, which may have rounding errors."""
     return np.floor(bound + ROUNDING)
 
 
@@ -203,10 +203,10 @@ def _offset(problem, names):
 
 
 def _matching_limits(problem, everything, names):
-    """Return upper limits of the objectives from a matching whose arms may collide.
+    """Return upper limits of the objectives from the best matching, in which arms may collide.
 
-    The limit of a class is for the sum of its targets and those of all earlier classes: no plan has more of them than
-    the matching. Without candidates, the limits are the numbers of targets in reach.
+    The limit of a class is for the number of targets of this class and of all earlier classes; no plan has more of
+    these targets than the matching. If there are no candidates, the limits are the numbers of targets in reach.
     """
     n, n_classes = problem.pairs.n_positioners, len(problem.classes)
     if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
@@ -228,7 +228,7 @@ def _matching_limits(problem, everything, names):
 
 
 def _conditional(problem, names, values, limits, first):
-    """Return upper bounds of the objectives, given the values of the objectives before them.
+    """Return an upper bound of each objective, given the values of all earlier objectives.
 
     Objectives before ``first`` have no bound.
     """
@@ -275,7 +275,7 @@ class _Found(NamedTuple):
 def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> _Found:
     """Solve the independent parts of a problem one after the other.
 
-    ``blind`` contains the candidate of each positioner in a matching whose arms may collide, or -1 for no target.
+    ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
     """
     problem, options = candidates.problem, candidates.options
     n_left = np.diff(options.start)
@@ -318,7 +318,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
-    """Return the initial plan of a part, with the bounds that follow from a matching whose arms may collide."""
+    """Return the initial plan of a part, with upper bounds from a matching in which arms may collide."""
     problem = candidates.problem
     if problem.groups:  # the initial plan may exceed the maximum of a requirement
         return Solution(None, np.full(n_levels, -np.inf), np.full(n_levels, np.inf), 0, False)
@@ -332,7 +332,7 @@ def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
 
 
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
-    """Report the current part of a search and the objective that is being solved."""
+    """Report the part of the problem and the objective that the search currently optimizes."""
     of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
     tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
 

@@ -1,4 +1,4 @@
-"""Sky fibers: blank positions in gaps between the targets, and the positions that stuck fibers observe."""
+"""Sky positions for fibers: positions in gaps between the targets, and the positions that stuck fibers observe."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,17 +16,17 @@ N_TRIALS, N_KEPT = 64, 4
 
 
 class Sky(NamedTuple):
-    """Blank positions, each for one positioner and one fiber type."""
+    """Sky positions, each for one positioner and one fiber type."""
 
     own: np.ndarray
     points: np.ndarray
     wanted: np.ndarray
     stuck: np.ndarray
-    """Whether a stuck fiber observes the position."""
+    """Whether the position is observed by a stuck fiber."""
 
 
 def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
-    """Return positions at least ``separation`` (mm) from all points, for the given fiber types ("" is any type)."""
+    """Return sky positions at least ``separation`` (mm) from all points, for fiber types (the empty text: any type)."""
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
@@ -76,7 +76,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 
 
 def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
-    """Add sky positions in gaps between targets and other points (mm), if a requirement counts sky positions."""
+    """Add sky positions in gaps between targets and other points to a problem, if a requirement counts them."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem

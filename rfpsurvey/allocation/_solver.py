@@ -1,4 +1,4 @@
-"""Run HiGHS such that the caller regains control at the deadline, or if the user interrupts it."""
+"""Run the solver HiGHS in a thread, so that the caller can end it at the deadline or when the user interrupts it."""
 
 import atexit
 import threading
@@ -87,12 +87,12 @@ def maximize(
 
 
 def with_errors(bound: float, n: int) -> float:
-    """Return the bound of a program with n variables, increased by the rounding errors of HiGHS."""
+    """Return the bound of a program with n variables, increased by the largest possible rounding errors of HiGHS."""
     return bound + ERROR_OF_ONE * n + ERROR * (1.0 + abs(bound))
 
 
 def _solver(rows, goal, most, *, integral):
-    """Return the solver with its program."""
+    """Return a HiGHS solver that contains the program."""
     import highspy
 
     matrix, low, high = rows
@@ -136,7 +136,7 @@ def _run(solver, deadline: float) -> bool:
 
 @atexit.register
 def _wait_for_abandoned() -> None:
-    """Wait for abandoned threads. The process would abort if one of them returned to Python after Python has ended."""
+    """Wait until solver threads end, because the process would abort if a thread returned after Python has ended."""
     end = perf_counter() + AT_EXIT
     for thread in _abandoned:
         thread.join(max(end - perf_counter(), 0.0))

@@ -10,7 +10,7 @@ __all__ = ["id_numbers", "service_order", "subpriorities", "to_subpriorities"]
 
 
 def id_numbers(ids: np.ndarray) -> np.ndarray:
-    """Return the number of each identifier, from which its subpriorities are computed.
+    """Return one number per identifier, from which the subpriorities of the target are computed.
 
     Parameters
     ----------
@@ -46,18 +46,18 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
     Returns
     -------
     ndarray of float, shape (n,)
-        Subpriorities, which are uniformly distributed in [0, 1). They are the same on all computers.
+        Subpriorities, which are uniformly distributed in [0, 1). The subpriorities are the same on all computers.
 
     Raises
     ------
     InputError
-        If the identifiers are neither integers nor text, or the seed is not an integer in this range.
+        If the identifiers are neither integers nor text, or the seed is not an integer in the allowed range.
 
     Notes
     -----
-    The number of an identifier is the identifier itself, or the hash FNV-1a of a text that is not an integer. The
-    output function of the generator SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195) combines this
-    number with the seed.
+    The number of an identifier is the integer itself if the identifier is an integer or represents one as text, and
+    otherwise the hash FNV-1a of the text. The number and the seed are combined by the output function of the generator
+    SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195).
 
     Examples
     --------
@@ -74,7 +74,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
 
 
 def check_seed(seed: object) -> int:
-    """Return a seed of subpriorities as an integer."""
+    """Convert a seed of subpriorities to an integer."""
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer):
         raise InputTypeError(f"the seed of subpriorities must be an integer, got {short(seed)}")
     if not 0 <= seed < 2**63:
@@ -122,7 +122,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
 
 
 def check_values(values: object, n: int, what: str) -> np.ndarray:
-    """Return subpriorities as numbers, or raise an error unless each target has a finite number."""
+    """Return subpriorities as numbers; raise an error unless each target has a finite number."""
     plain = to_plain(values, what, "numbers")
     try:
         numbers = plain.astype(float)

@@ -1,4 +1,4 @@
-"""Weighted problems: candidates of one tile as plain arrays, programs with weights and capacities, and their prices."""
+"""Weighted problems: candidates of one tile as arrays, programs with weights and capacities, and prices of sets."""
 
 from time import perf_counter, time
 from typing import NamedTuple
@@ -84,7 +84,7 @@ class GivenPlan:
 
 
 class WeightedProblem(NamedTuple):
-    """Positioners that each use exactly one candidate, such that the sum of the weights is as large as possible."""
+    """The choice of one candidate for each positioner such that the sum of the weights is as large as possible."""
 
     start: np.ndarray
     """First candidate of each positioner, followed by the number of candidates."""
@@ -105,7 +105,7 @@ class WeightedProblem(NamedTuple):
 
 
 def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
-    """Return the candidate of each positioner, or None, and an upper bound of the sum of the weights.
+    """Return the candidate of each positioner (None if no plan is found), and an upper bound of the sum of the weights.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
 
 
 class RowPrices(Prices):
-    """Prices of sets of candidates of which a plan uses at most a given number.
+    """Prices of sets of candidates; a plan uses at most a given number of candidates of each set.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Benchmark of scoring many configurations in one call."""
+"""Benchmark of counting the collisions of many configurations in one call."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +26,7 @@ def benchmark_batches(
     repeats: int = 5,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Measure the time of scoring many configurations in one call, with kinematics, on CPU threads and on a GPU.
+    """Measure the time of counting the collisions of many configurations in one call, on CPU threads and on a GPU.
 
     Parameters
     ----------

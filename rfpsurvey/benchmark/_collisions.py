@@ -1,4 +1,4 @@
-"""Benchmark of the methods of finding collisions: their speed, and the number and size of their errors."""
+"""Benchmark of the methods of finding collisions, which measures the speed and the errors of each method."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -57,7 +57,10 @@ def shapely(case: Configuration) -> Found:
 
 
 COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
-"""All methods that `~rfpsurvey.benchmark.benchmark_collisions` can measure; the last three are only for comparison."""
+"""All methods that `~rfpsurvey.benchmark.benchmark_collisions` can measure.
+
+The last three methods are not methods of `find_collisions`.
+"""
 
 WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
 
@@ -74,10 +77,10 @@ def benchmark_collisions(
 ) -> QTable:
     """Measure the time and the errors of each method of finding collisions, on the same arms.
 
-    Targets are uniform in each patrol area, one per positioner. The result of each method is compared with that of
-    rational arithmetic. The measured time is that from known poses of the arms to the list of pairs, without
-    compilation. Methods run alternately in random order, so that other work on the machine affects all of them in the
-    same way. With few repeats, times are inaccurate.
+    Each positioner has one target, uniformly distributed in its patrol area. The result of each method is compared with
+    the result of rational arithmetic. The measured time begins with known poses of the arms and ends with the list of
+    pairs; it excludes compilation. Methods run alternately in random order, so that other work on the machine affects
+    all of them in the same way. If ``repeats`` is small, the measured times are inaccurate.
 
     Parameters
     ----------
@@ -100,11 +103,11 @@ def benchmark_collisions(
     Returns
     -------
     QTable
-        Table with a row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time``
-        of a configuration, ``ratio`` of this time to that of ``exact``, ``n_colliding_true`` (true number of
-        colliding pairs, the same for every method), ``n_missed`` (false negatives) and ``n_spurious`` (false
-        positives), ``misclassified`` (sum of both, divided by the true number), ``max_error`` and ``mean_error`` of
-        the distances of colliding pairs that were found. Counts are sums over the configurations.
+        Table with a row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time`` of
+        a configuration, ``ratio`` of this time to the time of ``exact``, ``n_colliding_true`` (true number of colliding
+        pairs, the same for every method), ``n_missed`` (false negatives) and ``n_spurious`` (false positives),
+        ``misclassified`` (``n_missed`` plus ``n_spurious``, divided by the true number), ``max_error`` and
+        ``mean_error`` of the distances of colliding pairs that were found. The counts are sums over all configurations.
 
     Raises
     ------
@@ -149,7 +152,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each run finds in each case, and its times; the first round compiles and is not timed."""
+    """Return the pairs that each method finds in each case, and the times without that of the first round."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -212,7 +215,7 @@ def _case(plane, tips) -> Configuration:
 
 
 def _check_methods(methods):
-    """Return the given names, or those of all methods that can run on this machine."""
+    """Return the given names, or by default the names of all methods that can run on this machine."""
     if isinstance(methods, str):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()

@@ -1,4 +1,4 @@
-"""Functions that all benchmarks share."""
+"""Functions that all benchmarks use."""
 
 import os
 import platform
@@ -14,9 +14,9 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
-    """Return one target (mm) per positioner, uniform within its reach.
+    """Return one random target (mm) per positioner, uniformly distributed in its patrol area.
 
-    The target of a positioner is NaN if a hundred random points are out of reach.
+    If a hundred random points are out of reach of a positioner, its target is NaN.
     """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
@@ -33,7 +33,7 @@ def random_tips(plane, rng):
 
 
 def has_gpu():
-    """Return whether there is a real GPU, not a simulated one."""
+    """Return whether the machine has a GPU; a GPU that numba simulates on the CPU is not counted."""
     try:
         from numba import config, cuda
     except ImportError:
@@ -42,7 +42,7 @@ def has_gpu():
 
 
 def provenance(instrument, plane):
-    """Return the instrument, the versions of packages and the machine of a benchmark."""
+    """Return a description of a benchmark: the instrument, the versions of packages, and the machine."""
     name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
     return {
         "instrument": name,
@@ -55,7 +55,7 @@ def provenance(instrument, plane):
 
 
 def processor(cpuinfo="/proc/cpuinfo"):
-    """Return the name of the processor, or of its architecture if the system does not provide the name."""
+    """Return the name of the processor, or the name of its architecture if the processor's name is unknown."""
     try:
         lines = Path(cpuinfo).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

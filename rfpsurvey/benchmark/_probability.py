@@ -41,8 +41,8 @@ def benchmark_probability(
     """Measure the time and the error of each method of estimating collision probabilities.
 
     The reference value for allocated targets is computed by a long conditional simulation. The reference value for
-    independent (uniform) targets is computed by a fine quadrature. The runs of the methods alternate. Errors smaller
-    than ``truth_error``, the error of the reference value, are not significant.
+    independent (uniform) targets is computed by a fine quadrature. The methods run alternately. Errors smaller than
+    ``truth_error``, the error of the reference value, are not significant.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def benchmark_probability(
 
 
 def _misses(values, true):
-    """Return the bias and the root-mean-square error of repeated runs, each with its standard error."""
+    """Return the bias and the root-mean-square error of repeated runs, with the standard errors of both values."""
     n, away = len(values), values - true.value
     squares = away**2
     error = float(np.sqrt(squares.mean()))
@@ -149,7 +149,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare the collision probabilities of independent targets from several densities with that of allocated targets.
+    """Compare collision probabilities of independent targets, for several densities, with that of allocated targets.
 
     Parameters
     ----------
@@ -166,8 +166,8 @@ def benchmark_densities(
     -------
     QTable
         Table with a row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (the difference from the
-        value of allocated targets), and ``factor`` (the ratio to the value of allocated targets). The first row is that
-        of allocated targets.
+        value of allocated targets), and ``factor`` (the ratio to the value of allocated targets). The first row
+        contains the value of allocated targets.
 
     Raises
     ------

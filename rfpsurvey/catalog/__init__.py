@@ -1,4 +1,4 @@
-"""Catalogs of targets, from files, from tables, or synthetic."""
+"""Catalogs of targets, which are read from files, converted from tables, or synthetic."""
 
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._catalog import Catalog

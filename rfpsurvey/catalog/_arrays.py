@@ -1,4 +1,4 @@
-"""A catalog as arrays without units."""
+"""The columns of a catalog as arrays without units."""
 
 from functools import cached_property
 
@@ -16,7 +16,7 @@ __all__ = ["CatalogArrays"]
 
 
 class CatalogArrays:
-    """The columns of a catalog as read-only arrays without units, which are computed on first use and then kept.
+    """The columns of a catalog as read-only arrays without units, which are computed on first use and then stored.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class CatalogArrays:
         return np.flatnonzero(mask)
 
     def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
-        """Return the rows of the targets that can be inside a circle at another epoch."""
+        """Return the rows of all targets whose proper motions allow them to be inside a circle at another epoch."""
         # The radius is slightly enlarged to allow for rounding.
         return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
 

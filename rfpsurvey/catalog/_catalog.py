@@ -1,4 +1,4 @@
-"""The class `Catalog`."""
+"""The class `Catalog`, which contains the targets of a survey."""
 
 import os
 from collections.abc import Mapping
@@ -32,8 +32,9 @@ _PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
 class Catalog:
     """Targets on the sky, one per row, with priorities and other columns that allocators use.
 
-    Rows whose coordinates are masked or not finite are removed with a warning, and ``n_dropped`` is the number of these
-    rows. Columns that are not given are None and use no memory. Distances and radial velocities are not kept.
+    Rows whose coordinates are masked or not finite are removed with a warning; ``n_dropped`` is the number of removed
+    rows. Columns that are not given are None and use no memory. Distances and radial velocities in ``coord`` are
+    discarded.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ class Catalog:
             extra = None if extra is None else extra[keep]
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
-            warn(f"{n_bad} of {n} targets have no finite coordinates and were dropped")
+            warn(f"{n_bad} of {n} targets have no finite coordinates and were removed")
         for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
             object.__setattr__(self, name, value)
         for name, kind, what in (("n_dropped", int | np.integer, "a whole number"), ("meta", Mapping, "a dict")):
@@ -191,7 +192,7 @@ class Catalog:
         fill: dict | None = None,
         keep: list | None = None,
     ) -> "Catalog":
-        """Make a catalog from a table or DataFrame whose columns have common names or UCDs.
+        """Make a catalog from a table or DataFrame; columns are found by common names or by UCDs.
 
         Parameters
         ----------
@@ -227,8 +228,8 @@ class Catalog:
         Raises
         ------
         InputError
-            If coordinates are missing or have a wrong unit, if they have no unit although other columns have one, or
-            if priorities or visits are missing in some rows and ``fill`` has no value for them.
+            If coordinates are missing or have a wrong unit, if coordinates have no unit although other columns have
+            one, or if priorities or visits are missing in some rows and ``fill`` contains no value for missing ones.
 
         Examples
         --------
@@ -262,8 +263,8 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        If a file has no units (as in CSV and some Parquet files), degrees and mas / yr are assumed, unless ``units``
-        specifies different units. CSV files may use semicolons, tabs or vertical bars instead of commas.
+        If a file has no units (such as CSV files and some Parquet files), degrees and mas / yr are assumed, unless
+        ``units`` specifies different units. CSV files may use semicolons, tabs or vertical bars instead of commas.
 
         Parameters
         ----------
@@ -333,7 +334,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If the folder does not exist, or the file exists and ``overwrite`` is False.
+            If the folder does not exist, or if the file exists and ``overwrite`` is False.
         """
         _io.write_table(self.to_table(), path, overwrite=overwrite)
 
@@ -356,7 +357,7 @@ class Catalog:
         Returns
         -------
         Catalog
-            The same targets at the new epoch; the catalog itself if no target moves.
+            The same targets at the new epoch; if no target moves, the same catalog is returned.
 
         Raises
         ------
@@ -387,7 +388,7 @@ class Catalog:
         Returns
         -------
         Catalog
-            The targets at most ``radius`` from ``center``, in the same order.
+            The targets at a distance of at most ``radius`` from ``center``, in the order of the catalog.
 
         Raises
         ------

@@ -64,19 +64,19 @@ MOST_MOTION = 1.3e9 * u.mas / u.yr
 
 @dataclass
 class Finder:
-    """Finds columns in a table by their role."""
+    """Finds the columns of a table that have a given role, such as ``ra`` or ``priority``."""
 
     table: Table
     columns: dict = field(default_factory=dict)
-    """Column name for each role, in place of the common names; a leading minus reverses the sign of numbers."""
+    """Column name for each role, used instead of the common names; a leading minus reverses the sign of the numbers."""
     units: dict = field(default_factory=dict)
-    """Unit for each role whose column has no unit."""
+    """For each role whose column has no unit, the unit of the column."""
     assume_units: bool = False
-    """Whether columns without a unit are assumed to have the usual unit (for formats that cannot contain units)."""
+    """Whether columns without a unit are assumed to have the default unit (for formats that cannot contain units)."""
     fill: dict = field(default_factory=dict)
     """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """For each role whose unit has been assumed, the usual unit."""
+    """For each role whose unit was assumed, the default unit."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -86,16 +86,16 @@ class Finder:
         for role, value in self.fill.items():
             check_choice(role, FILLED, "column role to fill")
             if FILLED[role] and not is_number(value):
-                raise InputError(f"fill must have a number for {role}, got {short(value)}")
+                raise InputError(f"the value of fill for {role} must be a number, got {short(value)}")
         for role, name in self.columns.items():
             check_choice(role, ROLES, "column role")
             if not isinstance(name, str):
-                raise InputError(f"columns must name a column for {role}, got {short(name)}")
+                raise InputError(f"the value of columns for {role} must be the name of a column, got {short(name)}")
         for role in self.units:
             check_choice(role, UNITS, "column role with a unit")
 
     def name_of(self, role: str) -> str | None:
-        """Return the name of the column with this role, or None if no column has it."""
+        """Return the name of the column with this role, or None if no column has this role."""
         if role in self.columns:
             name = self.columns[role].removeprefix("-")
             if name not in self.table.colnames:
@@ -124,13 +124,15 @@ class Finder:
             if isinstance(given, u.UnrecognizedUnit):
                 raise ValueError
         except (ValueError, TypeError):
-            raise InputError(f"units of {role} must be a unit, got {short(self.units[role])}") from None
+            raise InputError(f"the value of units for {role} must be a unit, got {short(self.units[role])}") from None
         if own is not None and given is not None and own != given:
-            raise InputError(f"column {name!r} has the unit {own}, but units says {given}")
+            raise InputError(
+                f"column {name!r} has the unit {own} in the table, but the unit {given} in the argument units"
+            )
         return own or given
 
     def quantity(self, role: str) -> u.Quantity | None:
-        """Return the column as a Quantity in the usual unit of its role; masked values become NaN."""
+        """Return the column as a Quantity in the default unit of its role; masked values become NaN."""
         name = self.name_of(role)
         if name is None:
             return None
@@ -224,7 +226,9 @@ class Finder:
         """Return the column as integers or text; masked text becomes empty."""
         name = self.name_of(role)
         if self.columns.get(role, "").startswith("-"):
-            raise InputError(f"columns: a leading minus is only for numbers, got {role} = {self.columns[role]}")
+            raise InputError(
+                f"columns: a leading minus is allowed only for columns of numbers, got {role} = {self.columns[role]}"
+            )
         if name is None:
             return None
         self._check_shape(role)
@@ -232,7 +236,7 @@ class Finder:
         return np.where(labels == "", str(self.fill[role]), labels) if role in self.fill else labels
 
     def missing(self, what: str) -> InputError:
-        """Return the error for a required column that is missing."""
+        """Return the exception for a required column that is missing."""
         text = f"there is no column for {what}; {self.listing()}"
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
             return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
@@ -250,7 +254,7 @@ class Finder:
 
 
 def _unit(given: object, role: str) -> u.UnitBase:
-    """Convert text such as ``Degrees`` to a unit; for right ascensions, hours are hour angles."""
+    """Convert text such as ``Degrees`` to a unit; hours are converted to hour angles for right ascensions."""
     unit = u.Unit(given, parse_strict="silent")
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")

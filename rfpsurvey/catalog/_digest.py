@@ -1,4 +1,4 @@
-"""Digest of columns in Parquet files, from their stored bytes."""
+"""Compute a digest of columns in Parquet files from the stored bytes."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Files of the catalogs that come with the package."""
+"""Find and read the files of the catalogs that come with the package."""
 
 import os
 from pathlib import Path
@@ -23,7 +23,7 @@ def is_example(path: object) -> bool:
 
 
 def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
-    """Return the path of a file or an example, and its name for the provenance of results."""
+    """Return the path of a file or of an example catalog, and the name that results record in their provenance."""
     if not is_example(path):
         path = _io.to_path(path)
         return path, path.name
@@ -37,7 +37,7 @@ def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
 
 
 def read_table(path: Path) -> QTable:
-    """Read the table of a catalog, or of an example in packed form."""
+    """Read the table of a catalog from a file, or from an example catalog in packed form."""
     if path.suffix != ".packed":
         return _io.read_table(path)
     return QTable.read(unpack(path.read_bytes()).splitlines(), format="ascii.ecsv")

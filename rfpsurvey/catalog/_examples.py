@@ -1,4 +1,4 @@
-"""Catalogs that come with the package."""
+"""Example catalogs of real stars that come with the package."""
 
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._example_files import EXAMPLES, PREFIX

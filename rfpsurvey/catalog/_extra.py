@@ -1,4 +1,4 @@
-"""Further columns of a catalog, which results include and allocators do not read."""
+"""Columns of a catalog that are included in results, but that allocators do not read."""
 
 from collections.abc import Mapping
 
@@ -19,13 +19,13 @@ RESERVED = frozenset(
         *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y"),
     )
 )
-"""Names of the columns of results."""
+"""Names of the columns that results always contain."""
 MOST_EXACT = 2**53
 KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
 def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
-    """Return the columns of a table that are in ``keep`` but not in ``others``, or None if no column remains."""
+    """Return the columns of a table whose names are in ``keep`` but not in ``others``, or None if there are none."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
@@ -55,7 +55,7 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 
 def result_name(name: str) -> str:
-    """Return a unique name of a column in results; as in FITS, upper and lower case are not distinguished."""
+    """Return a unique name for a column of results; names that differ in case only are the same, as in FITS."""
     while name.lower() in RESERVED:
         name = f"target_{name}"
     return name
@@ -64,7 +64,7 @@ def result_name(name: str) -> str:
 def _plain(column, name):
     if isinstance(column, ShapedLikeNDArray) and not isinstance(column, Masked):  # such as Time and SkyCoord
         raise InputError(
-            f"column {name!r} must hold numbers, text or truth values to be kept, got a {type(column).__name__}"
+            f"column {name!r} in keep must contain numbers, text or truth values, got a {type(column).__name__}"
         )
     unit = getattr(column, "unit", None)
     values, missing = getattr(column, "value", column), np.ma.getmaskarray(np.ma.asarray(column))
@@ -75,14 +75,16 @@ def _plain(column, name):
         values, missing = _of_objects(values, missing, name)
     if values.ndim != 1 or values.dtype.kind not in KINDS:
         raise InputError(
-            f"column {name!r} must hold a number, text or a truth value per target to be kept, "
-            f"got the type {values.dtype} and the shape {values.shape}"
+            f"column {name!r} in keep must contain one number, text or truth value per target, got the type "
+            f"{values.dtype} and the shape {values.shape}"
         )
     kind = KINDS[values.dtype.kind]
     if kind == "U":
         return np.where(missing, "", values.astype(str))
     if missing.any() and kind == "i" and np.abs(values[~missing].astype(float)).max(initial=0) >= MOST_EXACT:
-        raise InputError(f"column {name!r} must not lack values to be kept: its integers have no exact float values")
+        raise InputError(
+            f"column {name!r} in keep must not have missing values, because its integers have no exact float values"
+        )
     if missing.any():
         values = np.where(missing, np.nan, values.astype(float))
     elif kind == "i":
@@ -91,11 +93,11 @@ def _plain(column, name):
 
 
 def _of_objects(values, missing, name):
-    """Convert objects, as in columns of pandas, to text or numbers."""
+    """Convert a column of Python objects, as in pandas, to text or numbers."""
     missing = missing | np.array([v is None or v is np.ma.masked or v != v for v in values.tolist()], dtype=bool)
     known = values[~missing].tolist()
     if all(isinstance(v, str) for v in known):
         return np.array([v if isinstance(v, str) else "" for v in values.tolist()], dtype=str), missing
     if all(isinstance(v, int | float | np.number) for v in known):
         return np.array([0.0 if gone else float(v) for v, gone in zip(values.tolist(), missing, strict=True)]), missing
-    raise InputError(f"column {name!r} must hold numbers or text to be kept, got objects of other types")
+    raise InputError(f"column {name!r} in keep must contain numbers or text, got objects of other types")

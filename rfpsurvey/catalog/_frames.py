@@ -16,7 +16,7 @@ def is_table(given: object) -> bool:
 
 
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
-    """Convert an object to an astropy table, and return whether objects of its type cannot have units.
+    """Convert an object to an astropy table; also return whether tables of this type cannot have units.
 
     If the index of a DataFrame has names, it becomes columns with these names. An index without names becomes the
     column ``id`` if ``index_as_id`` is true and no column has this role.
@@ -37,7 +37,7 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
         raise
     except Exception as error:  # other packages can raise any exception
         raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
-    raise InputTypeError(f"table must be an astropy Table or QTable, or a DataFrame, got {short(given)}")
+    raise InputTypeError(f"table must be an astropy Table, a QTable or a DataFrame, got {short(given)}")
 
 
 def _is_records(given) -> bool:
@@ -53,7 +53,7 @@ def _is_arrow(given) -> bool:
 
 
 def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has the given type of a package; the package need not be installed."""
+    """Return whether an object has the given type of a package; the package is not imported."""
     return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
 
 

@@ -1,4 +1,4 @@
-"""An index of directions on the sky, which finds the directions inside a field without testing all directions."""
+"""An index of directions on the sky, which finds the directions inside a circle without testing all directions."""
 
 from functools import cached_property
 
@@ -78,5 +78,5 @@ class SkyIndex:
 
 
 def half_chord_squared(radius_rad: float) -> float:
-    """Return the square of half the chord of an angle, slightly enlarged to allow for rounding."""
+    """Return the square of half the chord of an angle, slightly increased to allow for rounding errors."""
     return np.sin(0.5 * min(radius_rad, np.pi)) ** 2 * (1 + 1e-15)

@@ -1,4 +1,4 @@
-"""Motion of stars along straight lines, without parallax and radial velocity."""
+"""Compute the motion of stars along straight lines, without parallax and radial velocity."""
 
 import astropy.units as u
 import numpy as np
@@ -58,7 +58,7 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
 
 
 def _axes(lon, lat):
-    """Return unit vectors of the positions, of east and of north at these positions, shape (n, 3) each."""
+    """Return unit vectors of positions, and of the directions east and north at these positions, shape (n, 3) each."""
     zero = np.zeros_like(lon)
     place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.column_stack([-np.sin(lon), np.cos(lon), zero])

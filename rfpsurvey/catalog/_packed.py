@@ -1,4 +1,4 @@
-"""Catalogs in the packed form in which a wheel contains them; ``data/wheel.py`` packs them and describes the form."""
+"""Read catalogs in packed form, as wheels contain them; ``data/wheel.py`` packs catalogs and describes the form."""
 
 import bz2
 import json

@@ -1,4 +1,4 @@
-"""Catalogs in the HATS layout, with one Parquet file for each HEALPix pixel; files are read when they are needed."""
+"""Catalogs in the HATS layout: one Parquet file for each HEALPix pixel, which is read only when it is needed."""
 
 import os
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ MOST_PROPERTIES = 2**20
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class PartitionedCatalog:
-    """A catalog in a folder in the HATS layout: Parquet files by HEALPix order and pixel (nested, ICRS).
+    """A catalog in a folder with the HATS layout, which has a Parquet file for each HEALPix pixel (nested, ICRS).
 
-    A survey reads only the partitions around its fields, and only the columns that a `Catalog` has. This class
+    A survey reads only the partitions (files) around its fields, and only the columns that a `Catalog` uses. This class
     requires pyarrow (``rfpsurvey[parquet]``).
 
     Parameters
@@ -53,7 +53,9 @@ class PartitionedCatalog:
     InputError
         If pyarrow or a column is missing, the folder contains no partitions, pixels overlap, or a file cannot be read.
 
-    See Also -------- partition_catalog : Write a catalog in this layout.
+    See Also
+    --------
+    partition_catalog : Write a catalog in this layout.
 
     Examples
     --------
@@ -92,7 +94,9 @@ class PartitionedCatalog:
             raise InputError(f"{self.folder}: there is no such folder")
         if not self.parts.files:
             files = "files such as Norder=5/Dir=0/Npix=77.parquet"
-            raise InputError(f"{self.folder} is a folder without partitions, which are {files}")
+            raise InputError(
+                f"{self.folder} must contain partitions, which are {files}, got a folder without partitions"
+            )
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
         said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})
@@ -101,12 +105,15 @@ class PartitionedCatalog:
         self.parts.refuse_overlaps()
         self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
         if said is not None and said != str(len(self)):
-            text = f"{self.folder}: the catalog must have {said} rows according to its properties, got {len(self)}"
+            text = (
+                f"{self.folder}: the catalog must have the {said} rows that its properties file states, got "
+                f"{len(self)} rows"
+            )
             warn(text)
 
     @cached_property
     def parts(self) -> Partitions:
-        """The individual partitions (``Partitions``)."""
+        """The partitions of the catalog (an instance of ``Partitions``)."""
         return Partitions(self)
 
     def __len__(self):
@@ -146,7 +153,7 @@ class PartitionedCatalog:
 def partition_catalog(
     catalog: Catalog | SkyCoord | Table, folder: str | os.PathLike, *, order: int | None = None
 ) -> PartitionedCatalog:
-    """Write a catalog as Parquet files, one for each HEALPix pixel, in the HATS layout.
+    """Write a catalog in the HATS layout, with one Parquet file for each HEALPix pixel.
 
     Parameters
     ----------
@@ -229,11 +236,11 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
 
 
 def _joined(columns: list) -> np.ndarray:
-    """Concatenate columns; masked values remain masked."""
+    """Concatenate the columns of several partitions; masked values remain masked."""
     masked = any(isinstance(column, MaskedColumn) for column in columns)
     kinds = {column.dtype.kind == "U" for column in columns}
     if len(kinds) > 1:
-        raise TypeError(f"{columns[0].name} holds numbers and text")
+        raise TypeError(f"the column {columns[0].name} contains numbers and text")
     return (np.ma.concatenate if masked else np.concatenate)(columns)
 
 
@@ -242,7 +249,7 @@ def _mean_rows(vectors, order) -> float:
 
 
 def _properties(folder: Path) -> dict[str, str]:
-    """Read the names of the coordinate columns and the number of rows from the properties of a HATS catalog."""
+    """Read the names of the coordinate columns and the number of rows from the properties file of a HATS catalog."""
     found = {}
     for name in PROPERTIES:
         path = folder / name

@@ -62,7 +62,7 @@ class Partitions:
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def refuse_overlaps(self) -> None:
-        """Raise an error if a pixel lies inside another pixel, because its targets could then occur twice."""
+        """Raise an error if a pixel lies inside another pixel, because targets could then occur in two partitions."""
         orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self.files], strict=True))
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
@@ -77,7 +77,7 @@ class Partitions:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """First row of each partition, followed by the total number of rows."""
+        """Row number of the first target of each partition, followed by the total number of rows."""
         parquet, counts, columns = import_parquet(), [], None
         for *_, path in self.files:
             about = read_or_name(path, lambda path=path: parquet.read_metadata(path))
@@ -85,13 +85,15 @@ class Partitions:
             names = set(about.schema.names)
             if columns is not None and names != columns:
                 strange = ", ".join(sorted(names ^ columns))
-                raise InputError(f"{path}: all partitions must have the same columns, but some have no {strange}")
+                raise InputError(
+                    f"{path}: all partitions must have the same columns, but some partitions have no {strange}"
+                )
             columns = names
         return np.concatenate([[0], np.cumsum(counts)])
 
     @cached_property
     def names(self) -> list[str]:
-        """Names of the columns to read."""
+        """Names of the columns that are read from each partition."""
         path = self.files[0][2]
         schema = read_or_name(path, lambda: import_parquet().read_schema(path))
         find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.catalog.columns), {})
@@ -124,13 +126,18 @@ class Partitions:
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])
         if len(catalog) < n:
-            raise InputError(f"{path}: {n - len(catalog)} of {n} rows have no finite coordinates; leave them out")
+            raise InputError(
+                f"{path}: all coordinates must be finite, got {n - len(catalog)} of {n} rows without finite "
+                "coordinates; remove these rows"
+            )
         middles, radii = self.circles
         chord = np.linalg.norm(catalog.arrays.vectors - middles[k], axis=1).max(initial=0.0)
         if 2 * np.arcsin(min(chord / 2, 1.0)) > radii[k] + SLACK_RAD:
-            raise InputError(f"{path}: all targets must lie inside the HEALPix pixel (nested, ICRS), got some outside")
+            raise InputError(
+                f"{path}: all targets must lie inside the HEALPix pixel (nested, ICRS), got targets outside the pixel"
+            )
         if k and catalog.id.dtype.kind != self._id_kind:
-            raise InputError(f"{path}: ids must be integers in all partitions, or text in all")
+            raise InputError(f"{path}: ids must be integers in all partitions, or text in all partitions")
         return catalog
 
     @cached_property
@@ -138,20 +145,20 @@ class Partitions:
         return self.part(0).id.dtype.kind
 
     def column(self, name: str) -> np.ndarray | None:
-        """Return one column for the targets of all partitions."""
+        """Return a column of the whole catalog."""
         if name != "id" and getattr(self.part(0), name) is None:
             return None
         return np.concatenate([getattr(self.part(k), name) for k in range(len(self.files))])
 
     def table(self, k: int, names: list[str]) -> Table:
-        """Return a table of some columns of a partition."""
+        """Return a table with the given columns of a partition."""
         table = read_parquet(self.files[k][2], names)
         if self._has_no_id:
             table["id"] = np.arange(self.rows[k], self.rows[k + 1])
         return table
 
     def digest(self) -> str:
-        """Return a digest of the stored bytes of the columns that are read."""
+        """Return a digest of the stored bytes of all columns that are read."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
         about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())
@@ -166,7 +173,7 @@ class Partitions:
         return find.name_of("id") is None
 
     def to_catalog(self, table: Table, path: Path) -> Catalog:
-        """Convert a table to a catalog; error messages contain the name of the file."""
+        """Convert the table of a file to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
             return Catalog._from_table(
@@ -177,7 +184,7 @@ class Partitions:
 
 
 def read_or_name(path: Path, read):
-    """Call a function that reads a file; if it fails, raise an error with the name of the file."""
+    """Call a function that reads a file; if the function fails, raise an error that contains the name of the file."""
     try:
         return read()
     except Exception as error:  # pyarrow can raise any exception

@@ -94,9 +94,9 @@ def synthetic_catalog(
 
 
 def _expected_number(kind, cap, n_targets, density):
-    """Return the expected number of targets, or None if the circle is to be filled."""
+    """Return the expected number of targets, or None if the circle is filled with as many targets as possible."""
     if n_targets is not None and density is not None:
-        raise InputError("give n_targets or density, not both")
+        raise InputError("give either n_targets or density, but not both")
     if density is not None:
         number = to_unit(density, u.sr**-1, "density") * _area(cap)
     elif n_targets is not None:
@@ -104,11 +104,11 @@ def _expected_number(kind, cap, n_targets, density):
     elif kind == "poisson_disc":
         return None
     else:
-        raise InputError(f"a {kind} catalog needs n_targets or density")
+        raise InputError(f"n_targets or density must be given for a {kind} catalog")
     try:
         number = float(number)
     except (TypeError, ValueError):
-        raise refusal("the number of targets must be one number", number, str) from None
+        raise refusal("the number of targets must be a single number", number, str) from None
     if not 0 <= number <= MOST:
         raise InputError(f"the number of targets must be from 0 to {MOST:.0e}, got {number:g}")
     return number
@@ -138,7 +138,7 @@ def _poisson(rng, cap, expected, **_):
 
 def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     if min_separation is None:
-        raise InputError("a poisson_disc catalog needs min_separation")
+        raise InputError("min_separation must be given for a poisson_disc catalog")
     separation = to_scalar(min_separation, u.rad, "min_separation", low=0, high=np.pi)
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
@@ -165,7 +165,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
 
 
 def _thin(points, chord):
-    """Remove each point that is closer than ``chord`` to an earlier point that is kept."""
+    """Remove each point that is closer than ``chord`` to an earlier point that was not removed."""
     alive = np.ones(len(points), dtype=bool)
     if len(points):
         pairs = cKDTree(points).query_pairs(chord, output_type="ndarray")
@@ -177,7 +177,7 @@ def _thin(points, chord):
 
 def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     if cluster_scale is None:
-        raise InputError("a clustered catalog needs cluster_scale")
+        raise InputError("cluster_scale must be given for a clustered catalog")
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
     if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
@@ -200,7 +200,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
 
 
 def _basis(center):
-    """Return a basis (ICRS) whose rows are two directions perpendicular to the center, and the center."""
+    """Return a matrix (ICRS) with three rows: two directions perpendicular to the center, and the center."""
     z = to_vectors(center)[0]
     helper = np.eye(3)[np.argmin(np.abs(z))]
     x = np.cross(helper, z)

@@ -21,8 +21,8 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
     """Return the arguments of `Catalog` for a table.
 
-    With ``assume_units``, the usual units are used for columns without a unit. Without this option, the usual units are
-    used only if no column of the table has a unit, and a warning is issued.
+    With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
+    option, default units are assumed only if no column of the table has a unit, and a warning is issued.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -59,14 +59,14 @@ def _ids(find: Finder) -> np.ndarray | None:
     ids = find.labels("id")
     if ids is not None and ids.dtype.kind == "U" and (ids == "").any():
         warn(
-            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; columns={{'id': ...}} or --column "
-            "id=... names another column"
+            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; columns={{'id': ...}} or "
+            "--column id=... names another column"
         )
     return ids
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns in ``keep``, except those that results always have; None if no column is left."""
+    """Return the columns in ``keep``, except those that results always contain, or None if no column remains."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -74,7 +74,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of the columns that every result contains with the same name and the same values."""
+    """Return the names of the columns that all results contain with the same names and values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -93,7 +93,9 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     mixed = [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
     if mixed and not {"ra", "dec", "lon", "lat"} & set(find.columns):
         if len(mixed) > 1:
-            raise InputError(f"the table has several columns of coordinates, {', '.join(mixed)}; keep one of them")
+            raise InputError(
+                f"the table must have a single column of coordinates, got {', '.join(mixed)}; remove the others"
+            )
         return find.table[mixed[0]]
     if not isinstance(frame, str):
         raise InputTypeError(f"frame must be the name of a frame such as 'icrs', got {short(frame)}")
@@ -127,12 +129,12 @@ def _check_frame(frame: str) -> None:
         SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
     except Exception as error:  # a frame can raise any exception
         raise InputError(
-            f"frame must be one that has a fixed relation to ICRS, such as icrs, fk5 or galactic, got {frame!r}"
+            f"frame must be a frame that has a fixed relation to ICRS, such as icrs, fk5 or galactic, got {frame!r}"
         ) from error
 
 
 def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
-    """Return the column with this role in degrees; the unit of sexagesimal text without a unit is ``unit``."""
+    """Return the column with this role in degrees; ``unit`` is the unit of sexagesimal text that states no unit."""
     if not find.is_text(role):
         return find.quantity(role)
     own, texts = find.unit_of(role), find.texts(role)
@@ -141,7 +143,9 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     angles = np.full(len(texts), np.nan)
     try:
         if own is None and any(text.replace(".", "", 1).isdecimal() for text in texts[there]):
-            raise ValueError("decimal numbers and sexagesimal text are in one column; give the unit of the column")
+            raise ValueError(
+                "the column contains both decimal numbers and sexagesimal text; give the unit of the column"
+            )
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
         text = _not_an_angle(texts[there], unit)
@@ -152,7 +156,7 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
 
 
 def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
-    """Return the first text that is not an angle."""
+    """Return the first text in a column that is not an angle."""
     for text in texts.tolist():
         try:
             Angle(text, unit)
@@ -167,7 +171,7 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
     if names == [None, None]:
         return {}
     if not equatorial:
-        warn(f"the proper motions {names} are not in the requested frame, and are not used")
+        warn(f"the proper motions {names} are ignored, because they are not in the requested frame")
         return {}
     if None in names:
         raise find.missing("pmra" if names[0] is None else "pmdec")
@@ -219,7 +223,7 @@ def _kind_of_category(category: np.ndarray) -> np.ndarray:
 
 
 def _plain_meta(meta: dict) -> dict:
-    """Return the values of a table's meta that JSON can represent, except comments that readers add."""
+    """Return the values in the ``meta`` of a table that JSON can represent, without comments that readers add."""
     return {
         str(k): v for k, v in meta.items() if isinstance(v, str | int | float | bool) and not str(k).startswith("__")
     }

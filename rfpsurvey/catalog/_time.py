@@ -1,4 +1,4 @@
-"""Conversion of epochs."""
+"""Convert epochs to Time objects."""
 
 from numbers import Number
 

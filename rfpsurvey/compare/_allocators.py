@@ -1,4 +1,4 @@
-"""Comparison of several allocators on the same field."""
+"""Compare several allocators on the same field."""
 
 import logging
 import warnings
@@ -59,15 +59,15 @@ def compare_allocators(
     QTable
         Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
         fibers on each kind of target); the number of fibers on each priority class, if there are from two to eight
-        classes; ``missing`` (number of further fibers that the requirements demand); ``colliding`` (number of
-        positioners in collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles);
-        ``usable`` (number of science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller
-        than the number of science fibers of the best plan that ignores collisions; it can be negative for allocators
-        that ignore requirements); ``gap`` (relative difference between the objective of the plan and its proven upper
-        bound; NaN without a proven bound); ``seconds`` (time of reach and allocation, without compilation). ``meta``
-        contains the unmet requirements of each allocator, and the provenance.
+        classes; ``missing`` (number of fibers missing for the requirements); ``colliding`` (number of positioners in
+        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number of
+        science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
+        science fibers of the best plan that ignores collisions; it can be negative for allocators that ignore
+        requirements); ``gap`` (relative difference between the objective of the plan and its proven upper bound; NaN
+        without a proven bound); ``seconds`` (time for finding the targets in reach and for the allocation, without
+        compilation). ``meta`` contains the unmet requirements of each allocator, and the provenance.
     dict of str to Tile
-        The tile that each allocator planned, by the name of the allocator; only with ``return_tiles``.
+        The tile that each allocator planned, by the name of the allocator. It is returned only with ``return_tiles``.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def compare_allocators(
 
 
 def _row(name, tile, blind):
-    """Return the row of the table for one plan."""
+    """Return the row of the table for the plan of one allocator."""
     summary, table = tile.summary, tile.table
     values = {level: value for level, value, _ in summary["objectives"]}
     usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))

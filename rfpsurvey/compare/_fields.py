@@ -32,7 +32,7 @@ BLIND = "sdss"
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A field of an instrument."""
+    """A field of an instrument, with its targets."""
 
     instrument: Instrument
     catalog: Catalog
@@ -42,7 +42,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Results of the plan of a field by an allocator."""
+    """Numbers of fibers, targets and collisions in the plan of a field by an allocator."""
 
     n_targets: int
     n_science: int
@@ -60,7 +60,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
     if not isinstance(methods, list | tuple):
         raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
     if "allocator" in others:
-        raise InputError("the allocators to compare are given by allocators, not by allocator")
+        raise InputError("the argument allocators must name the allocators to compare, got the argument allocator")
     if not methods:
         raise InputError("allocators must name at least one allocator, got none")
     common = AllocationOptions() if options is None else as_options(options)
@@ -90,14 +90,14 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
 
 
 def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
-    """Return the fraction of targets that are on the footprint, if targets are uniform in the field."""
+    """Return the fraction of targets inside the footprint, if targets are uniformly distributed in the field."""
     sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
     xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
     return float(on_footprint(model.focal_plane, xy).mean())
 
 
 def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
-    """Return the same fields of a catalog for each instrument."""
+    """Return fields of a catalog for each instrument, with the same centers for all instruments."""
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     centers = catalog.mean_direction if center is None else center
@@ -160,13 +160,13 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
 
 
 def on_kind(tile, kind: str) -> int:
-    """Return the number of fibers on a kind of targets."""
+    """Return the number of fibers with a target of the given kind."""
     return int(np.count_nonzero(tile.table["kind"] == kind))
 
 
 @cache
 def _compile(allocator: str, start: str) -> None:
-    """Plan a small, crowded field once in each process, so that compilation is not part of the measured time."""
+    """Plan a small field once in each process, so that the measured times do not include compilation."""
     robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
     small = Instrument(
         "small", FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm), plate_scale=1 * u.mm / u.arcmin

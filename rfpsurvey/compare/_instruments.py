@@ -26,9 +26,9 @@ CONFIDENCE = 0.95
 WITHOUT_COLLISIONS = ("optimal", "repair")
 COMPARABLE = {
     "same targets per positioner": (
-        "Every instrument has its own sky, with the same number of targets per positioner within its footprint. "
-        "Fractions of the positioners, probabilities, pairs per positioner and losses can be compared; numbers of "
-        "targets and values per field or solid angle cannot."
+        "Each instrument observes its own synthetic targets; the number of targets per positioner in the "
+        "footprint is the same. Fractions of the positioners, probabilities, pairs per positioner and losses "
+        "can be compared; numbers of targets and values per field or solid angle cannot be compared."
     ),
     "same density": (
         "Each instrument observes one full field, and all fields have the same density of targets. Fibers per field "
@@ -41,8 +41,8 @@ COMPARABLE = {
     ),
 }
 CAUTION = (
-    "Telescopes, exposure times and spectrographs are not part of the comparison. The layouts are those in "
-    "the descriptions of the instruments; most of these layouts are nominal lattices. Idle positioners with arms of "
+    "Telescopes, exposure times and spectrographs are not part of the comparison. The layouts are taken from "
+    "the descriptions of the instruments; most layouts are nominal lattices. Idle positioners with arms of "
     "equal length are obstacles; idle positioners with arms of unequal length avoid all other arms."
 )
 PARTS = {
@@ -130,24 +130,25 @@ def compare_instruments(
     Returns
     -------
     QTable
-        Table with a row for each instrument and allocator. Columns on the instrument: ``instrument``; ``positioners``
-        (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the convex hull of
-        the centers); ``type`` (1: no arms can collide, 2: those of first neighbors can, 3: further ones can too);
-        ``multiplicity`` (mean number of positioners that reach a point of the footprint); ``reach_0``, ``reach_1``,
-        ``reach_2``, ``reach_3`` (fraction of the footprint within reach of no, one, two, and at least three
-        positioners). Columns on the plans, averaged over the fields: ``allocator``; ``targets`` (number of science
-        targets in reach); ``targets_per_positioner`` (``targets`` divided by ``positioners``); ``assigned`` (number of
-        fibers on science targets); ``assigned_part`` (fraction of the positioners assigned to science targets);
-        ``probability``, ``low``, ``high`` (collision probability of the positioners that have a target or are parked
-        obstacles, with its 95 % interval); ``pairs_per_positioner`` (number of colliding pairs divided by the number of
-        these positioners); ``usable`` (number of fibers on science targets without a collision); ``usable_per_area``
-        (``usable`` divided by the area of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid
-        angle of the field); ``loss`` (fraction by which ``usable`` is smaller than the number of science fibers of the
-        best plan that ignores collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be
-        negative for allocators that ignore requirements); ``gap`` (relative difference between the objective of a plan
-        and its proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time of
-        reach and allocation of a field, without compilation). ``meta`` states which columns can be compared, and the
-        provenance.
+        Table with a row for each instrument and allocator. Columns that describe the instrument: ``instrument``;
+        ``positioners`` (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the
+        convex hull of the centers); ``type`` (1: no arms can collide, 2: only arms of first neighbors can collide, 3:
+        more distant arms can also collide); ``multiplicity`` (mean number of positioners that reach a point of the
+        footprint); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of the footprint within reach of no,
+        one, two, and at least three positioners). Columns that describe the plans, averaged over the fields:
+        ``allocator``; ``targets`` (number of science targets in reach); ``targets_per_positioner`` (``targets`` divided
+        by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part`` (fraction of the
+        positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision probability of the
+        positioners that have a target or are parked obstacles, with its 95 % interval); ``pairs_per_positioner``
+        (number of colliding pairs divided by the number of these positioners); ``usable`` (number of fibers on science
+        targets without a collision); ``usable_per_area`` (``usable`` divided by the area of the footprint);
+        ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss`` (fraction by which
+        ``usable`` is smaller than the number of science fibers of the best plan that ignores collisions; for
+        ``optimal`` this is the fraction of targets lost to collisions; it can be negative for allocators that ignore
+        requirements); ``gap`` (relative difference between the objective of a plan and its proven upper bound, maximum
+        over the fields; NaN without a proven bound); ``seconds`` (median time for finding the targets in reach and for
+        the allocation of a field, without compilation). ``meta`` contains the provenance, and states which columns can
+        be compared between instruments.
 
     Raises
     ------
@@ -162,8 +163,8 @@ def compare_instruments(
     Notes
     -----
     The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
-    scatter between positioners and the correlation of neighbors. The interval describes the scatter of other fields
-    with targets of the same kind.
+    scatter between positioners and the correlation of neighbors. The interval describes how much the probability would
+    vary between other fields with targets of the same kind.
 
     Examples
     --------
@@ -185,7 +186,9 @@ def compare_instruments(
     if isinstance(catalog, str):
         check_choice(catalog, SYNTHETIC, "kind of synthetic sky")
         if methods[0].required:
-            raise InputError(f"required targets need a catalog, got a synthetic sky of the kind {catalog!r}")
+            raise InputError(
+                f"required targets can be used only with a catalog, got synthetic targets of the kind {catalog!r}"
+            )
         each = 1.0 if targets_per_positioner is None else targets_per_positioner
         if density is not None:
             to_scalar(density, u.deg**-2, "density", low=0)
@@ -195,7 +198,9 @@ def compare_instruments(
     else:
         if any(value is not None for value in (n_realizations, density, targets_per_positioner)):
             what = "n_realizations, density and targets_per_positioner"
-            raise InputError(f"{what} must be None if a catalog is given; they describe synthetic skies")
+            raise InputError(
+                f"{what} must be None if a catalog is given, because these arguments describe synthetic targets"
+            )
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, others, executor, progress)
@@ -230,25 +235,25 @@ def compare_instruments(
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:
-    """Split a comparison into three tables that fit on a page, about instruments, fibers and collisions."""
+    """Split a comparison into three tables that fit on a page: for instruments, for fibers and for collisions."""
     parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
     rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
     return parts | {"instruments": parts["instruments"][np.sort(rows)]}
 
 
 def _models(instruments) -> list[Instrument]:
-    """Return the instruments; raise an error if two have the same name."""
+    """Return the instruments; raise an error if two instruments have the same name."""
     if isinstance(instruments, str | Instrument):
         instruments = [instruments]
     if not isinstance(instruments, Iterable | None):
         raise InputTypeError(f"instruments must be a list of instruments, got {short(instruments)}")
     models = [as_instrument(one) for one in (every_instrument().values() if instruments is None else instruments)]
     if not models:
-        raise InputError("instruments must hold at least one instrument, got none")
+        raise InputError("instruments must contain at least one instrument, got none")
     names = [model.name for model in models]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     if twice:
-        raise InputError(f"instruments must have different names, but there are several called {twice[0]!r}")
+        raise InputError(f"instruments must have different names, got several instruments with the name {twice[0]!r}")
     return models
 
 
@@ -273,7 +278,7 @@ def _describe(model: Instrument) -> dict:
 
 
 def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
-    """Return the columns of an allocator's plans, averaged over the fields of an instrument."""
+    """Return the columns that describe the plans of an allocator, averaged over the fields of an instrument."""
     n, most = len(own), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
         sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")

@@ -26,7 +26,7 @@ def explore_around(
     n_designs: int | None = None,
     **others: object,
 ) -> QTable:
-    """Scan designs around the design of an instrument, which the table includes and marks by its name.
+    """Scan designs around the design of an instrument; the table also contains the design of the instrument itself.
 
     The design of an instrument consists of the lattice and the arms of its positioners, without edges, obstacles, joint
     limits and broken positioners. See `explore_designs`.
@@ -49,9 +49,9 @@ def explore_around(
     Returns
     -------
     QTable
-        Table of `explore_designs` with a further column ``instrument``, which contains the name of the instrument in
-        the row of its design and ``""`` in all others. If the scan does not include the design of the instrument, this
-        design is added as the last row.
+        Table of `explore_designs` with an additional column ``instrument``, which contains the name of the instrument
+        in the row of its design and ``""`` in all other rows. If the scan does not include the design of the
+        instrument, this design is added as the last row.
 
     Raises
     ------
@@ -100,10 +100,11 @@ def design_improvements(table: QTable) -> QTable:
     Returns
     -------
     QTable
-        Table with a row for each objective: ``objective``; ``value`` (of the instrument); ``best`` (of the best design,
-        or of the instrument if no design is better); ``change`` (``best`` minus ``value``); ``other`` (value of the
-        other objective for the best design); ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best
-        design. Values of objectives are plain numbers in the units of the columns of ``table``.
+        Table with a row for each objective: ``objective``; ``value`` (of the objective for the instrument); ``best``
+        (value for the best design, or for the instrument if no design is better); ``change`` (``best`` minus
+        ``value``); ``other`` (value of the other objective for the best design); ``central_arm``, ``ratio``, ``pitch``
+        and ``clearance`` of the best design. The values of objectives are numbers without units; they have the units of
+        the columns of ``table``.
 
     Raises
     ------
@@ -121,10 +122,10 @@ def design_improvements(table: QTable) -> QTable:
     loss 0.109, at best 0.041: pitch 28.16 mm
     """
     if not isinstance(table, QTable) or "instrument" not in table.colnames or "objectives" not in table.meta:
-        raise InputError("table must be what explore_around returns")
+        raise InputError("table must be a table that explore_around returned")
     rows = np.flatnonzero(np.asarray(np.ma.filled(table["instrument"], "")) != "")
     if len(rows) != 1:
-        raise InputError(f"table must have one row of an instrument, got {len(rows)}")
+        raise InputError(f"table must have one row for the design of an instrument, got {len(rows)} rows")
     objectives = table.meta["objectives"]
     plain = {name: np.asarray(getattr(table[name], "value", table[name]), dtype=float) for name in objectives}
     gain = {name: -plain[name] if aim == "min" else plain[name] for name, aim in objectives.items()}
@@ -151,7 +152,7 @@ def design_improvements(table: QTable) -> QTable:
 
 
 def _factors(spread, n_nodes, n_designs):
-    """Return the factors by which the values of an instrument are multiplied: nodes of a grid, or two limits."""
+    """Return the factors by which the parameters of an instrument are multiplied: grid nodes, or two limits."""
     number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
     if not (number and 0 < spread < 1):
         raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")

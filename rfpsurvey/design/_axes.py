@@ -15,13 +15,15 @@ MOST = 10_000_000
 
 
 def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
-    """Return the values of each axis, with lengths in mm, or raise an error."""
+    """Return the values of each parameter of a scan, with lengths in mm; raise an error if a value is not valid."""
     lengths = {"central_arm": central_arm, "pitch": pitch, "clearance": clearance}
     axes = {name: to_mm(value, name) for name, value in lengths.items()}
     try:
         axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
     except (TypeError, ValueError, u.UnitConversionError):
-        raise InputError(f"ratio must be numbers, eccentric over central arm, got {ratio!r}") from None
+        raise InputError(
+            f"ratio (eccentric arm length divided by central arm length) must be numbers, got {ratio!r}"
+        ) from None
     for name, values in axes.items():
         wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
         if wrong.size:
@@ -33,7 +35,7 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
 
 
 def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) -> np.ndarray:
-    """Return the designs as rows: central_arm, ratio, pitch, clearance."""
+    """Return the designs of a scan as rows (central_arm, ratio, pitch, clearance)."""
     if n_designs is None:
         for name, values in axes.items():
             if len(np.unique(values)) < len(values):
@@ -57,7 +59,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
 
 
 def _sobol(n, n_axes, seed):
-    """Return scrambled Sobol points of the unit cube; for the same seed, n points are the first n of any larger set."""
+    """Return scrambled Sobol points of the unit cube; for the same seed, larger sets begin with the same points."""
     from scipy.stats import qmc  # importing this takes longer than importing all of this package
 
     return qmc.Sobol(n_axes, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]

@@ -1,4 +1,4 @@
-"""Checkpoint of a scan on disk: the finished designs and the request."""
+"""Checkpoint of a scan on disk, which contains the finished designs and the arguments of the scan."""
 
 import json
 from collections.abc import Iterator
@@ -41,12 +41,12 @@ class Checkpoint:
         self.done = 0
         if path is None:
             if resume:
-                raise InputError("resume needs the path of the scan to continue")
+                raise InputError("resume requires the path of the file of the scan to continue")
             return
         if self._path.exists() and not (resume or overwrite):
             raise InputError(
-                f"{path} exists; continue it (--resume, resume=True), or ask for it to be overwritten (--overwrite, "
-                "overwrite=True)"
+                f"{path} exists; continue the scan (--resume, resume=True) or overwrite the file "
+                "(--overwrite, overwrite=True)"
             )
         check_output(self._path, WRITABLE, overwrite=True)
         if resume and self._path.exists():
@@ -60,13 +60,13 @@ class Checkpoint:
         return self.parts[0]
 
     def add(self, rows: np.ndarray) -> None:
-        """Add the next finished designs."""
+        """Add finished designs, in the order of the scan."""
         self.parts.append(rows)
         self.done += len(rows)
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Write the finished designs if the work is stopped."""
+        """Context manager that writes the finished designs if the scan is stopped."""
         try:
             yield
         except BaseException:
@@ -99,5 +99,5 @@ class Checkpoint:
         rows = to_rows(table)
         own = np.column_stack([rows[name] for name in AXES])
         if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
-            raise InputError(f"{self._path} is damaged: its designs are not those of the scan")
+            raise InputError(f"{self._path} is damaged: its designs differ from the designs of the scan")
         return rows

@@ -1,4 +1,4 @@
-"""Scans of many designs of fiber positioners."""
+"""Scan many designs of fiber positioners."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -46,16 +46,16 @@ def explore_designs(
     """Compute the coverage of many designs of fiber positioners, and the fraction of fibers lost to collisions.
 
     A design is an infinite hexagonal lattice of equal, right-handed positioners without joint limits, whose arms
-    collide from elbow to tip. Coverage and multiplicity follow from geometry and are exact. The loss is the fraction of
-    the fibers with a target that are lost to collisions. The loss has one of three definitions, and values of distinct
-    definitions cannot be compared:
+    collide from elbow to tip. The multiplicity follows exactly from the geometry of the lattice; the numerical error of
+    the coverage is at most 4e-4. The loss is the fraction of the fibers with a target that is lost to collisions. The
+    loss has one of three definitions, and values of distinct definitions cannot be compared:
 
-    * ``independent``: every positioner has its own random target, uniform over its patrol area; positioners in
-      collision are lost.
+    * ``independent``: every positioner has its own random target, uniform over its patrol area; fibers of positioners
+      in collision are lost.
     * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and every fiber
-      observes one target of its queue; positioners in collision are lost.
-    * ``collision_free``: the plan avoids collisions; fibers that it leaves idle, but that a plan ignoring collisions
-      would assign, are lost.
+      observes one target of its queue; fibers of positioners in collision are lost.
+    * ``collision_free``: the plan avoids collisions; fibers are lost if they are idle in this plan, but have a target
+      in the best plan that ignores collisions.
 
     Parameters
     ----------
@@ -96,26 +96,26 @@ def explore_designs(
     -------
     QTable
         Table with a row for each design: ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
-        ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only those of first neighbors can, 3:
-        further ones can too); ``multiplicity`` (patrol area divided by the area of a lattice cell); ``reach_0`` to
-        ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners) and
-        ``coverage`` (fraction within reach of at least one); ``targets`` (number per positioner) and ``empty``
+        ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only arms of first neighbors can touch,
+        3: more distant arms can also touch); ``multiplicity`` (patrol area divided by the area of a lattice cell);
+        ``reach_0`` to ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners)
+        and ``coverage`` (fraction within reach of at least one); ``targets`` (number per positioner) and ``empty``
         (fraction of the positioners with no target in reach); ``assigned`` (number of fibers with a target, per
-        positioner, if arms could pass through each other; it is 1 for independent targets), ``loss`` (fraction of these
-        lost to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per positioner);
-        ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss; ``n_unproven``
-        (number of searches that the time limit ended; if it is not 0, the loss is too large and depends on the speed of
-        the machine); ``loss_gap`` (fraction of the fibers of the simulated lattice that better plans could assign at
-        most, by the upper bounds of these searches; NaN for ``repair``, which has no bounds); ``reason`` (why a design
-        has no values); ``pareto`` (whether no other design is at least as good in both objectives and better in one).
-        The ``meta`` of the table contains the arguments of the scan.
+        positioner, if arms could pass through each other; it is 1 for independent targets), ``loss`` (fraction of the
+        assigned fibers lost to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per
+        positioner); ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss;
+        ``n_unproven`` (number of searches that the time limit ended; if it is not 0, the loss is too large and depends
+        on the speed of the machine); ``loss_gap`` (fraction of the fibers of the simulated lattice that better plans
+        could assign at most, by the upper bounds of these searches; NaN for ``repair``, which has no bounds);
+        ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good in both
+        objectives and better in one). The ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------
     InputError
         If a value is not valid for any design, a name is unknown, or the file contains another scan.
     concurrent.futures.BrokenExecutor
-        If a worker process ends abruptly. The designs that have been written remain in the file.
+        If a worker process ends abruptly. Designs that were already written remain in the file.
 
     Warns
     -----
@@ -125,7 +125,7 @@ def explore_designs(
 
     See Also
     --------
-    rfpsurvey.design.explore_around : Scan designs around that of an instrument.
+    rfpsurvey.design.explore_around : Scan designs around the design of an instrument.
     rfpsurvey.design.design_sensitivities : Compute how much the values depend on each parameter.
     rfpsurvey.plot.plot_designs : Plot the designs and the Pareto front.
     rfpsurvey.collision_probability : Estimate the collision probability of a focal plane with its edges.
@@ -213,13 +213,14 @@ def _warn(table):
     strange = table[table["reason"] != ""]
     if len(strange):
         text = (
-            f"{len(strange)} of {len(table)} designs have no values ({strange['reason'][0]}): see the column 'reason'"
+            f"{len(strange)} of {len(table)} designs have no values; the column 'reason' gives the reasons, "
+            f"such as: {strange['reason'][0]}"
         )
         warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
         text = (
-            f"the time limit ended searches for {cut} of {len(table)} designs: their true loss can be smaller, by at "
-            f"most about {np.nanmax(table['loss_gap']):.2g}"
+            f"the time limit ended searches for {cut} of {len(table)} designs; the true loss of these designs "
+            f"can be smaller, by at most about {np.nanmax(table['loss_gap']):.2g}"
         )
         warn(text)

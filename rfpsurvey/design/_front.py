@@ -11,7 +11,7 @@ OBJECTIVES = {"coverage": "max", "loss": "min"}
 
 
 def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, str]:
-    """Return the two objectives, columns with "max" or "min", or raise an error."""
+    """Return the two objectives (a dict from column to "max" or "min"), or raise an error."""
     pairs = list(objectives.items()) if isinstance(objectives, dict) else []
     if len(pairs) != 2:
         raise InputError(f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}, got {objectives}")
@@ -22,9 +22,9 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
 
 
 def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
-    """Return whether each row is on the front: no other row is at least as good in both columns and better in one.
+    """Return whether each row is on the Pareto front: no row is at least as good in both columns and better in one.
 
-    Rows with the same values are all on the front, and rows without a value are not.
+    If several rows have the same best values, all of them are on the front. Rows without a value are not on the front.
     """
     signs = {"max": -1.0, "min": 1.0}
     values = [signs[aim] * np.asarray(getattr(table[name], "value", table[name])) for name, aim in objectives.items()]

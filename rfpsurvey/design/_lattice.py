@@ -1,4 +1,4 @@
-"""A design: equal positioners on an infinite hexagonal lattice, and the values that follow from its geometry."""
+"""A design (equal positioners on an infinite hexagonal lattice) and the values that follow from its geometry."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -12,8 +12,10 @@ from rfpsurvey.positioner import Positioner
 __all__ = ["Lattice", "make_lattice"]
 
 MOST_REACH = 4.0
-"""Largest reach of arms, in pitches. With a larger reach, a positioner has hundreds of neighbors; such designs are not
-computed."""
+"""Largest reach of arms, in units of the pitch.
+
+If the reach is larger, a positioner has hundreds of neighbors; such designs are not computed.
+"""
 N_LINES = 256
 DEPTHS = 4
 """Classes of points: within reach of 0, 1, 2 and at least 3 positioners."""
@@ -43,24 +45,24 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """Parameters of the collision probability: central arm over pitch, arm ratio, minimum separation over pitch."""
+        """Parameters of the collision probability: central arm / pitch, arm ratio, and minimum separation / pitch."""
         central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
         return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
 
     @property
     def multiplicity(self) -> float:
-        """Patrol area divided by the area of a cell: the mean number of positioners that reach a point."""
+        """Mean number of positioners that reach a point (patrol area divided by the area of a lattice cell)."""
         inner, outer = self.radii
         return float(np.pi * (outer**2 - inner**2) / self.cell)
 
     @property
     def sight(self) -> float:
-        """Smallest distance of centers, in mm, at which two positioners cannot collide."""
+        """Smallest distance (mm) between the centers of two positioners for which the positioners cannot collide."""
         return 2 * self.radii[1] + self.separation
 
     @property
     def collision_type(self) -> int:
-        """1: no arms can touch; 2: only arms of nearest neighbors can touch; 3: other arms can also touch."""
+        """Collision type: 1 if no arms can touch, 2 if only arms of nearest neighbors can touch, 3 otherwise."""
         return 1 if self.sight <= self.pitch else 2 if self.sight <= np.sqrt(3) * self.pitch else 3
 
     def coverage(self, n_lines: int = N_LINES) -> np.ndarray:
@@ -102,14 +104,14 @@ def _centers(reach: int) -> np.ndarray:
 def make_lattice(
     central_arm: float, ratio: float, pitch: float, clearance: float, step: float
 ) -> tuple[Lattice | None, str]:
-    """Return a design, or None and the reason why it is impossible; lengths are in mm, the step in radians."""
+    """Return a design and empty text, or None and the reason why the design is impossible; the lengths are in mm."""
     try:
         unit = Positioner(central_arm * u.mm, central_arm * ratio * u.mm, clearance * u.mm, step=step * u.rad)
     except InputError as error:
         return None, str(error)
     lattice = Lattice(unit, pitch)
     if pitch <= lattice.separation:
-        return None, "centers are nearer than the minimum separation"
+        return None, "the centers of neighboring positioners are closer than the minimum separation"
     if lattice.radii[1] > MOST_REACH * pitch:
-        return None, f"arms reach further than {MOST_REACH:g} pitches"
+        return None, f"the reach of the arms exceeds {MOST_REACH:g} times the pitch"
     return lattice, ""

@@ -26,7 +26,7 @@ SURROGATE_ERROR = 5e-4
 SURE = 0.01
 """Smallest value for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
-"""Radius, in pitches, of the part of a patch whose 91 positioners are counted."""
+"""Radius, in units of the pitch, of the part of a patch whose 91 positioners are counted."""
 
 
 class Loss(NamedTuple):
@@ -35,12 +35,12 @@ class Loss(NamedTuple):
     assigned: float
     """Number of fibers with a target per positioner if arms could pass through each other."""
     loss: float
-    """Fraction of these fibers that is lost."""
+    """Fraction of the assigned fibers that is lost."""
     error: float
     n_unproven: int = 0
     """Number of searches that the time limit ended."""
     gap: float = 0.0
-    """Upper limit of the fraction by which these searches overestimate the loss; NaN if there is no limit."""
+    """Upper limit of the fraction by which unfinished searches overestimate the loss; NaN if there is no limit."""
 
 
 class Skies(NamedTuple):
@@ -56,7 +56,7 @@ class Skies(NamedTuple):
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """Compute the loss of independent targets by interpolation between quadratures."""
+    """Compute the loss of independent targets by interpolation between precomputed quadratures."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
@@ -68,7 +68,7 @@ def quadrature(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of allocated targets as an average over all configurations that balanced queues allow."""
+    """Compute the loss of allocated targets as an average over all configurations that the queues allow."""
 
     def look(points, plane, core):
         assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
@@ -86,7 +86,7 @@ def optimal(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare a repaired plan of the LAMOST method with the best plan that ignores collisions."""
+    """Compare a LAMOST plan without its collisions (``repair``) with the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
@@ -136,17 +136,17 @@ def _compare(lattice, skies, method):
 
 
 def _gap(blind, plan):
-    """Return the proven limit of the fraction of fibers that a better plan could assign, for a whole patch."""
+    """Return the proven upper limit of the fraction of fibers of a patch that a better plan could assign."""
     most = min(blind.levels[0].bound, plan.levels[0].bound)
     return max(most - plan.levels[0].value, 0.0) / max(blind.levels[0].value, 1.0)
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Count the fibers assigned in the center of a patch in all realizations; return the fraction that is lost.
+    """Return the fraction of the fibers in the center of a patch that is lost, over all realizations.
 
-    Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is
-    that of one lost fiber. With ``whole``, each fiber is either lost or not lost, and the error is always at least that
-    of one lost fiber.
+    Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is as
+    large as if one fiber were lost. With ``whole``, each fiber is either lost or not lost, and the error is always at
+    least as large as for one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
@@ -166,7 +166,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return a patch (counted positioners, their neighbors, those that share targets with these) and its targets."""
+    """Return a patch (counted positioners, neighbors, and those that share targets with them) and its targets."""
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]

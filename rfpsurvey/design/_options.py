@@ -1,4 +1,4 @@
-"""The options of the loss, the fraction of fibers that a design loses to collisions, in a scan of designs."""
+"""Options for the loss, which is the fraction of fibers that a design loses to collisions, in a scan of designs."""
 
 from dataclasses import dataclass, field
 from numbers import Number
@@ -71,7 +71,7 @@ class LossOptions:
 
     @property
     def question(self) -> tuple[str, str]:
-        """The estimand of the loss, and the method that computes the loss."""
+        """The estimand (definition of the loss), and the method that computes the loss."""
         check_choice(self.method, [*METHODS, "auto"], "method of design studies")
         if self.estimand is not None:
             check_choice(self.estimand, set(ESTIMANDS.values()), "estimand")
@@ -79,15 +79,15 @@ class LossOptions:
             return self.estimand or "independent", self.method
         own = ESTIMANDS[self.method]
         if self.estimand not in (None, own):
-            raise InputError(f"the estimand of the method {self.method!r} must be {own!r}, got {self.estimand!r}")
+            raise InputError(f"the estimand must be {own!r} for the method {self.method!r}, got {self.estimand!r}")
         return own, self.method
 
     @property
     def targets(self) -> tuple[float, bool]:
-        """Number of targets, and whether this number is per mm^2 (otherwise, it is per positioner)."""
+        """Number of targets, and whether the number is per mm^2 (True) or per positioner (False)."""
         each = self.targets_per_positioner
         if each is not None and self.target_density is not None:
-            raise InputError("give targets_per_positioner or target_density, not both")
+            raise InputError("give either targets_per_positioner or target_density, but not both")
         if self.target_density is not None:
             return to_scalar(self.target_density, u.mm**-2, "target_density", low=0, high=1e3), True
         number = PER_POSITIONER if each is None else each

@@ -1,4 +1,4 @@
-"""The results of designs as records and as a table."""
+"""Convert the results of designs to records and tables."""
 
 import astropy.units as u
 import numpy as np
@@ -72,7 +72,7 @@ def to_table(rows: np.ndarray, meta: dict) -> QTable:
 
 
 def set_formats(table: QTable) -> None:
-    """Make a table print its numbers with few digits; values are not rounded."""
+    """Set the formats of a table so that its numbers are printed with few digits; the values are not rounded."""
     for name in table.colnames:
         if name in FORMATS:
             table[name].info.format = FORMATS[name]

@@ -23,8 +23,8 @@ def design_sensitivities(
     The values of a column are fitted by a sum of polynomials, one for each parameter that varies. A polynomial has
     degree four, or less if the parameter has fewer than five values. The share of a parameter is the variance of its
     polynomial divided by the variance of the column. This is the first-order Sobol index; it is exact on a grid with at
-    most five nodes per axis. The rest of the variance is due to interactions of parameters and to noise of the values.
-    Random noise increases each share by about the number of coefficients divided by the number of designs.
+    most five nodes per axis. The rest of the variance is due to interactions between parameters and to noise of the
+    values. Random noise increases each share by about the number of coefficients divided by the number of designs.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _shares(y, blocks):
 
 
 def _slopes(y, axes):
-    """Return the relative change of a result per relative change of each parameter, at the mean of the designs."""
+    """Return the relative change of a column per relative change of each parameter, at the mean of the designs."""
     if y.mean() == 0:
         return {}
     x = np.column_stack([v / v.mean() - 1 for v in axes.values()])

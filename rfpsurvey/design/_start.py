@@ -1,4 +1,4 @@
-"""The design of an instrument as the start of a scan."""
+"""The design of an instrument, around which a scan varies the parameters."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ class Start:
     """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return the designs, to which this design is added if it is absent, its row, and a record for the meta."""
+        """Return the designs including that of the instrument, the row of the latter, and a record for the meta."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}
@@ -36,17 +36,19 @@ class Start:
 def start_of(model: Instrument) -> Start:
     """Return the design of an instrument: its arms, the pitch of its lattice, and its clearance and step."""
     if len(model.focal_plane) < 2:
-        raise InputError(f"{model.name} must have at least two positioners, since a design has a pitch, got one")
+        raise InputError(
+            f"{model.name} must have at least two positioners, because a design needs a pitch, got one positioner"
+        )
     facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
     unit = model.focal_plane.positioner
     if unit.arm_model != "elbow_to_tip":
-        text = (
-            f"the scan uses the arm model 'elbow_to_tip' in place of the arm model {unit.arm_model!r} of {model.name}"
-        )
+        text = f"the scan uses the arm model 'elbow_to_tip' instead of the arm model {unit.arm_model!r} of {model.name}"
         warn(text)
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:
-        raise InputError(f"the displacement of {model.name} within a step must be less than the length of both arms")
+        raise InputError(
+            f"the displacement of an arm of {model.name} within a step must be less than the lengths of both arms"
+        )
     design = np.array([central_arm, eccentric_arm / central_arm, facts["pitch"], clearance])
     return Start(model.name, design, float(np.arcsin(max(moved, 0.0)) / 2))

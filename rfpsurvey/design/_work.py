@@ -1,4 +1,4 @@
-"""Computation of a set of designs, which may run in another process."""
+"""Compute the results of a set of designs, possibly in another process."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MOST_TARGETS = 1000.0
 
 @dataclass(frozen=True)
 class Task:
-    """The settings that all designs share, as plain numbers."""
+    """The settings that are the same for all designs, as numbers without units."""
 
     estimand: str
     method: str
@@ -48,11 +48,11 @@ class Task:
         each = self.targets * (lattice.cell if self.by_area else 1.0)
         row["targets"], row["empty"] = each, np.exp(-each * lattice.multiplicity)
         if each > MOST_TARGETS:
-            row["reason"] = f"there are more than {MOST_TARGETS:g} targets per positioner"
+            row["reason"] = f"the number of targets per positioner exceeds {MOST_TARGETS:g}"
             return
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
         if method == "surrogate" and not in_box(lattice):
-            row["reason"] = "outside the range of the surrogate"
+            row["reason"] = "the parameters are outside the range of the surrogate"
             return
         found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
         row["method"] = method

@@ -190,7 +190,7 @@ class ObservingConditions:
         Returns
         -------
         ObservingConditions
-            The conditions, with another time or hour angle.
+            The conditions with the later time or hour angle.
         """
         if self.time is not None:
             return replace(self, site=self._name or self.site, time=self.time + time)
@@ -203,7 +203,7 @@ class ObservingConditions:
         Parameters
         ----------
         hour_angle : Quantity
-            Hour angle of the field center, in place of the time or hour angle.
+            Hour angle of the field center, which replaces the time or hour angle of these conditions.
 
         Returns
         -------
@@ -214,7 +214,7 @@ class ObservingConditions:
 
     @cached_property
     def wavelengths_um(self) -> dict[str, float] | float:
-        """Wavelength of the fibers in micrometers, or one for each fiber type."""
+        """Wavelength of the fibers in micrometers, or a dict with one wavelength for each fiber type."""
         if isinstance(self.wavelength, dict):
             return {name: float(wave.to_value(u.um)) for name, wave in self.wavelength.items()}
         return float(self.wavelength.to_value(u.um))
@@ -245,7 +245,7 @@ class ObservingConditions:
 
     @classmethod
     def from_record(cls, record: dict) -> "ObservingConditions":
-        """Make conditions from the values of ``record``.
+        """Return conditions with the values that the attribute ``record`` of other conditions contains.
 
         Parameters
         ----------

@@ -16,10 +16,10 @@ STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
 class ObservedField:
     """The projection of a field onto the focal plane under observing conditions, for arrays without units.
 
-    The telescope follows the field center at the guide wavelength: its image is at (0, 0) mm. The rotator removes the
-    rotation of the field: the orientation is that for which the mean rotation of the neighborhood of the center,
-    relative to ``basis``, is 0. Refraction compresses the field, so that north alone can differ from its nominal
-    position angle.
+    The telescope follows the field center at the guide wavelength: the image of the center is at (0, 0) mm. The rotator
+    removes the rotation of the field: the field is oriented such that, close to its center, the mean rotation relative
+    to ``basis`` is 0. Refraction also compresses the field; therefore, the direction of north can differ from its
+    nominal position angle.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Models of the projection, from the cheapest to the fullest, and the displacements that each of them neglects."""
+"""Models of the projection, from the cheapest to the most complete, and the displacements that each model neglects."""
 
 from collections.abc import Iterable
 
@@ -23,7 +23,7 @@ STATIC = ("tangent", "radial")
 
 
 def model_of(model: str | None, conditions: ObservingConditions | None) -> str:
-    """Return the name of a model; without a name, ``full`` with conditions, and ``radial`` without them."""
+    """Return the name of a model; the default is ``full`` if there are conditions, and ``radial`` otherwise."""
     if model is None:
         return "radial" if conditions is None else "full"
     check_choice(model, MODELS, "projection")
@@ -48,9 +48,10 @@ def field_of_model(
 def displacements(
     points: np.ndarray, fiber_types: Iterable[str], *field: object, names: Iterable[str] = MODELS
 ) -> dict[str, np.ndarray]:
-    """Return how far the targets of fibers move (mm) between each model and the full one.
+    """Return the distances (mm) of the images of targets with each model from their images with the full model.
 
-    ``points`` (n, 2) are positions of fibers (mm); ``field`` are the parameters of `field_of_model` after the model.
+    ``points`` (n, 2) are positions of fibers (mm); ``field`` contains the parameters of `field_of_model` that follow
+    the name of the model.
     """
     full = field_of_model("full", *field)
     out = {name: [] for name in names}

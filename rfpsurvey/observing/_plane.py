@@ -21,8 +21,9 @@ __all__ = ["ObservedPlane"]
 class ObservedPlane(TangentPlane):
     """Projection of the sky around a field center onto the focal plane, under observing conditions.
 
-    It includes refraction, its dependence on the wavelengths of fiber types, and, for conditions with a time,
-    aberration and precession. The telescope follows the field center at the guide wavelength.
+    The projection includes refraction and the dependence of refraction on the wavelengths of fiber types. For
+    conditions with a time, the projection also includes aberration and precession. The telescope follows the field
+    center at the guide wavelength.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class BlankIds(NamedTuple):
 
 
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
-    """Return identifiers for blank sky that differ from all identifiers of a catalog; ``parts`` contains the latter.
+    """Return identifiers for blank sky that differ from all identifiers of a catalog, which are in ``parts``.
 
     If the identifiers of the catalog are integers, the identifiers of blank sky are below -1 and below all of them. If
     there are too few such integers, the identifiers of blank sky are above all identifiers of the catalog. If the

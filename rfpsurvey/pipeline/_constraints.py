@@ -1,4 +1,4 @@
-"""Convert the constraints of a field: circles that no arm may cover to obstacles, and identifiers to required rows."""
+"""Convert the constraints of a field: circles that no arm may cover become obstacles, and required ids become rows."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -74,7 +74,7 @@ def image_of_circle(
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return whether each target of a catalog is required, or None if no target is; ``parts`` are all identifiers."""
+    """Return whether each target of a catalog is required, or None if none is required; ``parts`` contains all ids."""
     if not required:
         return None
     marked, known = [], np.zeros(len(required), dtype=bool)
@@ -85,7 +85,9 @@ def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | 
         known |= comparable & np.isin(wanted, ids[marked[-1]])
     if not known.all():
         strange = names[~known]
-        raise InputError(f"required must hold ids of the catalog, got {strange[0]} ({len(strange)} of {len(names)})")
+        raise InputError(
+            f"required must hold ids of the catalog, got {strange[0]} ({len(strange)} of {len(names)} unknown)"
+        )
     return np.concatenate(marked)
 
 

@@ -52,7 +52,7 @@ class FieldPlan(NamedTuple):
     arms: Arms
     report: CollisionReport
     positioner: np.ndarray
-    """Row of each positioner that has a target."""
+    """Row in the focal plane of each positioner that has a target."""
     target: np.ndarray
     """Row of the target of each positioner in the `FieldTargets`; -1 for blank sky."""
     id: np.ndarray
@@ -62,8 +62,8 @@ class FieldPlan(NamedTuple):
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
     carried: dict
-    """Priority, category and further columns of the targets, if the catalog has them. Blank sky has NaN, empty text,
-    False or -1."""
+    """Priority, category and further columns of the targets, if the catalog has them. The values of blank sky are NaN,
+    empty text, False or -1."""
     seconds: dict
     """Computing time of each stage in seconds."""
 
@@ -71,7 +71,8 @@ class FieldPlan(NamedTuple):
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
     """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding.
 
-    Without a projection, it is the radius without refraction. Refraction and dispersion shift the edge of the field.
+    Refraction and dispersion shift the edge of the field. If ``projection`` is None, the radius is that without
+    refraction.
     """
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if not isinstance(projection, ObservedField):

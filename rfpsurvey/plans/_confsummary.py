@@ -230,7 +230,8 @@ def _is_nominal(plan: QTable) -> bool:
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the columns of a file and their types.
 
-    The columns are those of the file that was read; for other plans, they are the columns of a new file.
+    If the plan was read from a confSummary file, the columns are those of this file; otherwise, they are the default
+    columns ``STRUCT``.
     """
     if "struct" in plan.meta:
         return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}
@@ -242,7 +243,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
     """Return the rows of the file as a structured array."""
     if plan.meta["instrument"] not in INSTRUMENTS.values():
         raise InputError(
-            f"{path}: a confSummary file must be one of {' or '.join(INSTRUMENTS.values())}, "
+            f"{path}: the instrument of a confSummary file must be {' or '.join(INSTRUMENTS.values())}, "
             f"got {plan.meta['instrument']}"
         )
     struct, n, fields = _struct(plan), len(plan), []
@@ -279,7 +280,7 @@ def _given(plan: QTable, struct: dict) -> dict:
     if ids.dtype.kind == "U":
         none = np.isin(ids, ("", "-1"))
         if not np.char.isdecimal(ids[~none]).all():
-            raise InputError("catalogid must be whole numbers, got text identifiers of targets; give whole numbers")
+            raise InputError("catalogid must be whole numbers, got text for the identifiers of targets")
         ids = np.where(none, "-1", ids).astype(np.int64)
     given["catalogid"] = np.where(ids == -1, MISSING, ids)
     given["assigned"] = plain["assigned"].astype(int)

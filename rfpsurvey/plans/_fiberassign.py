@@ -120,7 +120,7 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan. If the plan has another format, columns that are missing in it are written as unknown."""
+    """Write a plan. For a plan of another format, missing columns have default values, such as -1 or NaN."""
     from astropy.io import fits
 
     if suffix_of(path) != ".fits":
@@ -175,7 +175,7 @@ def _check_ids(ids, path):
 
 
 def _is_assigned(status, target) -> np.ndarray:
-    """Return whether fibers are on targets.
+    """Return whether each fiber is on a target.
 
     Fibers of stuck positioners count as not on targets, although they may be on blank sky.
     """
@@ -207,7 +207,7 @@ def _opposite(angle):
 
 
 def _epoch(years):
-    """Return the epoch of the positions if it is the same for all moving targets."""
+    """Return the epoch of the positions if all targets with a proper motion have the same epoch, otherwise None."""
     years = np.unique(years[years > 0]) if years is not None else []
     return f"J{years[0]:.3f}" if len(years) == 1 else None
 

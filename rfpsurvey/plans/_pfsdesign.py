@@ -44,7 +44,8 @@ def read(path: Path) -> QTable:
     """Return the plan in a file.
 
     ``positioner`` is the column ``cobraId`` where the file has it, otherwise the cobra that the fiber map of PFS
-    assigns to the fiber; it is -1 for engineering fibers. ``x`` and ``y`` are ``pfiNominal``.
+    assigns to the fiber; it is -1 for engineering fibers. The columns ``x`` and ``y`` contain ``pfiNominal``, the
+    position of the fiber on the focal plane.
     """
     units = read_fits_units(path)
     primary, tables = units[None][0], {name: rows for name, (_, rows) in units.items() if name is not None}
@@ -172,7 +173,7 @@ def _comments(header) -> dict:
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:
-    """Return pairs of name and FITS format of columns, and no dict, since ECSV files do not preserve its order."""
+    """Return the name and FITS format of each column as pairs; ECSV files do not preserve the order of dicts."""
     letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
     forms = []
     for name in rows.dtype.names:

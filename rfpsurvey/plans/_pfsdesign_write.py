@@ -87,9 +87,9 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
-    """Return the identifier of a design: the last 63 bits of a SHA-1 of its fibers and coordinates in arcsec.
+    """Return the identifier of a design: the last 63 bits of the SHA-1 hash of its fibers and their coordinates.
 
-    The SHA-1 is computed from the text of a Python list with one text for each fiber. This text contains the fiberId,
+    The hash is computed from the text of a Python list with one text for each fiber. This text contains the fiberId,
     and ra and dec in degrees, which are rounded to 1 arcsec.
     """
     if np.all(ra == 0) and np.all(dec == 0):
@@ -139,7 +139,7 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
     has_target = plain["assigned"].astype(bool)
     if target.dtype.kind == "U":
         if not np.char.isdecimal(target[has_target]).all():
-            raise InputError(f"{path}: objId must be whole numbers, got text identifiers of targets")
+            raise InputError(f"{path}: objId must be whole numbers, got text for the identifiers of targets")
         target = np.where(has_target, target, "-1").astype(np.int64)
     kinds = np.where(plain["kind"] == "", "science", plain["kind"])
     types = np.where(has_target, [TYPES.get(kind, 1) for kind in kinds.tolist()], UNASSIGNED)
@@ -184,12 +184,14 @@ def _text_form(values: np.ndarray) -> str:
 
 
 def _header(plan: QTable, path: Path) -> dict:
-    """Return the keywords of the primary header."""
+    """Return the keywords of the primary header of a design."""
     if plan.meta["format"] == "pfsdesign":
         return dict(plan.meta["header"])
     for name in ("racen", "deccen", "position_angle"):
         if plan.meta.get(name) is None:
-            raise InputError(f"{path}: the plan must have {name} in its meta, got none; score or plan it on the sky")
+            raise InputError(
+                f"{path}: the plan must have {name} in its meta, got none; plan or score the tile on the sky"
+            )
     return {
         "RA": float(plan.meta["racen"]),
         "DEC": float(plan.meta["deccen"]),
@@ -223,7 +225,7 @@ def _fits_header(values: dict, comments: dict):
 
 
 def _table(name: str, columns: dict, header, units: dict | None = None):
-    """Return a header-data unit with a table of columns, given with their formats."""
+    """Return a header-data unit with a table; ``columns`` are given with their formats."""
     from astropy.io import fits
 
     made = [

@@ -117,7 +117,7 @@ def write_plan(
 ) -> None:
     """Write a plan in the format of another program; if writing fails, no incomplete file remains.
 
-    A warning names the data that the format cannot represent.
+    If the format cannot represent some data of the plan, a warning names these data.
 
     Parameters
     ----------
@@ -295,8 +295,9 @@ def is_tile(table: Table) -> bool:
 def make_plan(columns: dict, native: dict, *, format: str, instrument: str, header: dict, **meta) -> QTable:  # noqa: A002
     """Return the table of a plan.
 
-    ``columns`` has the common columns (`COLUMNS`), arrays without units in the units of `COLUMNS` or quantities;
-    ``native`` has the other columns of the file. Entries of ``meta`` that are None are left out.
+    ``columns`` contains the common columns of all plans (`COLUMNS`) as quantities, or as arrays without units in the
+    units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are left
+    out.
     """
     table = QTable()
     for name, unit in COLUMNS.items():
@@ -310,7 +311,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text, which names the columns that a format cannot represent; empty if there are none."""
+    """Return a list with one text that names the columns that a format cannot represent; without names, it is empty."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]

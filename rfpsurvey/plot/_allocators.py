@@ -16,7 +16,7 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the numbers of fibers of each allocator: usable, lost to collisions, and missing for requirements.
+    """Plot how many fibers of each allocator are usable, lost to collisions, or missing for requirements.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     Raises
     ------
     InputError
-        If the table does not have these columns.
+        If ``table`` lacks a column that the plot shows.
 
     Examples
     --------

@@ -108,7 +108,7 @@ def points_per_unit(ax: "Axes") -> float:
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the typical distance between neighboring centers, or the patrol diameter of a single positioner."""
+    """Return the typical distance between neighboring centers; for a single positioner, return the patrol diameter."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:

@@ -34,11 +34,11 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""For unassigned and for assigned targets: the size of a dot divided by the distance between dots, and its limits in
-points."""
+"""Size of a dot divided by the distance between dots, smallest and largest size in points (unassigned and assigned
+targets)."""
 ON_ARMS = 7.0  # points: size of the largest dot with a white edge at the end of an arm
 MANY = 3000
-"""In vector files, this many dots or more are stored as an image."""
+"""Smallest number of dots that are stored as an image in vector files."""
 LONGEST = 74  # largest number of letters in a row of a legend with three columns
 
 
@@ -52,7 +52,7 @@ class Layer:
     marker: str
     assigned: bool
     place: int = 0
-    """Layers with smaller values are on top."""
+    """Order of drawing: layers with smaller values are on top of layers with larger values."""
     lost: bool = False
 
 
@@ -101,7 +101,7 @@ def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
         names = [name for name in KIND_COLORS if (values == name).any()]
         return np.argmax([values == name for name in names], axis=0) if names else np.zeros(n, int), names
     if values is None:
-        raise InputError(f"targets have no {color}: the catalog must have that column")
+        raise InputError(f"the catalog must have the column {color} to color targets by it, got none")
     if color == "category":
         return category_classes(np.asarray(values), np.ones(n, dtype=bool))
     class_of, names = priority_classes(np.asarray(values), np.ones(n, dtype=bool))

@@ -21,7 +21,7 @@ MARGIN = 35  # points, from the corner of the axes to the center of the compass
 
 
 def position_angle_of(thing: object) -> float | None:
-    """Return the position angle (degrees) at which a focal plane is drawn, or None if that of a tile is unknown."""
+    """Return the position angle (degrees) at which a focal plane is drawn, or None for a tile with an unknown angle."""
     if isinstance(thing, Tile):
         return thing.provenance["parameters"].get("position_angle_deg")
     return 0.0

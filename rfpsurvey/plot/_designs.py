@@ -70,8 +70,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or designs to mark
-        have another definition of the loss.
+        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or the loss of designs
+        in ``mark`` has another definition than that in ``table``.
 
     Examples
     --------
@@ -165,7 +165,7 @@ def _question(table):
 
 
 def _parameter(table):
-    """Return the ratio of the arms if it varies, otherwise the parameter with the most values."""
+    """Return ``ratio`` if the ratio of the arms varies, otherwise the name of the parameter with the most values."""
     numbers = {name: len(np.unique(values_of(table, name))) for name in ("ratio", "pitch", "central_arm", "clearance")}
     return "ratio" if numbers["ratio"] > 1 else max(numbers, key=numbers.get)
 

@@ -1,4 +1,4 @@
-"""Positioners of large focal planes as dots, if arms would be too short to be visible."""
+"""Draw positioners of large focal planes as dots, where arms would be too short to be visible."""
 
 from collections.abc import Iterator
 
@@ -11,11 +11,11 @@ from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 __all__ = ["SHORTEST", "arms_are_visible", "draw_cells", "draw_dots"]
 
 SHORTEST = 5.0
-"""Points (1/72 inch); arms that would be shorter are not drawn."""
+"""Smallest length of arms that are drawn, in points (1/72 inch)."""
 
 
 def arms_are_visible(ax, scene: Scene) -> bool:
-    """Return whether the axes are large enough for arms."""
+    """Return whether the axes are large enough to draw arms."""
     present = np.isfinite(scene.bodies).all(axis=1)
     if not present.any():
         length = np.max(scene.outer, initial=0.0) / 2

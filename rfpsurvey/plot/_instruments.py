@@ -16,7 +16,8 @@ __all__ = ["draw_instruments", "plot_instruments"]
 
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
-"""Colors from white to dark blue. On a dark page, white becomes dark gray, which would look like a darker blue."""
+"""Colors from white to dark blue. On a page with a dark background, white becomes dark gray; other shades of blue would
+then look similar to it."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
@@ -41,7 +42,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     Raises
     ------
     InputError
-        If the table does not have these columns.
+        If ``table`` lacks a column that the plot shows.
 
     Examples
     --------
@@ -124,7 +125,7 @@ def _draw_probability(table, ax):
 
 
 def _places(table):
-    """Return the place of each row on the y axis, with gaps between instruments, and its label."""
+    """Return the position and the label of each row on the y axis, with gaps between instruments."""
     names = np.asarray(table["instrument"])
     changes = np.concatenate([[False], names[1:] != names[:-1]])
     y = -np.arange(len(names)) - 0.5 * np.cumsum(changes)

@@ -26,7 +26,7 @@ MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # largest number of letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
-"""Columns of whole numbers up to this range have a bar for each number; other columns have this number of bins."""
+"""Largest range of whole numbers with a bar for each number in a histogram; number of bins of other histograms."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
 """Ratio of available to assigned targets above which numbers are drawn on a logarithmic scale."""

@@ -21,7 +21,7 @@ BESIDE = 1.025
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
-    """Return the figures of an experiment by name."""
+    """Return the figures of an experiment as a dict by name."""
     return {name: draw(tables) for name, draw in FIGURES[experiment].items()}
 
 
@@ -83,7 +83,7 @@ def _poisson(tables):
 
 
 def _surrogate(tables):
-    """Plot the error of the surrogate for designs that were not used to make it."""
+    """Plot the error of the surrogate model for designs that were not used to make the surrogate model."""
     table = tables["surrogate"]
     figure, ((ax,),) = new_grid(1, 1, (6, 4))
     ax.errorbar(
@@ -101,7 +101,7 @@ def _surrogate(tables):
 
 
 def _intervals(tables):
-    """Plot the coverage of each interval with its error."""
+    """Plot the fraction of runs in which each confidence interval contains the true value, with its error."""
     table = tables["intervals"]
     figure, ((ax,),) = new_grid(1, 1, (8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
@@ -120,7 +120,7 @@ def _within_one(table):
 
 
 def _one_sky(tables):
-    """Draw how often the interval for given targets contains the expectation, against the number of positioners."""
+    """Draw how often the interval of one set of targets contains the expectation, against the number of positioners."""
     table = tables["one_sky"]
     figure, ((ax,),) = new_grid(1, 1, (7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
@@ -168,7 +168,7 @@ def _poisson_disc(tables):
 
 
 def _speed(tables):
-    """Plot the time of methods against their errors."""
+    """Plot the computing time of each method against its error."""
     figure, axes = new_grid(2, 1, (7.5, 7))
     plot_speed_accuracy(tables["speed"], axes=tuple(axes.flat))
     return figure

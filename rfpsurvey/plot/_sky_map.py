@@ -11,7 +11,7 @@ from rfpsurvey.region import Region, border_of, circle_around
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
 CORNERS, MOST_CORNERS = 36, 7200
-"""Number of points on the edge of each field; there are more for few fields, so that large circles look round."""
+"""Number of points on the edge of each field; the number is larger for few fields, so that large circles look round."""
 WIDE = 60.0  # deg; the map shows the whole sky if fields are farther from the mean direction
 POLAR = 75.0
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
@@ -36,7 +36,7 @@ class SkyMap:
 
     @property
     def aspect(self) -> float:
-        """Ratio of the length of a unit of y to that of x."""
+        """Length of a unit of y on the plot, divided by the length of a unit of x."""
         return 1 / np.cos(self.center.dec.rad) if self.kind == "region" else 1.0
 
     def label(self, ax) -> None:
@@ -52,7 +52,7 @@ class SkyMap:
 
 
 def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:
-    """Return a map that shows all fields with these centers; their radius is in deg."""
+    """Return a map that shows all fields with the given centers and radius (deg)."""
     center, _ = _mean_direction(centers)
     if whole:
         return SkyMap("whole", center)
@@ -66,7 +66,7 @@ def is_wide(centers: SkyCoord, radius: float) -> bool:
 
 
 def _mean_direction(centers):
-    """Return the mean direction of the centers, and whether it exists."""
+    """Return the mean direction of the centers, and whether the mean direction is defined."""
     mean = centers.cartesian.mean()
     if mean.norm() < 1e-6:
         return centers[0], False

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 SHORT_AXIS = 100.0
-"""On a logarithmic axis that covers a smaller ratio than this, 1, 2 and 5 of each decade are labeled."""
+"""Smallest ratio of the ends of a logarithmic axis on which only powers of ten are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and free space around a label, in points."""
@@ -39,14 +39,14 @@ def plot_speed_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Both axes. Bars show the standard error of the fraction, computed from the square root of the number of
+        Two axes. Bars show the standard error of the fraction, computed from the square root of the number of
         misclassified pairs. If no pair is misclassified, an arrow points down from an upper limit, which is one divided
         by the number of colliding pairs. Methods to the lower left are better.
 
     Raises
     ------
     InputError
-        If the table does not have these columns, or there are not two axes.
+        If ``table`` lacks a column that the plot shows, or ``axes`` does not contain two axes.
 
     Examples
     --------
@@ -139,7 +139,7 @@ def plot_probability_accuracy(
     Raises
     ------
     InputError
-        If the table does not have these columns, or the number of axes differs from that of the estimands.
+        If ``table`` lacks a column that the plot shows, or the number of ``axes`` differs from the number of estimands.
 
     Examples
     --------
@@ -184,7 +184,7 @@ def plot_probability_accuracy(
 
 
 def _draw_errors(ax, part, method, style, options):
-    """Draw the errors of a method, with bars that stay above zero."""
+    """Draw the errors of a method, with error bars that end above zero."""
     formula = not np.asarray(part["effort"]).any()
     error, uncertain = np.asarray(part["error"]), np.nan_to_num(np.asarray(part["error_error"]))
     bars = _bars(error, uncertain)
@@ -194,7 +194,7 @@ def _draw_errors(ax, part, method, style, options):
 
 
 def _bars(values, uncertain):
-    """Return the lower and upper lengths of error bars that end above zero, which older versions of matplotlib need."""
+    """Return the lower and upper lengths of error bars; older versions of matplotlib need bars that end above zero."""
     return [np.minimum(uncertain, 0.9 * values).tolist(), uncertain.tolist()]
 
 

@@ -1,4 +1,4 @@
-"""Colors and markers; each important difference is also visible without color, by a marker, a hatch or a line."""
+"""Colors and markers; a marker, a hatch or a line also shows each important difference without color."""
 
 import numpy as np
 

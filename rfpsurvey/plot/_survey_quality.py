@@ -21,7 +21,7 @@ KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
 
 
 def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
-    """Draw the four panels."""
+    """Draw the four panels with the quality of a survey."""
     classes, outcomes, fibers, tiles = axes
     _draw_visits(classes, survey, kwargs)
     _draw_outcomes(outcomes, survey)

@@ -9,7 +9,7 @@ from rfpsurvey.errors import InputError, short
 __all__ = ["divide_polygon"]
 
 MOST = 500
-"""Largest number of vertices; the time grows with its third power."""
+"""Largest number of vertices; the computing time grows with the third power of the number of vertices."""
 
 
 def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
@@ -111,7 +111,7 @@ def _merged(xy, parts) -> list[list[int]]:
 
 
 def _union(xy, first, second) -> list[int]:
-    """Return the union of two parts that share an edge, or an empty list if it is not convex or they share none."""
+    """Return the union of two parts that share an edge; it is empty if it is not convex or no edge is shared."""
     edges = {(b, a): k for k, (a, b) in enumerate(zip(second, second[1:] + second[:1], strict=True))}
     for k, edge in enumerate(zip(first, first[1:] + first[:1], strict=True)):
         if edge in edges:

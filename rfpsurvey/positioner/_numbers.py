@@ -85,12 +85,17 @@ class PositionerNumbers:
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits allow the whole patrol area with an elbow (+1: right, -1: left)."""
+        """Return whether the joint limits allow the whole patrol area for an elbow side (+1: right, -1: left)."""
+        return self._free[int(side < 0)]
+
+    @cached_property
+    def _free(self) -> tuple[bool, bool]:
+        """Whether the joint limits allow the whole patrol area with the right and with the left elbow."""
         theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
-            return False
-        low, high = (-180 * u.deg, 0 * u.deg) if side < 0 else (0 * u.deg, 180 * u.deg)
-        return phi is None or bool(phi[0] <= low and phi[1] >= high)
+            return False, False
+        ends = (0 * u.deg, 180 * u.deg), (-180 * u.deg, 0 * u.deg)
+        return tuple(phi is None or bool(phi[0] <= low and phi[1] >= high) for low, high in ends)
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
         """Return the angle between the colliding segment and the direction of the fiber, for each fiber type."""

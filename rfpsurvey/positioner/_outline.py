@@ -17,11 +17,11 @@ __all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
 MOST = 1e6
 """Largest coordinate and radius, mm."""
 SAME = 1e-9
-"""Vertices closer to each other than this are one vertex, and edges that bend inward by less are straight, mm."""
+"""Tolerance (mm): closer vertices become one vertex, and edges that bend inward by less count as straight."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
 FAR = 1e30
-"""Negative size of the rectangle of no parts, mm."""
+"""Half of the side length (mm), with a negative sign, of the rectangle of an outline without parts."""
 ROUNDED_UP = 1.0 + 1e-12
 """Factor for upper limits."""
 
@@ -188,7 +188,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
 
 
 def _box(parts):
-    """Return the center of a rectangle along the axes that contains parts, and half the lengths of its sides."""
+    """Return the center and half of the side lengths of a rectangle, parallel to the axes, that contains all parts."""
     if not parts:
         return (0.0, 0.0, -FAR, -FAR)
     low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
@@ -203,7 +203,7 @@ def _from_core(vertices, low, high):
 
 
 def convex_polygon(points: u.Quantity, name: str) -> np.ndarray:
-    """Return the vertices of a convex polygon (mm) in counter-clockwise order, for arguments with a given name."""
+    """Return the vertices of a convex polygon (mm) in counter-clockwise order; errors contain ``name``."""
     return _to_part(points, name)[0]
 
 
@@ -265,7 +265,7 @@ def _bend(a, b, p):
 
 
 def _closed_length(points):
-    """Return the length of the closed line through points; it is the perimeter of the hull only if it is convex."""
+    """Return the length of the closed line through points; for a convex line, it is the perimeter of the hull."""
     return float(np.hypot(*(np.roll(points, -1, axis=0) - points).T).sum())
 
 

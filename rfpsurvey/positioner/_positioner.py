@@ -190,7 +190,7 @@ class Positioner:
         Raises
         ------
         InputError
-            If the points are not lengths of this shape, or the handedness is unknown.
+            If the points are not lengths of the shape (n, 2), or the handedness is unknown.
         """
         points = to_points_mm(xy, "xy")
         choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")
@@ -219,7 +219,7 @@ class Positioner:
         Raises
         ------
         InputError
-            If the joint angles are not angles of this shape.
+            If the joint angles are not angles of the shape (n,).
         """
         theta, phi = np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi"))
         if theta.ndim != 1 or phi.ndim != 1 or len({theta.size, phi.size} - {1}) > 1:

@@ -13,7 +13,7 @@ def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate
     idle = setup.idle.copy()
     arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
     side = plane.arrays.sides(np.full((len(plane), 2), np.nan))
-    columns = (plane.arrays.inner_radius, plane.arrays.outer_radius, plane.arrays.offers)
+    columns = (plane.arrays.annuli, plane.arrays.offers)
     return simulate.Positioners(plane.arrays.geometry, side, *columns, plane.arrays.grid, idle)
 
 

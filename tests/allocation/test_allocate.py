@@ -182,8 +182,11 @@ def test_bad_input_is_named(arguments, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"requirements": "instrument"}, "requirements='instrument' needs an instrument"),
-        ({"requirements": "sky=1", "sky_separation": 3 * u.arcsec}, "sky_separation=3.0 arcsec needs an instrument"),
+        ({"requirements": "instrument"}, "requirements='instrument' can be used only with an instrument"),
+        (
+            {"requirements": "sky=1", "sky_separation": 3 * u.arcsec},
+            "sky_separation=3.0 arcsec can be used only with an instrument",
+        ),
         ({"sky_separation": 3 * u.s}, "or a length on the focal plane such as 0.5 .* got <Quantity 3. s>"),
         ({"start": 5}, "start must be an Allocation or the name of an allocator, got 5"),
         ({"objective": "most"}, "unknown objective 'most'"),
@@ -219,11 +222,11 @@ def test_problems_cannot_be_changed_by_an_allocator():
     [
         (
             lambda n: rs.allocation.AllocationAnswer(np.full(n, -1), levels=[("science", 5.0, 5.0)]),
-            "levels must be those of the",
+            "levels must contain the values of the objectives of the",
         ),
         (
             lambda n: rs.allocation.AllocationAnswer(np.full(n, -1), queues=(np.zeros(2), np.zeros(0))),
-            "queues must be indptr",
+            "queues must contain indptr",
         ),
     ],
 )

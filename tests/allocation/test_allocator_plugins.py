@@ -122,28 +122,36 @@ LIMITED = replace(PAIR, positioner=replace(ROBOT, handedness="both", phi_range=[
 @pytest.mark.parametrize(
     ("plane", "answer", "words"),
     [
-        (PAIR, None, r"must return whole numbers of the shape \(2,\).* got NoneType of the shape \(\)"),
+        (
+            PAIR,
+            None,
+            r"whole numbers of the shape \(2,\).* got NoneType of the shape \(\)",
+        ),
         (PAIR, [0, 2, -1], r"got list of the shape \(3,\)"),
         (PAIR, np.array([[0, 2]]), r"got ndarray of the shape \(1, 2\)"),
-        (PAIR, np.array([0.0, 2.0]), "must return whole numbers"),
-        (PAIR, np.array([True, False]), "must return whole numbers"),
-        (PAIR, ["0", "2"], "must return whole numbers"),
-        (PAIR, [[0], [1, 2]], "must return whole numbers"),
-        (PAIR, np.ma.array([0, 2], mask=[False, True]), "must return whole numbers"),
-        (PAIR, ([0, 2], None, 3), "must return whole numbers"),
-        (PAIR, [0, 4], "targets must be rows from 0 to 3, or -1 for none, got 4"),
+        (PAIR, np.array([0.0, 2.0]), "must return the row of the target"),
+        (PAIR, np.array([True, False]), "must return the row of the target"),
+        (PAIR, ["0", "2"], "must return the row of the target"),
+        (PAIR, [[0], [1, 2]], "must return the row of the target"),
+        (PAIR, np.ma.array([0, 2], mask=[False, True]), "must return the row of the target"),
+        (PAIR, ([0, 2], None, 3), "must return the row of the target"),
+        (PAIR, [0, 4], "targets must be rows from 0 to 3, or -1 for no target, got 4"),
         (PAIR, np.array([0, 2**64 - 1], dtype=np.uint64), "got 18446744073709551615"),
         (PAIR, [-2, 0], "got -2"),
-        (PAIR, [1, 1], r"target 1 must have one positioner at most, got 0 and 1 \(by row\)"),
-        (PAIR, [0, 3], r"positioner 1 \(by row\) cannot observe target 3: it is out of reach, forbidden"),
-        (PAIR, [2, 1], r"positioner 0 \(by row\) cannot observe target 2: it is out of reach"),
-        (replace(PAIR, disabled=[True, False]), [0, 1], "positioner 0 .* target 0: it is disabled or stuck"),
+        (PAIR, [1, 1], r"target 1 must have at most one positioner, got the positioners 0 and 1 \(rows\)"),
+        (PAIR, [0, 3], r"positioner 1 \(row\) cannot observe target 3: the target is out of reach, is forbidden"),
+        (PAIR, [2, 1], r"positioner 0 \(row\) cannot observe target 2: the target is out of reach"),
+        (
+            replace(PAIR, disabled=[True, False]),
+            [0, 1],
+            "positioner 0 .* target 0: the positioner is disabled or stuck",
+        ),
         (PAIR, ([0, 2], ["right"]), r"elbows must be 'right' or 'left' .* shape \(2,\), got \['right'\]"),
         (PAIR, ([0, 2], ["right", "up"]), "elbows must be 'right' or 'left'"),
         (PAIR, ([0, 2], [1, -1]), "elbows must be 'right' or 'left'"),
         (PAIR, ([0, 2], [["right"], []]), "elbows must be 'right' or 'left'"),
-        (PAIR, ([0, 2], ["right", "left"]), r"positioner 1 \(by row\) cannot have the elbow 'left'"),
-        (LIMITED, ([0, 2], ["right", "left"]), r"positioner 1 \(by row\) cannot have the elbow 'left'"),
+        (PAIR, ([0, 2], ["right", "left"]), r"positioner 1 \(row\) cannot have the elbow 'left'"),
+        (LIMITED, ([0, 2], ["right", "left"]), r"positioner 1 \(row\) cannot have the elbow 'left'"),
     ],
 )
 def test_what_no_plan_can_be_is_refused(plane, answer, words):
@@ -154,13 +162,15 @@ def test_what_no_plan_can_be_is_refused(plane, answer, words):
 
 def test_forbidden_pairs_stay_forbidden():
     assert rs.allocate(PAIR, FOUR, allocator=always([0, 1])).n_assigned == 2
-    with pytest.raises(rs.InputError, match="positioner 1 .* cannot observe target 1: it is out of reach, forbidden"):
+    with pytest.raises(
+        rs.InputError, match="positioner 1 .* cannot observe target 1: the target is out of reach, is forbidden"
+    ):
         rs.allocate(PAIR, FOUR, allocator=always([0, 1]), forbidden=[[1, 1]])
 
 
 def test_errors_say_whose_they_are(hers):
     with pytest.raises(
-        rs.InputError, match=r"^the allocator 'wrong' of hers 1.0 \(hers:wrong\): target 3 must have one"
+        rs.InputError, match=r"^the allocator 'wrong' of hers 1.0 \(hers:wrong\): target 3 must have at most one"
     ):
         rs.allocate(PAIR, FOUR, allocator="wrong")
 

@@ -60,9 +60,18 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
         ({"required": 6}, "required must be row numbers of targets, 0 to 5, got 6 to 6"),
         ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
         ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
-        ({"forbidden": [[3, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
-        ({"forbidden": [[0, 6]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
-        ({"forbidden": [[-1, 0]]}, "forbidden must name positioners 0 to 2 and targets 0 to 5 by their rows"),
+        (
+            {"forbidden": [[3, 0]]},
+            "forbidden must contain rows of positioners from 0 to 2 and rows of targets from 0 to 5",
+        ),
+        (
+            {"forbidden": [[0, 6]]},
+            "forbidden must contain rows of positioners from 0 to 2 and rows of targets from 0 to 5",
+        ),
+        (
+            {"forbidden": [[-1, 0]]},
+            "forbidden must contain rows of positioners from 0 to 2 and rows of targets from 0 to 5",
+        ),
         ({"objective": "best"}, "unknown objective 'best'; choose one of: count, priority"),
     ],
 )
@@ -117,7 +126,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
         kind=["sky"] * 12,
     )
     assert found.n_assigned == 3
-    why = "all requirements need 11 fibers, but there are 3"
+    why = "all requirements together need 11 fibers, but the number of fibers is 3"
     assert sentences(found.unmet) == [
         f"sky targets: 3 of 5, 2 missing; {why}",
         f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",

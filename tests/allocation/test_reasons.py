@@ -120,5 +120,5 @@ def test_every_reason_has_a_text():
 def test_a_plan_of_another_focal_plane_is_refused():
     one, two = (rs.FocalPlane([[40 * k, 0] for k in range(n)] * u.mm, EQUAL) for n in (1, 2))
     plan = rs.allocate(one, [[5, 0]] * u.mm)
-    with pytest.raises(rs.InputError, match="allocation must be that of the 2 positioners"):
+    with pytest.raises(rs.InputError, match="allocation must have the 2 positioners"):
         find_idle_reasons(two, plan, plan.place_arms(one))

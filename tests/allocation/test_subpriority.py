@@ -246,7 +246,7 @@ def test_equal_subpriorities_are_ordered_by_identifier(rng):
         ),
         (
             lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, allocator=rs.AllocationOptions(subpriority="S")),
-            "needs a catalog, got 'S'",
+            "can be used only with a catalog, got 'S'",
         ),
     ],
 )

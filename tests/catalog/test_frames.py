@@ -215,7 +215,7 @@ def test_right_ascensions_in_hours_by_the_unit_of_the_column():
     table = Table({"ra": ["06:30:00", "", "null"], "dec": [1.0, 2, 3] * DEG})
     with pytest.warns(rs.RfpsurveyWarning, match="2 of 3 targets have no finite coordinates"):
         assert rs.Catalog.from_table(table).coord.ra.deg == pytest.approx(97.5)
-    with pytest.raises(rs.InputError, match="units of ra must be a unit, got 'somewhere'"):
+    with pytest.raises(rs.InputError, match="the value of units for ra must be a unit, got 'somewhere'"):
         rs.Catalog.from_table(Table({"ra": [1.0], "dec": [1.0] * DEG}), units={"ra": "somewhere"})
 
 
@@ -244,7 +244,7 @@ def test_values_for_missing_priorities():
         assert catalog.priority.tolist() == [-15, -99, -99]
     for fill, message in (
         ({"id": 1}, "unknown column role to fill 'id'"),
-        ({"priority": "low"}, "fill must have a number for priority, got 'low'"),
+        ({"priority": "low"}, "the value of fill for priority must be a number, got 'low'"),
         ([1], "fill must be a dict from role to value, got .1."),
     ):
         with pytest.raises(rs.InputError, match=message):

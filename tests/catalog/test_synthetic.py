@@ -102,13 +102,13 @@ def test_rng_decides(kind):
     ("kind", "options", "message"),
     [
         ("poison", {"n_targets": 1}, "unknown kind of synthetic catalog 'poison'.* Did you mean 'poisson'"),
-        ("uniform", {}, "a uniform catalog needs n_targets or density"),
-        ("uniform", {"n_targets": 1, "density": 1 / u.deg**2}, "give n_targets or density, not both"),
+        ("uniform", {}, "n_targets or density must be given for a uniform catalog"),
+        ("uniform", {"n_targets": 1, "density": 1 / u.deg**2}, "give either n_targets or density, but not both"),
         ("uniform", {"n_targets": -1}, "the number of targets must be from 0 to 1e.09, got -1"),
         ("poisson", {"density": 5}, "density must be a Quantity"),
         ("poisson", {"density": 5 / u.mm**2}, "density must have a unit convertible to 1 / sr"),
-        ("poisson_disc", {"n_targets": 1}, "needs min_separation"),
-        ("clustered", {"n_targets": 1}, "needs cluster_scale"),
+        ("poisson_disc", {"n_targets": 1}, "min_separation must be given"),
+        ("clustered", {"n_targets": 1}, "cluster_scale must be given"),
         (
             "clustered",
             {"n_targets": 1, "cluster_scale": 90 * DEG},

@@ -128,7 +128,7 @@ def test_synthetic_skies_are_as_crowded_as_asked():
         )
         expected = 30.0 * len(mine.focal_plane) / mine.focal_plane.footprint.value * reach.area
         assert found["targets"][0] == pytest.approx(expected, abs=5 * np.sqrt(expected / 20))
-        assert "same number of targets per positioner within" in found.meta["comparable"]
+        assert "the number of targets per positioner in the footprint is the same" in found.meta["comparable"]
     found = rs.compare_instruments(
         "poisson", mine, density=2000 / u.deg**2, n_realizations=20, allocators="nearest", rng=3
     )
@@ -204,7 +204,7 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
     def never(problem):
         raise AssertionError
 
-    with pytest.raises(rs.InputError, match="flat: a footprint needs three centers"):
+    with pytest.raises(rs.InputError, match="flat: the footprint must have at least three centers"):
         rs.compare_instruments("poisson", [design(), flat], allocators=[never])
 
 
@@ -264,15 +264,18 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"instruments": []}, "instruments must hold at least one instrument, got none"),
-        ({"instruments": ["lamost", "lamost"]}, "must have different names, but there are several called 'lamost'"),
+        ({"instruments": []}, "instruments must contain at least one instrument, got none"),
+        (
+            {"instruments": ["lamost", "lamost"]},
+            "must have different names, got several instruments with the name 'lamost'",
+        ),
         ({"instruments": ["lamost", "most"]}, "unknown instrument 'most'"),
         ({"instruments": [5]}, "the name of a preset or the path of a TOML file, got 5"),
         ({"instruments": ["none.toml"]}, "none.toml"),
         ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
         ({"allocators": []}, "allocators must name at least one allocator, got none"),
         ({"allocators": ["best"]}, "unknown allocator 'best'"),
-        ({"allocator": "lamost"}, "given by allocators, not by allocator"),
+        ({"allocator": "lamost"}, "must name the allocators to compare, got the argument allocator"),
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
         ({"density": 5}, "density must be a Quantity"),

@@ -49,7 +49,7 @@ def test_an_instrument_off_the_grid_is_added_as_the_last_row():
 
 
 def test_the_minimum_separation_is_that_of_the_instrument(presets):
-    with pytest.warns(rs.RfpsurveyWarning, match="in place of the arm model 'capsule' of sdss_apo"):
+    with pytest.warns(rs.RfpsurveyWarning, match="instead of the arm model 'capsule' of sdss_apo"):
         table = rs.design.explore_around("sdss_apo", n_nodes=2)
     unit = presets["sdss_apo"].focal_plane.positioner
     assert own_row(table)["min_separation"].to_value(MM) == pytest.approx(unit.min_separation.to_value(MM), abs=1e-9)
@@ -121,9 +121,15 @@ def test_what_cannot_be_a_scan_is_refused(lamost, small):
         (lambda: rs.design.explore_around("lamost", spread=1), "spread must be a number above 0 and below 1, got 1"),
         (lambda: rs.design.explore_around("lamost", n_nodes=1), "n_nodes must be a whole number from 2 to 1000, got 1"),
         (lambda: rs.design.explore_around("lamost", pich=3), "unknown parameter of explore_designs 'pich'.*'pitch'"),
-        (lambda: rs.design.design_improvements("t"), "must be what explore_around returns"),
-        (lambda: rs.design.design_improvements(lamost[lamost["instrument"] == ""]), "one row of an instrument, got 0"),
-        (lambda: rs.design.design_improvements(vstack([lamost, lamost])), "one row of an instrument, got 2"),
+        (lambda: rs.design.design_improvements("t"), "must be a table that explore_around returned"),
+        (
+            lambda: rs.design.design_improvements(lamost[lamost["instrument"] == ""]),
+            "one row for the design of an instrument, got 0",
+        ),
+        (
+            lambda: rs.design.design_improvements(vstack([lamost, lamost])),
+            "one row for the design of an instrument, got 2",
+        ),
     ):
         with pytest.raises(rs.InputError, match=words):
             call()

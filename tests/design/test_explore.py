@@ -132,7 +132,9 @@ def test_searches_that_are_cut_short_are_counted():
         "targets_per_positioner": 1,
         "n_skies": 2,
     }
-    with pytest.warns(rs.RfpsurveyWarning, match="ended searches for 1 of 1 designs: their true loss can be smaller"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="ended searches for 1 of 1 designs; the true loss of these designs can be smaller"
+    ):
         row = explore(**design, time_limit=1 * u.ms)[0]
     assert row["n_unproven"] == 2
     assert 0 < row["loss_gap"] < 1
@@ -196,17 +198,22 @@ def test_the_front_is_what_no_row_beats(rows, largest):
 
 def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front():
     with pytest.warns(
-        rs.RfpsurveyWarning, match=r"1 of 3 designs have no values \(centers are nearer than the minimum"
+        rs.RfpsurveyWarning,
+        match=r"1 of 3 designs have no values; .* such as: the centers of neighboring positioners are closer than",
     ):
         table = explore(pitch=[4, 25.6, 30] * MM, objectives={"usable_per_area": "max", "loss": "min"})
-    assert table["reason"].tolist() == ["centers are nearer than the minimum separation", "", ""]
+    assert table["reason"].tolist() == [
+        "the centers of neighboring positioners are closer than the minimum separation",
+        "",
+        "",
+    ]
     assert np.isnan(table["loss"][0])
     assert table["pareto"].tolist() == [False, True, True]
-    with pytest.warns(rs.RfpsurveyWarning, match="arms reach further than 4 pitches"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the reach of the arms exceeds 4 times the pitch"):
         assert np.isnan(explore(ratio=20)["coverage"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="outside the range of the surrogate"):
         assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="more than 1000 targets per positioner"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the number of targets per positioner exceeds 1000"):
         assert np.isnan(explore(target_density=2 / MM**2)["loss"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="no fiber has a target"):
         assert np.isnan(explore(estimand="allocated", targets_per_positioner=1e-9)["loss"][0])
@@ -264,7 +271,7 @@ def test_a_file_of_another_scan_is_not_continued(tmp_path):
     path = tmp_path / "scan.ecsv"
     explore(path=path)
     for options, words in (
-        ({}, "exists; continue it"),
+        ({}, "exists; continue the scan"),
         ({"resume": True, "rng": 1}, "holds another scan: seed differ"),
         ({"resume": True, "ratio": 2.0}, "ratio differ"),
     ):
@@ -275,7 +282,7 @@ def test_a_file_of_another_scan_is_not_continued(tmp_path):
     assert table["ratio"][0] == 2
     table["pitch"] *= 1.01
     table.write(path, overwrite=True)
-    with pytest.raises(rs.InputError, match="is damaged: its designs are not those"):
+    with pytest.raises(rs.InputError, match="is damaged: its designs differ from the designs"):
         explore(path=path, resume=True, ratio=2.0)
     QTable({"a": [1]}).write(path, overwrite=True)
     with pytest.raises(rs.InputError, match="must contain a scan of designs"):
@@ -298,7 +305,7 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         ({"central_arm": [8, -1] * MM}, "central_arm must be finite and above 0, got -1"),
         ({"pitch": [[25, 26]] * MM}, r"pitch must be one value, or values along one axis, got the shape \(1, 2\)"),
         ({"clearance": np.nan * MM}, "clearance must be finite and of at least 0, got nan"),
-        ({"ratio": "two"}, "ratio must be numbers"),
+        ({"ratio": "two"}, "ratio .* must be numbers"),
         ({"ratio": [1, 1]}, "ratio must have different values"),
         ({"ratio": [1, 2, 3], "n_designs": 8}, r"ratio must be one value or its limits \(low, high\)"),
         ({"ratio": [2, 1], "n_designs": 8}, "ratio must be one value or its limits"),
@@ -306,9 +313,12 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         ({"ratio": np.arange(1, 9999), "pitch": np.arange(1, 9999) * MM}, "a grid must have at most 1e.07 designs"),
         ({"estimand": "optimal"}, "unknown estimand 'optimal'"),
         ({"method": "best"}, "unknown method of design studies 'best'"),
-        ({"method": "optimal", "estimand": "allocated"}, "method 'optimal' must be 'collision_free', got 'allocated'"),
+        (
+            {"method": "optimal", "estimand": "allocated"},
+            "must be 'collision_free' for the method 'optimal', got 'allocated'",
+        ),
         ({"targets_per_positioner": 0}, "targets_per_positioner must be a number above 0"),
-        ({"target_density": 1 / MM**2, "targets_per_positioner": 4}, "not both"),
+        ({"target_density": 1 / MM**2, "targets_per_positioner": 4}, "but not both"),
         ({"target_density": 1 * MM}, "target_density must have a unit convertible to"),
         ({"n_skies": 1}, "n_skies must be a whole number of at least 2"),
         ({"time_limit": 0 * u.s}, "time_limit must be one finite value above 0"),
@@ -316,7 +326,7 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         ({"objectives": {"loss": "min", "color": "max"}}, "unknown column for an objective 'color'"),
         ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown direction of loss 'least'"),
         ({"executor": 2}, "executor must be a concurrent.futures.Executor"),
-        ({"resume": True}, "resume needs the path"),
+        ({"resume": True}, "resume requires the path"),
         ({"path": "scan.csv"}, "must end in .fits or .ecsv"),
     ],
 )

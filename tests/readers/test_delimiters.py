@@ -34,9 +34,9 @@ def test_quoted_values_may_hold_the_delimiter(tmp_path, delimiter):
     path.write_text('"id";"ra";"dec"\n"a;b";10;20\n;11;21\n'.replace(";", delimiter).replace(f"a{delimiter}", "a;"))
     assert rs.Catalog.read(path).id.tolist() == ["a;b", ""]
     path.write_text('id;ra;dec\n"a;b;10;20\n'.replace(";", delimiter))
-    assert "open quotation mark in line 2" in refusal(path)
+    assert "an unclosed quotation mark in line 2" in refusal(path)
     path.write_text("id;ra;dec\na;10\n".replace(";", delimiter))
-    assert "line 2 must have 3 fields, as the first line has, got 2" in refusal(path)
+    assert "line 2 must have 3 fields, like the first line, got 2 fields" in refusal(path)
 
 
 def test_two_delimiters_are_told_apart_by_the_first_row(tmp_path):
@@ -55,7 +55,7 @@ def test_files_without_names_or_delimiters_are_refused(tmp_path):
     assert "commas must separate the names of the columns, got blanks in 'ra dec'" in refusal(path)
     for text in ("", "# nothing\n", "\n\n"):
         path.write_text(text)
-        assert "the first row must hold the names of the columns, got no row" in refusal(path)
+        assert "the first row must contain the names of the columns, got no row" in refusal(path)
 
 
 def test_decimal_commas_are_refused_with_a_remedy(tmp_path):
@@ -71,7 +71,7 @@ def test_the_names_may_stand_in_a_comment(tmp_path):
     assert rs.Catalog.read(path).coord.ra.deg.tolist() == pytest.approx([10, 11])
     for text in ("10,20\n11,21\n", "# a comment\n10,20\n11,21\n", "# 1,2\n10,20\n11,21\n"):
         path.write_text(text)
-        assert "the first row must hold the names of the columns, got '10'" in refusal(path)
+        assert "the first row must contain the names of the columns, got '10'" in refusal(path)
 
 
 def test_tables_of_vizier_have_units(tmp_path):

@@ -70,9 +70,9 @@ def test_a_stream_with_columns_of_variable_length_must_end_after_a_row(tmp_path,
     for end in (*range(1, first, 7), first - 1, first + 1, len(content) - 3, len(content) - 1):
         n = int(end > first)
         text = refusal(write(tmp_path / "a.vot", content[:end], kind))
-        assert text == f": STREAM must hold whole rows, got a part of a row after {n} rows"
+        assert text == f": the element STREAM must contain complete rows, got an incomplete row after {n} rows"
     many = struct.pack(">ddI", 1, 2, 2**32 - 1) + content  # a number of elements beyond the stream
-    assert "a part of a row after 0 rows" in refusal(write(tmp_path / "a.vot", before + many, kind))
+    assert "an incomplete row after 0 rows" in refusal(write(tmp_path / "a.vot", before + many, kind))
 
 
 def test_text_of_any_length_that_astropy_writes_is_read(tmp_path):
@@ -92,8 +92,8 @@ def test_text_of_any_length_that_astropy_writes_is_read(tmp_path):
     [
         ('encoding="gzip"', "", "the encoding of STREAM must be base64, got 'gzip' (line 2)"),
         ("", "", "the encoding of STREAM must be base64, got None (line 2)"),
-        ('encoding="base64"', "no base64!", "STREAM must be in base64: "),
-        ('encoding="base64"', "AAA", "STREAM must be in base64: "),
+        ('encoding="base64"', "no base64!", "the element STREAM must be in base64: "),
+        ('encoding="base64"', "AAA", "the element STREAM must be in base64: "),
     ],
 )
 def test_a_stream_must_be_in_base64(tmp_path, how, content, message):
@@ -104,9 +104,9 @@ def test_the_number_of_tables_and_columns_of_a_votable(tmp_path):
     path = write(tmp_path / "a.vot", row(1, *TARGETS[0]))
     table = path.read_text().partition("<TABLE>")[2].partition("</TABLE>")[0]
     path.write_text(path.read_text().replace("</TABLE>", f"</TABLE><TABLE>{table}</TABLE>"))
-    assert refusal(path) == ": the file must hold one table, got 2"
+    assert refusal(path) == ": the file must contain one table, got 2 tables"
     path.write_text(path.read_text().partition("<TABLE>")[0] + "</RESOURCE></VOTABLE>")
-    assert refusal(path) == ": the file must hold one table, got 0"
+    assert refusal(path) == ": the file must contain one table, got 0 tables"
     fields = '<FIELD name="a" datatype="short"/>' * 10_001
     assert "a table must have at most 10000 columns, got more" in refusal(write(path, b"", fields=fields))
     write(path, row(1, *TARGETS[0]), fields=COORDINATES + '<FIELD name="id" datatype="text" arraysize="*"/>')

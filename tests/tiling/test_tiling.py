@@ -108,7 +108,7 @@ def test_csv_is_in_degrees(tmp_path):
     [
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0], "dec": [1.0]})), "column 'ra' has no unit"),
-        (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table or QTable, or a DataFrame, got"),
+        (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table, a QTable or a DataFrame, got"),
         (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
         (lambda: rs.Tiling.from_table(QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG})), "ra must lie between"),
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "dec": [np.nan] * DEG})), "dec must lie between"),
