@@ -4,8 +4,9 @@ The names in ``__all__`` are the whole public interface. Data flow from the cata
 allocation, poses of the arms, collisions and the score of a tile, in this order.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from rfpsurvey._lazy import importer
 
 # these imports are for type checkers and editors
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ __all__ = [
     "write_report",
 ]
 
-_IMPORTED_ON_USE = {  # imported on first use, because commands and scripts do not need all of them
+_IMPORTED_ON_USE = {
     "allocation": ("Allocation", "AllocationOptions", "Requirement", "allocate"),
     "benchmark": (),
     "catalog": ("Catalog", "PartitionedCatalog", "example_catalog", "partition_catalog", "synthetic_catalog"),
@@ -131,21 +132,17 @@ _IMPORTED_ON_USE = {  # imported on first use, because commands and scripts do n
     "region": ("Region",),
     "report": ("write_report",),
     "reproduction": (),
-    "selection": ("PotentialAssignments", "SelectionProbabilities", "potential_assignments", "selection_probabilities"),
+    "selection": (
+        "PotentialAssignments",
+        "SelectionProbabilities",
+        "potential_assignments",
+        "selection_probabilities",
+    ),
     "survey": ("JointOptions", "Survey", "plan_survey"),
     "tile": ("Tile", "plan_tile", "score_tile"),
     "tiling": ("Tiling", "place_tiles"),
 }
-
-
-def __getattr__(name):
-    for package, names in _IMPORTED_ON_USE.items():
-        if name == package:
-            return import_module(f"rfpsurvey.{package}")
-        if name in names:
-            value = globals()[name] = getattr(import_module(f"rfpsurvey.{package}"), name)
-            return value
-    raise AttributeError(f"module 'rfpsurvey' has no attribute {name!r}")
+__getattr__ = importer(__name__, _IMPORTED_ON_USE)
 
 
 def __dir__():

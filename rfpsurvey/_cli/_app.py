@@ -23,8 +23,6 @@ from rfpsurvey.catalog import UNITS, as_catalog, is_example
 from rfpsurvey.errors import check_choice
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.plans import is_plan, native_format, read_plan
-from rfpsurvey.plot import COLORINGS
-from rfpsurvey.report import check_report
 
 __all__ = [
     "allocation_options",
@@ -202,14 +200,14 @@ def check_outputs(
         if path is not None:
             check_output(path, PICTURES, overwrite=overwrite)
     if report is not None:
-        check_report(report, overwrite=overwrite)
+        rs.report.check_report(report, overwrite=overwrite)
 
 
 def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | None" = None) -> None:
     """Raise an error if the targets in the plot cannot be colored as requested with the option --targets."""
     if color is None:
         return
-    check_choice(color, COLORINGS, "--targets")
+    check_choice(color, rs.plot.COLORINGS, "--targets")
     if plot is None:
         raise rs.InputError("--targets colors the targets in a plot: give --plot")
     if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:

@@ -9,7 +9,6 @@ from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.observing import SITES, location
-from rfpsurvey.tiling import when_of
 
 __all__ = [
     "ConditionsOption",
@@ -119,7 +118,7 @@ def tiles_under(
 ) -> "rs.Tiling":
     """Return a tiling with the observing conditions of a file and of options, or unchanged if neither is given."""
     given = any(value is not None for value in (path, site, time, hour_angle, exposure_time)) or wavelength
-    if given and time is None and hour_angle is None and when_of(tiling.table) is not None:
+    if given and time is None and hour_angle is None and rs.tiling.when_of(tiling.table) is not None:
         hour_angle = 0.0  # every tile has a time or hour angle of its own
     seen = conditions_of(path, site, time, hour_angle, wavelength, exposure_time)
     return tiling if seen is None else tiling.with_conditions(seen)

@@ -10,7 +10,6 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, suffix_of, write_table
-from rfpsurvey.plot import draw_tiling
 from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
 __all__ = [
@@ -96,7 +95,7 @@ def finish_tiling(
     with files(
         overwrite=overwrite,
         output=(output, tiling.write),
-        plot=(plot, lambda: draw_tiling(tiling, **shown)),
+        plot=(plot, lambda: rs.plot.draw_tiling(tiling, **shown)),
         report=(report, tiling, {"data": output}),
     ):
         for label, value in tiling_facts(tiling).items():

@@ -175,7 +175,8 @@ def nominate(
     positioner, also if the list of candidates does not contain all of these targets.
     """
     n = indptr.size - 1
-    cursor[:] = indptr[:-1]
+    for i in range(n):  # numba takes seconds to compile the assignment of one array to a part of another
+        cursor[i] = indptr[i]
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
     nominee_of[:] = -1

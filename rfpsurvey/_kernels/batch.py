@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import check, fill_idle, place, shape
-from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, colliding_pairs, halve
+from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, find_colliding, halve
 
 # Columns of ``counts``.
 PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, ASSIGNED, COUNTED, BORDERLINE = range(7)
@@ -50,7 +50,7 @@ def count(setup, workspace, counts, times):
     n = borderline = 0
     if setup.runs.shape[0] > 0:
         halve(workspace.segments, workspace.halves)
-        n, borderline = colliding_pairs(
+        n, borderline = find_colliding(
             workspace.segments,
             workspace.halves,
             setup.runs,

@@ -224,7 +224,7 @@ def near_pairs(halves, runs, limits, first, second):
     Each row (i, j, n) of ``runs`` stands for n pairs of neighbors: i and j, i + 1 and j + 1, and so on. Pairs of arms
     are omitted if their midpoints are too far apart or if `apart` is true for them.
     """
-    m = 0
+    m = np.int64(0)  # a literal 0 would compile `keep_near` a second time
     marks = np.empty(halves.shape[1], np.bool_)
     near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
     for r in range(runs.shape[0]):
@@ -247,21 +247,43 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs closer than the minimum separation, and borderline pairs, for which rounding could change the result.
+    """List pairs of segments closer than the minimum separation, and borderline pairs, which rounding could change.
 
     Returns the number of listed pairs, and the number of borderline pairs among them.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
-    outlined = limits.outline.start.size > 1
     for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
-        d2 = outlined_squared(segments, i, j, limits, i, j) if outlined else pair_squared(segments, i, j)
+        d2 = pair_squared(segments, i, j)
         if d2 < limit + band:
             first[n], second[n], squared[n] = i, j, d2
             n += 1
             borderline += d2 >= limit - band
     return n, borderline
+
+
+@kernel
+def colliding_outlines(segments, halves, runs, limits, first, second, squared):
+    """List pairs as `colliding_pairs` does, for arms with outlines, whose code takes long to compile."""
+    n = borderline = 0
+    limit, band = limits.separation**2, limits.band
+    for k in range(near_pairs(halves, runs, limits, first, second)):
+        i, j = first[k], second[k]
+        d2 = outlined_squared(segments, i, j, limits, i, j)
+        if d2 < limit + band:
+            first[n], second[n], squared[n] = i, j, d2
+            n += 1
+            borderline += d2 >= limit - band
+    return n, borderline
+
+
+@kernel
+def find_colliding(segments, halves, runs, limits, first, second, squared):
+    """List pairs by `colliding_outlines` if the arms have outlines, else by `colliding_pairs`."""
+    if limits.outline.start.size > 1:
+        return colliding_outlines(segments, halves, runs, limits, first, second, squared)
+    return colliding_pairs(segments, halves, runs, limits, first, second, squared)
 
 
 @kernel

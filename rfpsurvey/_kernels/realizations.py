@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.allocation import nominate
-from rfpsurvey._kernels.collisions import colliding_obstacles, colliding_pairs, halve
+from rfpsurvey._kernels.collisions import colliding_obstacles, find_colliding, halve
 from rfpsurvey._kernels.hashing import mix
 
 # Largest number of realizations in one call.
@@ -52,7 +52,7 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
             continue
         if setup.runs.shape[0] > 0:
             halve(workspace.segments, workspace.halves)
-            m, borderline = colliding_pairs(
+            m, borderline = find_colliding(
                 workspace.segments,
                 workspace.halves,
                 setup.runs,

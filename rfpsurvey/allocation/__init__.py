@@ -1,5 +1,8 @@
 """Allocation of targets to positioners: `allocate`, its options and results, and the built-in allocators."""
 
+from typing import TYPE_CHECKING
+
+from rfpsurvey._lazy import importer
 from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
@@ -11,14 +14,16 @@ from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
-from rfpsurvey.allocation._weighted import (
-    GivenPlan,
-    ListCandidates,
-    RowPrices,
-    TileCandidates,
-    WeightedProblem,
-    solve_weighted,
-)
+
+if TYPE_CHECKING:
+    from rfpsurvey.allocation._weighted import (
+        GivenPlan,
+        ListCandidates,
+        RowPrices,
+        TileCandidates,
+        WeightedProblem,
+        solve_weighted,
+    )
 
 __all__ = [
     "ALLOCATORS",
@@ -55,3 +60,15 @@ __all__ = [
     "subpriorities",
     "to_subpriorities",
 ]
+
+_IMPORTED_ON_USE = {
+    "_weighted": (
+        "GivenPlan",
+        "ListCandidates",
+        "RowPrices",
+        "TileCandidates",
+        "WeightedProblem",
+        "solve_weighted",
+    )
+}
+__getattr__ = importer(__name__, _IMPORTED_ON_USE)

@@ -10,7 +10,6 @@ from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.allocation._search import decide
 from rfpsurvey.focal_plane import elbow_names
 
 __all__ = ["METHODS"]
@@ -66,14 +65,12 @@ def sdss(problem: AllocationProblem) -> AllocationAnswer:
 
     If subpriorities are given, the sum of the subpriorities is maximized instead.
     """
-    with searching():
-        return decide(_with_cost(problem), collide=False, integral=False, squared_cost=True)
+    return _search(problem, collide=False, integral=False, squared_cost=True)
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, without collisions; then maximize subpriorities."""
-    with searching():
-        return decide(_with_cost(problem), collide=True, squared_cost=problem.subpriority is not None)
+    return _search(problem, collide=True, squared_cost=problem.subpriority is not None)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
@@ -101,6 +98,13 @@ METHODS = {
     "repair": repair,
 }
 """Allocators by name: functions that take an allocation problem and return its solution."""
+
+
+def _search(problem, **options):
+    from rfpsurvey.allocation._search import decide  # imported on first use, because it imports solvers
+
+    with searching():
+        return decide(_with_cost(problem), **options)
 
 
 def _with_cost(problem):

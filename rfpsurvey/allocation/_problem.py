@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer
@@ -123,7 +123,7 @@ class AllocationProblem:
             object.__setattr__(self, name, value)
 
     @cached_property
-    def reachable(self) -> csr_array:
+    def reachable(self) -> "scipy.sparse.csr_array":
         """Whether a positioner may observe a target: bool, shape (n_positioners, n_targets)."""
         matrix = self.pairs.matrix
         for array in (matrix.data, matrix.indices, matrix.indptr):

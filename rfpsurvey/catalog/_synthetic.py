@@ -4,8 +4,8 @@ from numbers import Number
 
 import astropy.units as u
 import numpy as np
+import scipy  # its subpackages are imported on first use
 from astropy.coordinates import SkyCoord
-from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_center, to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
@@ -151,7 +151,7 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     while len(points) < wanted and idle < 20:
         darts = _points(rng, cap, batch)
         if len(points):
-            darts = darts[cKDTree(points).query(darts)[0] >= chord]
+            darts = darts[scipy.spatial.cKDTree(points).query(darts)[0] >= chord]
         darts = _thin(darts, chord)
         points = np.vstack([points, darts])
         idle = idle + 1 if len(darts) == 0 else 0
@@ -168,7 +168,7 @@ def _thin(points, chord):
     """Remove each point that is closer than ``chord`` to an earlier point that was not removed."""
     alive = np.ones(len(points), dtype=bool)
     if len(points):
-        pairs = cKDTree(points).query_pairs(chord, output_type="ndarray")
+        pairs = scipy.spatial.cKDTree(points).query_pairs(chord, output_type="ndarray")
         pairs = pairs[np.sum((points[pairs[:, 0]] - points[pairs[:, 1]]) ** 2, axis=1) < chord**2]
         for i, j in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
             alive[j] &= not alive[i]

@@ -41,7 +41,9 @@ def exact(case: Configuration) -> Found:
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
-    n, _ = collisions.colliding_pairs(case.segments, halves, columns.runs, columns.limits, first, second, squared)
+    outlined = case.plane.positioner.outline is not None
+    search = collisions.colliding_outlines if outlined else collisions.colliding_pairs
+    n, _ = search(case.segments, halves, columns.runs, columns.limits, first, second, squared)
     return _settle(case, first[:n], second[:n], squared[:n])
 
 

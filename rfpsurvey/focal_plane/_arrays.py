@@ -4,7 +4,6 @@ from copy import copy
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import arms, collisions, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
@@ -13,7 +12,7 @@ from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import MODELS, joints_allow
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
-from rfpsurvey.focal_plane._neighbors import both_ways, find_runs
+from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
@@ -233,10 +232,8 @@ class FocalPlaneArrays:
 
     @cached_property
     def neighbors(self) -> np.ndarray:
-        limit, n = 2 * self.arm_reach.max() + self.separation + self.touch_slack, len(self.xy)
-        pairs = cKDTree(self.xy).query_pairs(limit, output_type="ndarray")
-        pairs = pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs
-        return locked(np.column_stack(np.divmod(np.sort(pairs[:, 0].astype(np.int64) * n + pairs[:, 1]), n)))
+        pairs = pairs_within(self.xy, 2 * self.arm_reach.max() + self.separation + self.touch_slack)
+        return locked(pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs)
 
     def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """Mark pairs whose arms, when stretched toward each other, are within the minimum separation plus ``slack``."""
@@ -246,8 +243,10 @@ class FocalPlaneArrays:
     @cached_property
     def n_sharing(self) -> np.ndarray:
         reach = self.largest_radius * (1 + 1e-6)
-        near = cKDTree(self.xy).query_ball_point(self.xy, reach + reach.max(), return_length=True)
-        return locked(np.asarray(near, dtype=np.int64) - 1)
+        pairs = pairs_within(self.xy, 2 * reach.max())
+        distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
+        near = [column[distance <= reach[column] + reach.max()] for column in pairs.T]
+        return locked(sum(np.bincount(rows, minlength=len(reach)) for rows in near))
 
     @cached_property
     def obstacle_pairs(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Fractions of a focal plane that exactly 0, 1, 2, ... positioners reach."""
 
 import numpy as np
-from scipy.spatial import ConvexHull, Delaunay, QhullError
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._units import to_generator
 from rfpsurvey.errors import InputError, check_whole
@@ -9,11 +9,11 @@ from rfpsurvey.errors import InputError, check_whole
 __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
 
-def footprint_of(plane) -> ConvexHull:
+def footprint_of(plane) -> "scipy.spatial.ConvexHull":
     """Return the convex hull of the centers of the positioners in mm."""
     try:
-        return ConvexHull(plane.arrays.xy)
-    except (QhullError, ValueError):
+        return scipy.spatial.ConvexHull(plane.arrays.xy)
+    except (scipy.spatial.QhullError, ValueError):
         raise InputError(
             f"the footprint must have at least three centers that are not on a line, got {len(plane)} centers"
         ) from None
@@ -23,7 +23,7 @@ def on_footprint(plane, points: np.ndarray) -> np.ndarray:
     """Return whether points (mm) are inside the footprint; points with NaN are outside."""
     hull = footprint_of(plane)
     inside = np.isfinite(points).all(axis=1)
-    inside[inside] = Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0
+    inside[inside] = scipy.spatial.Delaunay(hull.points[hull.vertices]).find_simplex(points[inside]) >= 0
     return inside
 
 

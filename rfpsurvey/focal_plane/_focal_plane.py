@@ -5,9 +5,8 @@ from functools import cached_property
 
 import astropy.units as u
 import numpy as np
+import scipy  # its subpackages are imported on first use
 from astropy.table import QTable, Table
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from rfpsurvey._units import to_points_mm
 from rfpsurvey.errors import check_keywords
@@ -16,6 +15,7 @@ from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._checks import check_columns
 from rfpsurvey.focal_plane._coverage import find_coverage, footprint_of
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
+from rfpsurvey.focal_plane._neighbors import nearest_within
 from rfpsurvey.positioner import Positioner
 
 __all__ = ["FocalPlane"]
@@ -137,7 +137,8 @@ class FocalPlane:
         if len(pairs) == 0:
             return 1
         distance = np.hypot(*(self.arrays.xy[pairs[:, 0]] - self.arrays.xy[pairs[:, 1]]).T)
-        nearest = cKDTree(self.arrays.xy).query(self.arrays.xy, k=2)[0][:, 1]
+        # a median of distances of which the larger ones are not found, here as infinity, cannot make the result 3
+        nearest = nearest_within(self.arrays.xy, 4 / 3 * distance.max())
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
 
     def neighbor_pairs(self) -> np.ndarray:
@@ -150,7 +151,7 @@ class FocalPlane:
         """
         return self.arrays.neighbors[self.arrays.can_touch(self.arrays.neighbors)]
 
-    def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> csr_array:
+    def reachable(self, xy: u.Quantity, fiber_type: np.ndarray | None = None) -> "scipy.sparse.csr_array":
         """Return the pairs of positioners and targets within reach as a sparse matrix.
 
         A target on the edge of a patrol area is within reach. Exact arithmetic decides cases in which rounding errors

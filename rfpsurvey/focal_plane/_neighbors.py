@@ -1,8 +1,32 @@
-"""Convert pairs of neighbors to the forms that the kernels read."""
+"""Find pairs of neighbors, and convert them to the forms that the kernels read."""
 
 import numpy as np
 
-__all__ = ["both_ways", "find_runs"]
+from rfpsurvey.focal_plane._reach import make_grid
+
+__all__ = ["both_ways", "find_runs", "nearest_within", "pairs_within"]
+
+
+def pairs_within(xy: np.ndarray, limit: float) -> np.ndarray:
+    """Return the pairs (i, j) of centers whose distance is at most ``limit``, with i < j, sorted."""
+    x0, y0, size, nx, ny, start, order = make_grid(xy, np.full(len(xy), limit))
+    column, row = np.floor((xy - (x0, y0)) / size).astype(np.int64).clip(0, (nx - 1, ny - 1)).T
+    cell = row * nx + column
+    n_near = np.diff(start)[cell]
+    i = np.repeat(np.arange(len(xy)), n_near)
+    j = order[np.arange(len(i)) + np.repeat(start[cell] - (np.cumsum(n_near) - n_near), n_near)]
+    near = (i < j) & (((xy[i] - xy[j]) ** 2).sum(axis=1) <= limit**2)
+    return np.column_stack([i[near], j[near]])
+
+
+def nearest_within(xy: np.ndarray, limit: float) -> np.ndarray:
+    """Return the distance from each center to the nearest other center, or infinity if it is larger than ``limit``."""
+    pairs = pairs_within(xy, limit)
+    distance = np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
+    nearest = np.full(len(xy), np.inf)
+    for rows in pairs.T:
+        np.minimum.at(nearest, rows, distance)
+    return nearest
 
 
 def find_runs(pairs: np.ndarray) -> np.ndarray:

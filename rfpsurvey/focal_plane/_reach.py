@@ -5,7 +5,7 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._kernels import reach
 from rfpsurvey._units import locked, to_plain
@@ -64,12 +64,13 @@ class Reach:
         return np.diff(self.indptr) > 0
 
     @property
-    def matrix(self) -> csr_array:
+    def matrix(self) -> "scipy.sparse.csr_array":
         """The pairs as a sparse matrix with a row for each positioner and a column for each target."""
         indptr, target, _ = self.by_positioner
         if len(target) < 2**31:  # graph routines of older versions of SciPy accept 32-bit indices only
             indptr, target = indptr.astype(np.int32), target.astype(np.int32)
-        return csr_array((np.ones(len(target), bool), target, indptr), shape=(self.n_positioners, len(self.indptr) - 1))
+        data = np.ones(len(target), bool)
+        return scipy.sparse.csr_array((data, target, indptr), shape=(self.n_positioners, len(self.indptr) - 1))
 
     def where(self, keep: np.ndarray) -> "Reach":
         """Return the pairs marked in ``keep``.

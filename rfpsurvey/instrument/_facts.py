@@ -4,7 +4,7 @@ from collections import Counter
 
 import astropy.units as u
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument._entries import STATUSES
@@ -125,7 +125,9 @@ def _fibers(plane) -> dict[str, int]:
 
 def _pitch(xy: np.ndarray) -> float:
     """Return the median distance (mm) between nearest centers, rounded to 1e-9, or NaN for a single positioner."""
-    return round(float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1])), 9) if len(xy) > 1 else np.nan
+    if len(xy) == 1:
+        return np.nan
+    return round(float(np.median(scipy.spatial.cKDTree(xy).query(xy, k=2)[0][:, 1])), 9)
 
 
 def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -153,9 +155,9 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
     If there are too few centers for a convex hull, the outline of the patrol areas is used.
     """
     try:
-        hull = ConvexHull(xy)
-    except (QhullError, ValueError):
-        hull = ConvexHull(outline)
+        hull = scipy.spatial.ConvexHull(xy)
+    except (scipy.spatial.QhullError, ValueError):
+        hull = scipy.spatial.ConvexHull(outline)
     corners = hull.points[hull.vertices]
     after = np.roll(corners, -1, axis=0)
     weight = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]

@@ -4,7 +4,7 @@ The cobras are in three fields; each field has 14 modules, and each module has 5
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey.errors import InputError
 
@@ -36,7 +36,7 @@ def nominal_centers() -> np.ndarray:
 
 def cobra_ids(xy: np.ndarray) -> np.ndarray:
     """Return the cobras whose nominal centers are given (mm)."""
-    apart, row = cKDTree(nominal_centers()).query(xy)
+    apart, row = scipy.spatial.cKDTree(nominal_centers()).query(xy)
     if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
         raise InputError(f"names = 'cobra' needs the {N} nominal centers of PFS, got other positions")
     return row + 1

@@ -1,9 +1,14 @@
 """Reports: self-contained HTML pages on results."""
 
+from typing import TYPE_CHECKING
+
+from rfpsurvey._lazy import importer
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts
-from rfpsurvey.report._notebook import NotebookView, notebook_view
-from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
+
+if TYPE_CHECKING:
+    from rfpsurvey.report._notebook import NotebookView, notebook_view
+    from rfpsurvey.report._write import MADE_BY, PAGES, check_report, write_report
 
 __all__ = [
     "MADE_BY",
@@ -25,3 +30,9 @@ __all__ = [
     "tiling_facts",
     "write_report",
 ]
+
+_IMPORTED_ON_USE = {
+    "_notebook": ("NotebookView", "notebook_view"),
+    "_write": ("MADE_BY", "PAGES", "check_report", "write_report"),
+}
+__getattr__ = importer(__name__, _IMPORTED_ON_USE)

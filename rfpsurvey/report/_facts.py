@@ -1,12 +1,16 @@
 """Labels and values of results; a label with two leading blanks is for a part of the value above it."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from rfpsurvey.errors import number_of
-from rfpsurvey.probability import Estimate
-from rfpsurvey.survey import Survey
-from rfpsurvey.tile import Tile
-from rfpsurvey.tiling import Tiling
+
+if TYPE_CHECKING:
+    from rfpsurvey.probability import Estimate
+    from rfpsurvey.survey import Survey
+    from rfpsurvey.tile import Tile
+    from rfpsurvey.tiling import Tiling
 
 __all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objectives", "tiling_facts"]
 
@@ -63,7 +67,7 @@ ZERO_IS_LEFT_OUT = (
 )
 
 
-def tile_facts(tile: Tile) -> dict:
+def tile_facts(tile: "Tile") -> dict:
     """Return the counts and rates of a tile; most counts that are 0 are omitted."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
@@ -88,7 +92,7 @@ def _required(summary: dict) -> dict:
     return {"required targets observed": f"{summary['n_required_observed']} of {n}"} if n else {}
 
 
-def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
+def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
     """Return the number of fibers for each class of targets, and an upper limit if more fibers may be possible.
 
     There are at most ``most`` lines; if there are more classes, the last line sums up all others.
@@ -112,7 +116,7 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, int, str]]:
     return found
 
 
-def survey_facts(survey: Survey) -> dict:
+def survey_facts(survey: "Survey") -> dict:
     """Return the counts and rates of a survey, and the number of targets with each outcome."""
     s = survey.summary
     facts = {
@@ -137,12 +141,12 @@ def survey_facts(survey: Survey) -> dict:
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
 
 
-def tiling_facts(tiling: Tiling) -> dict:
+def tiling_facts(tiling: "Tiling") -> dict:
     """Return the values in the summary of a tiling; a value without a label is labeled by its key."""
     return {TILING.get(key, key.replace("_", " ")): value for key, value in tiling.summary.items() if value != ""}
 
 
-def estimate_facts(estimate: Estimate) -> dict:
+def estimate_facts(estimate: "Estimate") -> dict:
     """Return the values of an estimate as text, with as many digits as its error allows."""
     formula, error = np.isnan(estimate.low), estimate.standard_error
     digits = 5 if formula or not 0 < error < 1e-5 else 1 - int(np.floor(np.log10(error)))

@@ -2,7 +2,6 @@
 
 import json
 import os
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import astropy.units as u
@@ -19,7 +18,8 @@ from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plans import write_plan
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
-from rfpsurvey.tile._targets import completeness_table
+from rfpsurvey.tile._table import TableOfTile
+from rfpsurvey.tile._targets import TargetsOfField, completeness_table
 
 __all__ = ["Tile"]
 
@@ -35,7 +35,6 @@ MUST_HAVE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
 class Tile:
     """A planned or scored tile: the position of each fiber, and the arms that collide.
 
@@ -73,24 +72,44 @@ class Tile:
     4000
     """
 
-    table: QTable
-    field_targets: object = field(default=None, repr=False)
-
     OUTCOMES = OUTCOMES
     """The outcomes of targets."""
 
-    def __post_init__(self):
-        if not isinstance(self.table, QTable):
-            raise InputTypeError(f"table must be a QTable, got {type(self.table).__name__}")
-        lacking = [name for name in ("summary", "provenance", "geometry") if name not in self.table.meta]
-        if lacking or "in_collision" not in self.table.colnames:
+    def __init__(self, table: QTable | TableOfTile, field_targets: QTable | TargetsOfField | None = None):
+        self._made_from, self._field_targets = table, field_targets
+        if isinstance(table, TableOfTile):
+            return
+        if not isinstance(table, QTable):
+            raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
+        lacking = [name for name in ("summary", "provenance", "geometry") if name not in table.meta]
+        if lacking or "in_collision" not in table.colnames:
             raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))
         for path in MUST_HAVE:
-            value = self.table.meta
+            value = table.meta
             for name in path.split("."):
                 value = value.get(name) if isinstance(value, dict) else None
             if value is None:
                 raise InputError(f"the meta of a tile must have the entry {path}, got none")
+
+    @property
+    def table(self) -> QTable:
+        """Table with a row for each positioner, which is made on first use."""
+        if isinstance(self._made_from, TableOfTile):
+            self._made_from = self._made_from.make()
+        return self._made_from
+
+    @property
+    def _positioner_ids(self) -> np.ndarray:
+        is_made = not isinstance(self._made_from, TableOfTile)
+        return np.asarray(self.table["id"]) if is_made else self._made_from.instrument.focal_plane.id
+
+    @property
+    def field_targets(self) -> QTable | TargetsOfField | None:
+        """All targets of the field; see `outcomes`."""
+        return self._field_targets
+
+    def __reduce__(self):
+        return Tile, (self.table, self.field_targets)
 
     @property
     def summary(self) -> dict:
@@ -99,12 +118,12 @@ class Tile:
         For planned tiles, ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of
         those that are assigned and not in collision.
         """
-        return self.table.meta["summary"]
+        return self._made_from.meta["summary"]
 
     @property
     def provenance(self) -> dict:
         """Versions of the software, instrument, catalog and parameters of the tile."""
-        return self.table.meta["provenance"]
+        return self._made_from.meta["provenance"]
 
     @property
     def instrument(self) -> str:
@@ -140,7 +159,7 @@ class Tile:
         ``kind``, ``category``, ``priority`` and the further columns of the catalog, if it has them.
         """
         made = self.field_targets
-        return made.table(np.asarray(self.table["id"])) if hasattr(made, "table") else made
+        return made.table(self._positioner_ids) if hasattr(made, "table") else made
 
     @cached_property
     def completeness(self) -> QTable | None:
@@ -155,7 +174,7 @@ class Tile:
 
     @cached_property
     def _idle(self) -> tuple[QTable, QTable] | None:
-        return self.field_targets.idle(np.asarray(self.table["id"])) if hasattr(self.field_targets, "idle") else None
+        return self.field_targets.idle(self._positioner_ids) if hasattr(self.field_targets, "idle") else None
 
     @property
     def idle(self) -> QTable | None:
@@ -293,7 +312,7 @@ class Tile:
         return show(self, plans=plans, height=height)
 
     def __len__(self):
-        return len(self.table)
+        return self.summary["n_positioners"] if isinstance(self._made_from, TableOfTile) else len(self.table)
 
     def __getitem__(self, item):
         return self.table[item]

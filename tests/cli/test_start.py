@@ -1,5 +1,6 @@
 """The list of commands and the version are printed without importing astropy, numba or numpy."""
 
+import gc
 import inspect
 import subprocess
 import sys
@@ -33,6 +34,11 @@ def test_the_list_contains_the_first_sentence_of_each_command(name, run):
     text = inspect.getdoc(getattr(module, name.replace("-", "_")))
     assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name]
     assert COMMANDS[name] in " ".join(run("--help")[1].split())
+
+
+def test_garbage_is_collected_again_after_the_import_of_a_command(run):
+    run("plan", "--help")
+    assert gc.isenabled()
 
 
 def test_every_command_has_its_help(run):

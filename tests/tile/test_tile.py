@@ -1,3 +1,4 @@
+import pickle
 import re
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from astropy.utils.masked import Masked
 
 import rfpsurvey as rs
 from oracles import segment_distances
+from rfpsurvey.tile._table import TableOfTile
 
 MM = u.mm
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -368,3 +370,29 @@ def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):
     )
     with pytest.raises(rs.InputError, match=message):
         rs.Tile.read(path)
+
+
+def test_the_table_is_made_on_first_use(small, monkeypatch):
+    targets = rs.synthetic_catalog("uniform", CENTER, 0.4 * u.deg, n_targets=300, rng=2)
+    tile = rs.plan_tile(targets, small, CENTER)
+    made = []
+    make = TableOfTile.make
+    monkeypatch.setattr(TableOfTile, "make", lambda self: made.append(1) or make(self))
+    counts = (
+        tile.summary["n_assigned"],
+        len(tile),
+        tile.instrument,
+        repr(tile),
+        len(tile.outcomes),
+        len(tile.completeness),
+    )
+    assert not made
+    assert counts[:2] == ((tile.table["status"] == "assigned").sum(), len(tile.table))
+    assert tile.table is tile.table
+    assert tile.table.meta["summary"] == tile.summary
+    assert len(made) == 1
+    for copy in (pickle.loads(pickle.dumps(rs.plan_tile(targets, small, CENTER))), rs.Tile(tile.table, tile.outcomes)):
+        assert len(copy) == len(tile)
+        assert set(copy.table["target_id"][~copy.table["target_id"].mask]) == set(
+            tile.table["target_id"][~tile.table["target_id"].mask]
+        )
