@@ -136,8 +136,13 @@ def check(tips, geometry, bounds, assigned, far):
     for i in range(cx.size):
         dx, dy = tips[i, 0] - cx[i], tips[i, 1] - cy[i]
         r2 = dx * dx + dy * dy
-        assigned[i] = usable[i] & (r2 < np.inf)
-        far[i] = usable[i] & ((r2 < low[i]) | (r2 > high[i]))
+        assigned[i] = r2 < np.inf
+        far[i] = (r2 < low[i]) | (r2 > high[i])
+    # in the same loop, flags and numbers of different sizes would take twice the time
+    for i in range(cx.size):
+        assigned[i] &= usable[i]
+    for i in range(cx.size):
+        far[i] &= usable[i]
     for i in range(cx.size):
         n += far[i]
     return n

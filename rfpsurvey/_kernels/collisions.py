@@ -225,7 +225,8 @@ def near_pairs(halves, runs, limits, first, second):
     are omitted if their midpoints are too far apart or if `apart` is true for them.
     """
     m = np.int64(0)  # a literal 0 would compile `keep_near` a second time
-    marks = np.empty(halves.shape[1], np.bool_)
+    words = np.empty(halves.shape[1] // 8 + 1, np.uint64)
+    marks = words.view(np.uint8)
     near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
     for r in range(runs.shape[0]):
         i, j, n = runs[r, 0], runs[r, 1], runs[r, 2]
@@ -239,9 +240,11 @@ def near_pairs(halves, runs, limits, first, second):
         for k in range(n):
             dx, dy = xj[k] - xi[k], yj[k] - yi[k]
             marks[k] = dx * dx + dy * dy <= near2  # false for NaN
-        for k in range(n):
-            first[m], second[m] = i + k, j + k
-            m += marks[k]
+        for w in range((n + 7) // 8):
+            if words[w] != 0:  # most groups of eight pairs have no mark
+                for k in range(8 * w, min(8 * w + 8, n)):
+                    first[m], second[m] = i + k, j + k
+                    m += marks[k]
     return keep_near(halves, m, limit2, first, second)
 
 

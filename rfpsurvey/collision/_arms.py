@@ -158,6 +158,8 @@ def check_tips(columns, points, side, *, clip=False):
 
 def joints_free(columns, side):
     """Return whether joint limits allow positioners to reach all points of their patrol areas with the given elbows."""
+    if columns.joints_free_for(1.0) and columns.joints_free_for(-1.0):
+        return True
     return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
 
 

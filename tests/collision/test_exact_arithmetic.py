@@ -122,3 +122,21 @@ def test_segments_too_short_to_square_are_not_lost():
 
 def test_a_limit_of_nothing_is_never_met():
     assert not closer_exactly((0, 0, 1, 0), (0, -1, 0, 1), 0.0)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.03, 0.5, 1.0])
+def test_runs_of_neighbors_are_searched_without_omissions(rng, part):
+    """The search skips groups of eight pairs that are far apart; runs have all lengths from 1 to 40."""
+    for n in range(1, 41):
+        far = rng.random(n) >= part
+        x = np.concatenate([rng.random(n), rng.random(n) + 100.0 * far])
+        arms = np.array([x, np.zeros(2 * n), x, np.ones(2 * n)])
+        halves, runs = np.empty_like(arms), np.array([[0, n, n]])
+        collisions.halve(arms, halves)
+        first, second, squared = np.full(n + 1, -7), np.full(n + 1, -7), np.empty(n)
+        limits = collisions.limits(5.0, 1.0, 200.0)
+        m = collisions.near_pairs(halves, runs, limits, first[:n], second[:n])
+        np.testing.assert_array_equal(first[:m], np.flatnonzero(~far))
+        np.testing.assert_array_equal(second[:m], np.flatnonzero(~far) + n)
+        assert collisions.colliding_pairs(arms, halves, runs, limits, first[:n], second[:n], squared)[0] == m
+        assert first[n] == second[n] == -7
