@@ -1,6 +1,8 @@
 """Compute the poses of the arms of all positioners."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import astropy.units as u
 import numpy as np
@@ -30,8 +32,8 @@ __all__ = [
 class Arms:
     """The poses of all positioners in mm and radians; NaN for arms that are absent."""
 
-    theta: np.ndarray
-    phi: np.ndarray
+    find_angles: Callable[[], np.ndarray] | None
+    """Function that returns the joint angles theta and phi, shape (2, n); it is called when they are first used."""
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
@@ -44,6 +46,23 @@ class Arms:
     """Whether the target of each positioner is out of reach: the arm is stretched toward it or exceeds joint limits."""
     fiber: np.ndarray | None = None
     """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
+
+    @cached_property
+    def _angles(self) -> np.ndarray:
+        return self.find_angles()
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Joint angles theta."""
+        return self._angles[0]
+
+    @property
+    def phi(self) -> np.ndarray:
+        """Joint angles phi."""
+        return self._angles[1]
+
+    def __getstate__(self):
+        return {**self.__dict__, "_angles": self._angles, "find_angles": None}
 
     @property
     def present(self) -> np.ndarray:
@@ -74,9 +93,9 @@ def place_arms(
     if tips is None:
         if handedness is not None:
             raise InputError("handedness can be given only with tips; theta and phi already determine the elbow")
-        angles = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
-        segments = np.empty((4, n))
-        arms.pose(*columns.from_joints(*angles), columns.geometry, segments)
+        given = np.array([_column(to_radian(v, name), name, n) for v, name in ((theta, "theta"), (phi, "phi"))])
+        angles, segments = given.copy, np.empty((4, n))
+        arms.pose(*columns.from_joints(*given), columns.geometry, segments)
         assigned = np.isfinite(segments[2]) & focal_plane.arrays.usable
         arms.fill_idle(assigned, idle.segments, segments)
         clipped = np.zeros(n, dtype=bool)
@@ -84,15 +103,27 @@ def place_arms(
         points = to_tips(tips, n)
         side = to_sides(columns, points, handedness)
         segments, assigned, clipped = pose_tips(columns, points, side, parked_obstacles, clip=clip)
-        angles = np.empty((2, n))
-        arms.solve(points, columns.geometry, side, *angles)
-        angles = np.array(columns.to_joints(*angles))
-    for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
-        np.copyto(own, other, where=~assigned)
+        angles = partial(_solve, columns, points.copy(), side)
+    find_angles = partial(_with_idle, angles, assigned, idle)
     elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
     arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
     fiber = None if columns.fibers is None else np.where(assigned, columns.fiber_index, columns.first_index)
-    return Arms(*angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped, fiber)
+    return Arms(find_angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped, fiber)
+
+
+def _solve(columns, points, side):
+    """Return the joint angles theta and phi of arms with tips at ``points``, shape (2, n)."""
+    angles = np.empty((2, len(points)))
+    arms.solve(points, columns.geometry, side, *angles)
+    return np.array(columns.to_joints(*angles))
+
+
+def _with_idle(find_angles, assigned, idle):
+    """Return joint angles; positioners without a target have those of idle arms."""
+    angles = find_angles()
+    for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
+        np.copyto(own, other, where=~assigned)
+    return angles
 
 
 def pose_tips(columns, points, side, parked_obstacles, *, clip=False):

@@ -1,5 +1,7 @@
 """Poses of arms and their collisions, compared with a slow computation that tests each arm against all other arms."""
 
+import pickle
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -103,3 +105,20 @@ def test_limits_leave_room_for_the_proven_error(separation, length, extent):
     # each midpoint has rounding errors of two ends, their sum and their difference, in x and y
     assert limits.slack > 6 * u * (extent + size)
     assert limits.near >= length + separation + limits.slack
+
+
+def test_joint_angles_are_computed_on_first_use_and_survive_pickling(small):
+    plane = small.focal_plane
+    tips = plane.xy + [5, 0] * u.mm
+    tips[3] = np.nan
+    posed = place_arms(plane, tips)
+    tips[0] = np.nan  # has no effect on the result
+    assert "_angles" not in vars(posed)
+    copy = pickle.loads(pickle.dumps(posed))
+    assert copy.find_angles is None
+    for arms in (posed, copy):
+        theta, phi = plane.arrays.home[:, 3]
+        assert (arms.theta[3], arms.phi[3]) == (theta, phi)
+        again = place_arms(plane, theta=arms.theta * u.rad, phi=arms.phi * u.rad)
+        np.testing.assert_allclose(again.tip[:3], posed.tip[:3], atol=1e-9)
+        np.testing.assert_array_equal(again.theta, arms.theta)
