@@ -39,7 +39,7 @@ class SelectionFolder(RequestFolder):
         self._last = monotonic()
 
     def load(self, name: str) -> dict[str, np.ndarray] | None:
-        """Return the arrays of a file, or None if it is not there or damaged."""
+        """Return the arrays of a file, or None if the file is missing or damaged."""
         path = self.path / f"{name}.npz"
         if not path.exists():
             return None
@@ -51,7 +51,7 @@ class SelectionFolder(RequestFolder):
             return None
 
     def save(self, name: str, **arrays: np.ndarray) -> None:
-        """Write arrays to a file, which is never incomplete."""
+        """Write arrays to a file; if writing fails, no incomplete file remains."""
         with self._told(), output_path(self.path / f"{name}.npz", (".npz",), overwrite=True) as temporary:
             np.savez(temporary, **arrays)
 

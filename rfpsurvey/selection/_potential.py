@@ -69,7 +69,7 @@ def potential_assignments(
     epoch : Time, str or float, optional
         Epoch to which the points are moved by their proper motions.
     survey : Survey, optional
-        A plan of these tiles. In each tile, positioners whose target is lost to a collision reach no point.
+        A survey planned with these tiles. In each tile, positioners whose target is lost to a collision reach no point.
     executor : concurrent.futures.Executor, optional
         Executor for several tiles at the same time, such as threads.
     progress : bool or callable, optional

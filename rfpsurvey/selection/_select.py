@@ -46,10 +46,10 @@ def selection_probabilities(
     """Plan a survey many times with different subpriorities, and return which realizations observed each target.
 
     Realization r is the survey that `plan_survey` plans with ``subpriority=seed`` of `AllocationOptions` and
-    ``rng=seed``, where ``seed`` is the r-th seed of the table ``realizations``. The seeds follow from ``rng``, and the
-    first seeds do not depend on the number of realizations. For the allocators ``nearest``, ``lamost`` and
-    ``balanced``, fields, projections, reach and poses are computed once for 32 realizations; other allocators and
-    plans with requirements take the time of complete surveys.
+    ``rng=seed``, where ``seed`` is the r-th seed of the table ``realizations``. The seeds are drawn from ``rng``, and
+    the first seeds do not depend on the number of realizations. For the allocators ``nearest``, ``lamost`` and
+    ``balanced``, fields, projections, reach and poses are computed once for 32 realizations. With other allocators and
+    with requirements, each realization takes as long as a complete survey.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def selection_probabilities(
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, so that they are observed again.
+        Whether targets whose arms collide count as not observed, so that other tiles can observe them.
     order : {"color", "given"}, optional
         Order of the tiles, as in `plan_survey`.
     folder : str or path-like, optional
@@ -78,10 +78,10 @@ def selection_probabilities(
         Whether to continue unfinished work in the folder.
     executor : concurrent.futures.Executor, optional
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``. Threads need
-        the least memory, and the compiled code of a tile runs without the lock of the interpreter.
+        the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished plans of tiles and of
-        all plans. One more plan of each tile counts the targets in reach.
+        all plans. Each tile is planned once more to count the targets in reach.
     rng : int, Generator or None, optional
         Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
 
@@ -129,7 +129,7 @@ def selection_probabilities(
     begin = perf_counter()
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume needs the folder of the work to continue")
+        raise InputError("resume requires the folder of the work to continue")
     check_choice(order, ("color", "given"), "order")
     if getattr(allocator, "subpriority", None) is not None:
         raise InputError(

@@ -17,7 +17,7 @@ class State:
     available : ndarray of uint8, shape (n_targets,)
         Remaining visits before the first tile. It is 1 for standards and sky positions in use.
     spends : ndarray of bool, shape (n_targets,), or None
-        Whether visits of each target count; None if those of all targets do.
+        Whether visits to each target count; None if the visits to all targets count.
     n_realizations : int
         Number of realizations.
     """

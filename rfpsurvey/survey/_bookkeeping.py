@@ -61,7 +61,7 @@ class Bookkeeping:
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # all tiles with requirements for sky positions and standards may use them
         self.left = self.wanted.copy()
-        # whether visits of each target count; None if those of all targets do
+        # whether visits to each target count; None if the visits to all targets count
         self.spends = None
         if science is not None and others is not None:
             self.left[~science & others] = 1

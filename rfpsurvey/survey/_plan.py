@@ -83,7 +83,7 @@ def plan_survey(
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, so that they are observed again.
+        Whether targets whose arms collide count as not observed, so that other tiles can observe them.
     order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
@@ -144,7 +144,7 @@ def plan_survey(
     """
     begin = perf_counter()
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume needs the folder of the survey to continue")
+        raise InputError("resume requires the folder of the survey to continue")
     request = prepare_request(
         catalog,
         instrument,

@@ -18,7 +18,7 @@ IDLE_COLUMNS = {
     "id": "identifier of the positioner",
     "reason": "why the positioner has no target",
     "n_in_reach": "number of targets that the positioner can observe",
-    "n_free": "number of these that no positioner observes",
+    "n_free": "number of these targets that no positioner observes",
     "n_possible": "number of free targets at which the arm would not collide",
     "colliding_with": "arms and obstacles with which the arm would collide at free targets",
     "target_id": "identifier of a free target in reach",

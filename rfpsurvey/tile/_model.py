@@ -35,21 +35,21 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     Returns
     -------
     str
-        One sentence on collisions and one on positions.
+        Sentences on collisions and on positions.
     """
     plane = instrument.focal_plane
     kind = plane.collision_type
     if kind == 1:
         collisions = "No two arms can touch (collision type 1), so that no pair was tested"
     else:
-        n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms as {ARMS[plane.positioner.arm_model]}"
+        n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms that are {ARMS[plane.positioner.arm_model]}"
         if posed is None:
-            looked = f"each tile tests the {n_pairs} pairs within reach of each other, and a distance, where needed, is"
+            looked = f"Each tile tests the {n_pairs} pairs of arms that can touch; the distances of close pairs are"
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])
-            looked = f"of {n_pairs} pairs within reach of each other, {n_near} needed a distance, which is"
-        collisions = f"Collisions: {TYPES[kind]}; {looked} {arms}"
+            looked = f"{n_near} of the {n_pairs} pairs of arms that can touch are close; their distances are"
+        collisions = f"Collisions: {TYPES[kind]}. {looked} {arms}"
     if instrument.distortion is None or projection == "tangent":
         positions = "a tangent plane with one plate scale"
     else:

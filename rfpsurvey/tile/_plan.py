@@ -77,7 +77,7 @@ def plan_tile(
     center : SkyCoord or str, optional
         Field center, whose frame also defines north: for a center in ``FK5(equinox="J2026")``, position angles are
         measured from north at that equinox. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
-        in ICRS. None: the mean direction of the catalog.
+        in ICRS. By default, the mean direction of the catalog.
     position_angle : Quantity, optional
         Position angle of +y of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional

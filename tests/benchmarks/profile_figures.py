@@ -1,6 +1,6 @@
 """Print the times of the page "Where the time goes": stages of calls, and the lower limits that this machine permits.
 
-python tests/benchmarks/profile_figures.py [tile] [collisions] [survey]
+python tests/benchmarks/profile_figures.py [tile] [collisions] [configurations] [survey] [start]
 
 All times are the smallest of many repetitions. The survey requires the file ``desi_tiles_main.ecsv.gz`` in the folder
 RFPSURVEY_TEST_DATA.
@@ -8,8 +8,11 @@ RFPSURVEY_TEST_DATA.
 
 import os
 import platform
+import resource
+import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
@@ -80,16 +83,22 @@ def tile():
         print(f"  {size / 1e6:.1f} MB take {size / rate:.2f} ms at the {rate / 1e6:.0f} GB/s of the {kind}")
 
 
-def collisions():
-    """Print the stages of find_collisions for 3997 arms of LAMOST and of SDSS-V."""
+def random_tips(n_configurations):
+    """Yield the names of LAMOST and SDSS-V, lattices of 3997 of their positioners, and random tips."""
     for name, pitch in (("lamost", 25.6), ("sdss_apo", 22.4)):
         # with one fiber per positioner, the arm extends in the direction of the fiber
         positioner = replace(rs.Instrument.preset(name).focal_plane.positioner, arm_angle=None)
         plane = rs.FocalPlane.hexagonal(positioner, rings=36, pitch=pitch * u.mm)
-        columns, rng = plane.arrays, np.random.default_rng(1)
+        columns, rng, shape = plane.arrays, np.random.default_rng(1), (n_configurations, len(plane))
         low, high = columns.inner_radius + 1e-3, columns.outer_radius - 1e-3
-        r, angle = low + (high - low) * rng.random(len(plane)), rng.uniform(0, 2 * np.pi, len(plane))
-        tips = (columns.xy + np.column_stack([r * np.cos(angle), r * np.sin(angle)])) * u.mm
+        r, angle = low + (high - low) * rng.random(shape), rng.uniform(0, 2 * np.pi, shape)
+        yield name, plane, (columns.xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1)) * u.mm
+
+
+def collisions():
+    """Print the stages of find_collisions for 3997 arms of LAMOST and of SDSS-V."""
+    for name, plane, many in random_tips(1):
+        tips, columns = many[0], plane.arrays
         segments = np.ascontiguousarray(place_arms(plane, tips).segments.T)
         n = len(columns.neighbors)
         halves, scratch = np.empty_like(segments), (np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n))
@@ -100,6 +109,40 @@ def collisions():
         show("whole call", smallest_ms(lambda plane=plane, tips=tips: rs.find_collisions(plane, tips), 2000))
         show("of which the kernel", kernel)
         print(f"  {1e6 * kernel / n:.2f} ns per pair of neighbors")
+
+
+def configurations():
+    """Print the time of count_collisions for 10,000 configurations, in two threads."""
+    for name, plane, tips in random_tips(1000):
+        with ThreadPoolExecutor(2) as pool:
+            ms = smallest_ms(
+                lambda pool=pool, plane=plane, tips=tips: rs.count_collisions(plane, tips, executor=pool), 15
+            )
+        print(f"count_collisions, {name}, {len(plane)} positioners, two threads")
+        show("10,000 configurations", 10 * ms)
+
+
+def start():
+    """Print the times of commands: the first call of ``plan``, which compiles kernels, later calls, and the help."""
+    print("commands")
+    with tempfile.TemporaryDirectory() as folder:
+        env = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        for name, arguments, n in (
+            ("first plan", ["plan"], 1),
+            ("later plan", ["plan"], 7),
+            ("--help", ["--help"], 7),
+            ("--version", ["--version"], 7),
+        ):
+            times = []
+            for _ in range(n):
+                before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+                subprocess.run(
+                    [sys.executable, "-m", "rfpsurvey", *arguments], env=env, check=True, capture_output=True
+                )
+                wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+                used = [getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime")]
+                times.append((sum(used), wall))
+            print(f"  {name:44} {min(times)[0]:8.2f} s of processor time, {min(t[1] for t in times):.2f} s in all")
 
 
 def survey():
@@ -120,7 +163,7 @@ def survey():
             show("processor time per tile", 1e3 * seconds / len(tiling))
 
 
-CASES = {"tile": tile, "collisions": collisions, "survey": survey}
+CASES = {f.__name__: f for f in (tile, collisions, configurations, survey, start)}
 
 
 def main():

@@ -198,7 +198,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
         (["--allocator", "best"], "unknown allocator 'best'"),
         (["--order", "random"], "unknown order 'random'"),
         (["--pass", "7"], "--pass must be distinct passes of the tiling (0, 1)"),
-        (["--resume"], "resume needs the folder"),
+        (["--resume"], "resume requires the folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),
         (["--scheduler", "nobody"], "no Dask scheduler answers"),

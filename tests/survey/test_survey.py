@@ -124,11 +124,11 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
         said[name] = survey.summary["model"]
         assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
         n_pairs = len(instrument.focal_plane.neighbor_pairs())
-        assert f"each tile tests the {n_pairs} pairs within reach of each other" in said[name]
+        assert f"Each tile tests the {n_pairs} pairs of arms that can touch" in said[name]
         # the model of a tile also states its number of pairs
         tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
-        assert tile.split(";")[0] == said[name].split(";")[0]
-        assert tile.split(", which is exact for ")[1] == said[name].split(" is exact for ")[1]
+        assert tile.split(". ")[0] == said[name].split(". ")[0]
+        assert tile.split(" exact for ")[1] == said[name].split(" exact for ")[1]
     assert "(collision type 2)" in said["lamost"]
     assert "(collision type 3)" in said["sdss_apo"]
     assert "capsules" in said["sdss_apo"]
