@@ -81,8 +81,9 @@ def selection_probabilities(
         the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished plans of tiles and of
-        all plans. Each tile is planned one additional time to count the targets in reach. rng : int, Generator or None,
-        optional Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
+        all plans. Each tile is planned one additional time to count the targets in reach.
+    rng : int, Generator or None, optional
+        Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
 
     Returns
     -------
