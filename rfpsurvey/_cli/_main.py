@@ -66,7 +66,7 @@ class Commands(TyperGroup):
         """Import a command and return it; None if there is no such command."""
         if name not in COMMANDS:
             return None
-        # Imports make many objects that exist until the end. Not to look for garbage among them saves time.
+        # The garbage collector is switched off during imports, whose objects exist until the end.
         gc.disable()
         from rfpsurvey._cli._compiling import announce_compilation
 
