@@ -94,8 +94,8 @@ class _Pursuit:
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
-        # Proven objectives become constraints. These would make large programs very slow; there, they are terms of the
-        # goal.
+        # Proven objectives become constraints. Such constraints would make large programs very slow; in large programs,
+        # proven objectives are therefore terms of the goal.
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)

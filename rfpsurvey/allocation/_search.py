@@ -35,10 +35,11 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
-# Largest number of collisions of candidates: without time, per second of the time limit, and in all.
+# Largest number of collisions of candidates: a constant, the number that is added for each second of the time limit,
+# and the maximum of the sum.
 PAIRS = (200_000, 350_000, 20_000_000)
-# Largest number of tests of two candidates for a collision: without time, and per second of the time limit. A
-# positioner has candidates for about MOST_TARGETS targets.
+# Largest number of tests of two candidates for a collision: a constant, and the number that is added for each second of
+# the time limit. A positioner has candidates for about MOST_TARGETS targets.
 TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
 # Smallest time for the candidates in seconds, whatever the time limit.
 AT_LEAST = 0.1

@@ -16,7 +16,7 @@ from rfpsurvey.survey._joint._paths import Paths
 
 __all__ = ["Search", "Step"]
 
-# Widths of the smooth maximum, and numbers of sweeps of the prices of each width.
+# Widths of the smooth maximum, and the number of sweeps over all prices for each width.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 # Fraction of the time limit for the prices before the first iteration.
 FOR_PRICES = 0.15
