@@ -66,13 +66,16 @@ class Commands(TyperGroup):
         """Import a command and return it; None if there is no such command."""
         if name not in COMMANDS:
             return None
-        # The garbage collector is switched off during imports, whose objects exist until the end.
+        # The garbage collector ignores the objects of imports, which exist until the end.
         gc.disable()
-        from rfpsurvey._cli._compiling import announce_compilation
+        try:
+            from rfpsurvey._cli._compiling import announce_compilation
 
-        import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
-        gc.freeze()
-        gc.enable()
+            import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
+            if gc.get_freeze_count() == 0:
+                gc.freeze()
+        finally:
+            gc.enable()
         warnings.simplefilter("always", rs.RfpsurveyWarning)
         announce_compilation()
         return typer.main.get_command(app).commands[name]
