@@ -1,4 +1,4 @@
-"""Reports: self-contained HTML pages on results."""
+"""Reports: self-contained HTML pages that describe results."""
 
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts
