@@ -1,4 +1,4 @@
-"""Formulas without an error estimate: overlap of patrol areas, the closed form of Chen et al. (2024), close pairs."""
+"""Formulas that give no error estimate: overlap of patrol areas, closed form of Chen et al. (2024), close pairs."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,7 +19,10 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the sum over neighbors of two ratios of areas (Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9)."""
+    """Return the closed form of Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9.
+
+    It is the sum, over the neighbors of a positioner, of a product of two ratios of areas.
+    """
     check_choice(variant, VARIANTS, "variant of the closed form")
     d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
@@ -28,7 +31,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     cover = np.pi * (outer**2 - inner**2)
     if ((outer <= 0) | (cover <= 1e-9 * outer**2)).any():
         raise InputError(
-            "the closed form as it is printed has no coverage area for equal arms: its outer radius l2 - l1 + d is a "
+            "the printed closed form has no coverage area if the arms are equal: the outer radius l2 - l1 + d is a "
             "misprint of l1 + l2 + d; use variant='corrected'"
         )
     inner = np.maximum(inner, 0.0)
@@ -49,10 +52,10 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the probability of another observed target within the minimum separation of a positioner's target.
+    """Return the probability that another observed target lies within the minimum separation of a positioner's target.
 
     Each positioner observes one target. Targets are assumed to be uniform in the area that positioners reach, so that
-    the number of targets near a given target is binomial.
+    the number of targets near a given target has a binomial distribution.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # count each point once, for the last positioner that reaches it
@@ -64,7 +67,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def _pairs_within(plane, radius):
-    """Return pairs of usable positioners with circles that overlap."""
+    """Return pairs of usable positioners whose circles, with the given radii, overlap."""
     pairs = cKDTree(plane.arrays.xy).query_pairs(2 * radius.max(), output_type="ndarray")
     distance = np.hypot(*(plane.arrays.xy[pairs[:, 0]] - plane.arrays.xy[pairs[:, 1]]).T)
     return pairs[(distance < radius[pairs].sum(axis=1)) & plane.arrays.usable[pairs].all(axis=1)]
@@ -90,12 +93,12 @@ def _covered(plane, rows):
 
 
 def _pitch(plane):
-    """Return the median distance to the nearest neighbor."""
+    """Return the median distance between a positioner and its nearest neighbor."""
     return float(np.median(cKDTree(plane.arrays.xy).query(plane.arrays.xy, k=2)[0][:, 1])) if len(plane) > 1 else np.inf
 
 
 def _lens(a, b, d):
-    """Return the area common to circles of the radii a and b at distance d."""
+    """Return the area common to two circles of the radii a and b whose centers are at the distance d."""
     small, large = np.minimum(a, b), np.maximum(a, b)
     apart, within = d >= a + b, d <= large - small
     partly = ~apart & ~within

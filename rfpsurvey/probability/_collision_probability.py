@@ -57,11 +57,11 @@ def collision_probability(
 ) -> Estimate:
     """Estimate the probability that a positioner at its target collides with another positioner.
 
-    The probability is the expected fraction of positioners in collision, among positioners with a target and, if the
-    arms are equal, parked positioners. A method estimates one of two quantities (its estimand). For the first quantity,
-    targets are **allocated** to queues, and a configuration has one target of each queue. For the second quantity,
-    every positioner draws a target **independently** of all other positioners. The two quantities differ by up to a
-    factor of five: compare only methods with the same estimand.
+    The probability is the expected fraction of the counted positioners that are in collision. Positioners with a target
+    are counted, and so are parked positioners if the arms have equal lengths. Each method estimates one of two
+    quantities, its estimand. For the first quantity, targets are **allocated** to queues, and a configuration has one
+    target of each queue. For the second quantity, every positioner draws a target **independently** of all other
+    positioners. The two quantities differ by up to a factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
@@ -70,59 +70,63 @@ def collision_probability(
     method : str or callable, optional
         ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
         ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288.
-        ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors. Without an error
-        estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio`` (fraction of the patrol area that
-        other positioners also reach), ``close_pair`` (probability that another observed target lies within the minimum
-        separation). ``auto``: the fastest method of the estimand that has an error estimate. Any other name refers to a
-        method of an installed package. A function of a `~rfpsurvey.probability.ProbabilityQuestion` is called directly.
+        ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors. Three methods
+        (independent) give no error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio``
+        (fraction of the patrol area that other positioners also reach), and ``close_pair`` (probability that another
+        observed target lies within the minimum separation). ``auto``: the fastest method with an error estimate for the
+        requested estimand. Any other name refers to a method of an installed package. A function of a
+        `~rfpsurvey.probability.ProbabilityQuestion` is called directly.
     estimand : {"allocated", "independent"}, optional
-        For ``auto``: the quantity to estimate, ``allocated`` by default. Each other method has one estimand.
+        Quantity that ``auto`` estimates, ``allocated`` by default. With any other method, this must be the estimand of
+        the method.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. For random targets, give
         `~rfpsurvey.probability.RandomTargets`, only their kind (``"uniform"`` or ``"poisson"``), or a function of a
         Generator that returns new targets, a Quantity of shape (n, 2), at each call. For one realization of the sky,
-        give points on the focal plane, or give a Catalog; its science targets are projected to the focal plane of the
+        give points on the focal plane, or a Catalog, whose science targets are projected to the focal plane of the
         Instrument.
     center : SkyCoord, optional
         Field center for a Catalog; its mean direction by default.
     allocator : str, callable or AllocationOptions, optional
-        Rule that assigns targets, see `allocate`. A rule without queues (``lamost``) gives one configuration for each
-        realization. Options also state whether idle positioners whose arms have equal lengths are obstacles and are
-        counted (``parked_obstacles``, true by default). They must not contain requirements or a sky separation, since
-        all targets are science targets.
+        Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost``, gives one
+        configuration for each realization. AllocationOptions also state whether idle positioners whose arms have equal
+        lengths are obstacles and are counted (``parked_obstacles``, true by default). The options must not contain
+        requirements, a sky separation, required targets or keep-out regions.
     most_entries : int, optional
-        Maximum number of targets of each queue that ``conditional`` uses; they are drawn again for each realization. If
-        queues are long, realizations with fewer targets are faster, and reach a given precision sooner. With None, all
-        targets are used.
+        Maximum number of targets of each queue that ``conditional`` uses. From longer queues, each realization uses
+        this number of targets at random, which is faster and reaches a given precision sooner. With None, all targets
+        are used.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
-        at points that k positioners reach; ``"voronoi"``, only where no other center is nearer; a function
-        of points (Quantity of shape (n, 2)) that returns their density up to a factor; or the combined queues of
-        allocations.
+        at points that k positioners reach; ``"voronoi"``, uniform over the points that are nearer to the center of the
+        positioner than to any other center; a function of points (Quantity of shape (n, 2)) that returns their density
+        up to a factor; or allocations, whose combined queues define the density.
     variant : {"corrected", "pitch", "printed"}, optional
-        Variant of the closed form. ``corrected``: misprints are corrected, and the distance of each neighbor is used.
-        ``pitch``: the pitch is used instead of these distances. ``printed``: the formula is used as printed; it is 0/0
-        for equal arms.
+        Variant of the closed form. ``corrected``: both misprints of the paper are corrected, so that the formula
+        contains the distance of each neighbor. ``pitch``: the formula contains the pitch instead of these distances, as
+        printed. ``printed``: no misprint is corrected; the formula is then 0/0 for equal arms.
     precision : float or Precision, optional
         A `~rfpsurvey.probability.Precision` states when iterations end, and how the interval is computed. A float is
         the standard error to reach. By default 0.001.
     dynamic : float, optional
-        Rate at which positioners independently fail to reach their targets for dynamic reasons. The rate of LAMOST is
-        0.025.
+        Probability that a positioner fails to reach its target for dynamic reasons, independently of all other
+        positioners. For LAMOST, this probability is 0.025.
     rng : int, Generator or None, optional
         Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
-        Runs parts of the simulation; kernels release the GIL, so that threads suffice. None for the calling thread.
+        Executor that runs parts of the computation; kernels release the GIL, so that threads suffice. With None, the
+        calling thread runs all parts.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with (fraction done, 1).
+        Whether to show the progress on the standard error, or a function that is called with (fraction done, 1).
 
     Returns
     -------
     Estimate
         The probability with its interval, the probability of each positioner, and the expected number of pairs. If
         ``targets`` contains positions, the value applies to these targets, and the error states how much the value for
-        another patch of the same kind of sky may differ. If a focal plane has too few positioners for an estimate of
-        the error, such as seven, there is no interval, and ``meta["no_interval"]`` states the reason.
+        another patch of the same kind of sky may differ. If the focal plane then has too few positioners for an
+        estimate of this error (seven, for example), there is no interval, and ``meta["no_interval"]`` states the
+        reason.
 
     Raises
     ------
@@ -198,8 +202,8 @@ def collision_probability(
     wanted = precision.standard_error
     if wanted is not None and not found.pop("met", True):
         warn(
-            f"after {found['n']} iterations{', the most allowed,' if name in MOST_ITERATIONS else ''} the standard "
-            f"error is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
+            f"after {found['n']} iterations{', the maximum,' if name in MOST_ITERATIONS else ''} the standard error "
+            f"is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
         )
     found.pop("met", None)
     meta = {
@@ -238,8 +242,8 @@ def _check_science_only(options):
         )
     if options.required or options.keep_out:
         raise InputError(
-            f"allocator must have no required targets and no keep_out, since a collision probability is that of random "
-            f"configurations, not of one field, got {options!r}"
+            f"allocator must have no required targets and no keep_out, since a collision probability describes random "
+            f"configurations, not one field, got {options!r}"
         )
 
 

@@ -27,7 +27,7 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
 
 
 def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
-    """Return the expected values if each positioner draws a target from its combined queues in all allocations."""
+    """Return the expected values if each positioner draws a target from the union of its queues in all allocations."""
     parts = [queue_segments(plane, allocation) for allocation in allocations]
     own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
     order = np.argsort(own, kind="stable")

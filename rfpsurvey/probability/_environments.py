@@ -8,7 +8,7 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["environments"]
 
 RESOLUTION = 1e-6
-"""Positions that differ by less than this (mm) are equal."""
+"""Positions that differ by less than this distance (mm) are treated as equal."""
 
 
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +33,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that
     # its kind is different after each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
-    # the few positioners near polygons are separate kinds
+    # each of the few positioners near polygons is a separate kind
     touched = np.zeros(n, dtype=bool)
     pairs = plane.arrays.obstacle_pairs
     touched[pairs[pairs[:, 1] >= len(plane.arrays.obstacles), 0]] = True

@@ -16,21 +16,23 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected fraction of positioners in collision, among assigned positioners and, with equal arms, parked ones.
+        Expected fraction of the counted positioners that are in collision. Assigned positioners are counted, and parked
+        positioners if their arms have equal lengths.
     value_assigned : float
-        Expected fraction of the assigned positioners in collision.
+        Expected fraction of the assigned positioners that are in collision.
     low, high : float
-        Interval around ``value`` at the confidence in ``meta``; NaN for methods without an error estimate, and for
-        given targets on a focal plane that is too small (``meta["no_interval"]`` then states the reason).
+        Confidence interval of ``value``, with the confidence level in ``meta``; NaN for methods without an error
+        estimate, and for given targets on a focal plane that is too small (``meta["no_interval"]`` then states the
+        reason).
     standard_error : float
         Standard error of ``value``; NaN if there is no interval.
     n : int
-        Iterations (``monte_carlo``), realizations (``conditional``) or points per positioner and scramble
-        (``quadrature``); 0 if nothing had to be computed.
+        Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner and
+        scramble (``quadrature``); 0 for formulas, and if no arms can touch.
     n_effective : float
         Number of independent trials that would give the same standard error.
     pairs_per_positioner : float
-        Expected number of colliding pairs, divided by the number of counted positioners.
+        Expected number of colliding pairs, divided by the number of counted positioners; NaN for formulas.
     per_positioner : ndarray of float, shape (n_positioners,)
         Probability that each positioner is in collision if it is counted; NaN if it is never counted.
     method : str
@@ -38,7 +40,7 @@ class Estimate:
     estimand : str
         The estimated quantity, ``allocated`` or ``independent``.
     seconds : float
-        Duration of the computation.
+        Duration of the computation in seconds.
     meta : dict
         Options, targets and software.
 
@@ -77,7 +79,7 @@ class Estimate:
 
 
 def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
-    """Return the estimate with an additional, independent dynamic failure of each positioner."""
+    """Return the estimate if each positioner also fails independently, for dynamic reasons, at the given rate."""
     if rate == 0:
         return estimate
 

@@ -1,4 +1,4 @@
-"""The polynomial of Chen et al. (2024): second order in arm length, ratio and pitch, with ridge regularization."""
+"""Fit the second-order polynomial of Chen et al. (2024) in arm length, arm ratio and pitch by ridge regression."""
 
 from dataclasses import dataclass
 
@@ -25,11 +25,11 @@ class PolynomialFit:
         Coefficients of 1, x, y, z, x^2, y^2, z^2, xy, xz, yz, where x, y and z are standardized: ``mean`` is
         subtracted, and the difference is divided by ``scale``.
     mean, scale : ndarray of float, shape (3,)
-        Mean and scale of central arm (mm), ratio and pitch (mm) of the designs of the fit.
+        Mean and standard deviation of the central arm (mm), the ratio and the pitch (mm) of the fitted designs.
     penalty : float
-        Penalty of the ridge regularization, which does not apply to the constant.
+        Penalty of the ridge regression; it does not apply to the constant.
     r2 : float
-        Coefficient of determination for the designs of the fit.
+        Coefficient of determination for the fitted designs.
     r2_held_back : float
         Coefficient of determination for the designs that were held back from the fit.
 
@@ -52,7 +52,7 @@ class PolynomialFit:
     r2_held_back: float
 
     def predict(self, central_arm: u.Quantity, ratio: np.ndarray, pitch: u.Quantity) -> np.ndarray:
-        """Return the polynomial's value for designs, which is not limited to the range from 0 to 1.
+        """Return the value of the polynomial for each design; the value may be below 0 or above 1.
 
         Parameters
         ----------
@@ -66,12 +66,12 @@ class PolynomialFit:
         Returns
         -------
         ndarray of float, shape (n,)
-            Probabilities.
+            Predicted collision probability of each design.
 
         Raises
         ------
         InputError
-            If the parameters are not one-dimensional arrays of the same length, or values are not finite.
+            If an argument has more than one dimension, or values are not finite.
         """
         designs = _designs(central_arm, ratio, pitch)
         return _features((designs - self.mean) / self.scale) @ self.coefficients
@@ -99,7 +99,8 @@ def fit_polynomial(
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional
-        Fraction of the designs held back for the test. The penalty is chosen by cross-validation on the others.
+        Fraction of the designs that are held back to test the fit, below 0.8. The penalty is chosen by cross-validation
+        with the other designs.
     rng : int, Generator or None, optional
         Seed or random number generator for the choice of the designs that are held back.
 
@@ -111,7 +112,8 @@ def fit_polynomial(
     Raises
     ------
     InputError
-        If shapes differ, values are not finite, or there are fewer than 20 designs.
+        If shapes do not agree, values are not finite, ``held_back`` is out of range, there are fewer than 20 designs,
+        or all designs have the same central arm, ratio or pitch.
 
     Examples
     --------
@@ -128,12 +130,14 @@ def fit_polynomial(
     if value.shape != (n,) or not np.isfinite(value).all():
         raise InputError(f"probability must be {n} finite numbers, one for each design, got the shape {value.shape}")
     if n < 20 or not 0 < held_back < 0.8:
-        raise InputError(f"a fit needs at least 20 designs and 0 < held_back < 0.8, got {n} and {held_back!r}")
+        raise InputError(
+            f"a fit requires at least 20 designs and 0 < held_back < 0.8, got {n} designs and held_back={held_back!r}"
+        )
     order = to_generator(rng).permutation(n)
     test, train = np.split(order, [max(2, round(held_back * n))])
     mean, scale = designs[train].mean(axis=0), designs[train].std(axis=0)
     if not (scale > 0).all():
-        raise InputError("designs must differ in central arm, ratio and pitch")
+        raise InputError("central_arm, ratio and pitch must each have at least two different values")
     features = _features((designs - mean) / scale)
     folds = np.array_split(train, FOLDS)
     errors = [sum(_miss(features, value, np.setdiff1d(train, f), f, w) for f in folds) for w in PENALTIES]
@@ -149,7 +153,7 @@ def _designs(central_arm, ratio, pitch):
     columns = np.broadcast_arrays(*map(np.atleast_1d, columns))
     designs = np.column_stack(columns)
     if designs.shape[1] != 3 or not np.isfinite(designs).all():
-        raise InputError("central_arm, ratio and pitch must be finite columns of one length")
+        raise InputError("central_arm, ratio and pitch must be one-dimensional and finite, with the same length")
     return designs
 
 

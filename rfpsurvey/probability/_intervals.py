@@ -30,14 +30,14 @@ def _effective(rates, p, number, trials, quantile, confidence, rng):
 
 
 def _naive(rates, p, number, trials, quantile, confidence, rng):
-    """Return Wilson's interval with every positioner of every iteration as an independent trial."""
+    """Return Wilson's interval, treating every positioner of every iteration as an independent trial."""
     return wilson(p, trials, float(ndtri((1 + confidence) / 2)))
 
 
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
-    """Return percentiles of the mean of rates drawn with replacement."""
+    """Return percentiles of the means of samples that are drawn from the rates with replacement."""
     n = len(rates)
-    rows = max(1, 1_000_000 // n)  # number of values that are computed together, to limit the memory
+    rows = max(1, 1_000_000 // n)  # number of samples that are drawn together, which limits the memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
     means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
@@ -48,7 +48,10 @@ INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstr
 
 
 def quantile(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's distribution, or of the normal distribution for infinite degrees."""
+    """Return the two-sided quantile of Student's t distribution; for infinite freedom, of the normal distribution.
+
+    ``freedom`` is the number of degrees of freedom.
+    """
     level = (1 + confidence) / 2
     return float(ndtri(level) if freedom == np.inf else stdtrit(max(freedom, 1), level))
 
@@ -56,7 +59,7 @@ def quantile(confidence: float, freedom: float) -> float:
 def converged(means: list[float], tolerance: float, looks: int = 3) -> bool:
     """Return whether the running mean has changed by less than ``tolerance`` in each of the last ``looks`` checks.
 
-    This stopping rule does not limit the error, and is provided for comparison.
+    This stopping rule does not limit the error; it is provided for comparison.
     """
     steps = np.abs(np.diff(means[-looks - 1 :]))
     return len(steps) == looks and bool((steps < tolerance).all())

@@ -1,4 +1,4 @@
-"""The table of methods, which are functions that take a question and return the fields of an estimate."""
+"""The table of methods; each is a function that takes a question and returns the fields of an estimate."""
 
 from functools import partial
 
@@ -17,7 +17,7 @@ from rfpsurvey.probability._targets import Source
 __all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Number of realizations per task. Results depend on the size of tasks, but not on the number of workers."""
+"""Number of realizations per task. Results depend on this number, but not on the number of workers."""
 QUEUEING = ("balanced",)
 """Allocators that make queues, over which `conditional` averages."""
 
@@ -25,7 +25,7 @@ QUEUEING = ("balanced",)
 def check_usable(plane: FocalPlane) -> None:
     """Raise an error if no positioner of a focal plane can have a target."""
     if not plane.arrays.usable.any():
-        raise InputError("every positioner is disabled or stuck: there is nothing to score")
+        raise InputError("at least one positioner must be usable, but every positioner is disabled or stuck")
 
 
 def _formula(function, question: ProbabilityQuestion) -> dict:
@@ -96,7 +96,7 @@ def _integrated(question: ProbabilityQuestion) -> dict:
 
 
 def _reason(found) -> dict:
-    """Return the reason why there is no interval, if there is no interval."""
+    """Return the entry of meta that states why there is no interval; an empty dict if there is an interval."""
     return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
 
 
@@ -131,7 +131,7 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""With fewer targets per positioner than this, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
+"""If there are fewer targets per positioner, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
@@ -150,9 +150,8 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
     """Return the fastest method for an estimand that also estimates its error.
 
-    Averaging over queues takes additional time in proportion to the length of the queues. The average also reduces the
-    variance in proportion to this length; the variance decreases by a much larger factor than the time increases. For
-    queues of one target, neither the time nor the variance changes.
+    Averaging over queues takes more time if queues are longer, but the variance decreases by a much larger factor than
+    the time increases. For queues of one target, neither the time nor the variance changes.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

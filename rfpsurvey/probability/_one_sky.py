@@ -1,4 +1,4 @@
-"""Estimate, from one sky, how far the mean over positioners may differ for another sky of the same kind."""
+"""Estimate from one sky how much the mean over positioners may differ for another sky of the same kind."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -10,10 +10,10 @@ __all__ = ["FEWEST_DEGREES", "sky_variance"]
 FEWEST_DEGREES = 3.0
 """With fewer degrees of freedom, the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0
-"""With at least this many degrees of freedom, correlations with all neighbors are used; with fewer, only those with the
-nearest ring."""
+"""With at least this many degrees of freedom, the correlation of all neighbors is estimated; with fewer, only the
+correlation of neighbors in the nearest ring."""
 NEAREST_RING = 1.5
-"""Neighbors are in the nearest ring up to this many median distances to the nearest neighbor."""
+"""Maximum distance of a neighbor in the nearest ring, in units of the median distance to the nearest neighbor."""
 CORRELATION = 0.2
 """Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS).
 
@@ -30,24 +30,25 @@ This value is assumed, since it cannot be measured on a small focal plane. For S
 def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:
     """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
 
-    Positioners share targets with their neighbors, so that their collisions are correlated. The estimate is unbiased
-    if all pairs of neighbors in the nearest ring have the same covariance, pairs beyond it have the correlation
-    ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which is smaller at an
-    edge. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
+    Neighboring positioners share targets, so that their collisions are correlated. The estimate is unbiased if all
+    pairs of neighbors in the nearest ring have the same covariance, pairs of neighbors beyond this ring have the
+    correlation ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which is
+    smaller at an edge. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
 
     Parameters
     ----------
     plane : FocalPlane
         The positioners.
     probability : ndarray of float, shape (n_positioners,)
-        Collision probability of each positioner, or whether it collides; NaN if it is not counted.
+        Collision probability of each positioner, or 1 if it collides and 0 if not; NaN for positioners that are not
+        counted.
 
     Returns
     -------
     variance : float
         Variance of the mean; NaN if the plane is too small to estimate it.
     degrees : float
-        Degrees of freedom of the variance, in the sense of Satterthwaite (1946); 0 if there is no variance.
+        Degrees of freedom of the variance, as defined by Satterthwaite (1946); 0 if the variance is not estimated.
 
     References
     ----------
@@ -81,7 +82,7 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
-    """Mark pairs of neighbors that are about as close as the nearest neighbors."""
+    """Return whether the two positioners of each pair of neighbors are in the nearest ring of each other."""
     first, second = plane.arrays.neighbors.T
     distance = np.hypot(*(plane.arrays.xy[first] - plane.arrays.xy[second]).T)
     nearest = np.full(len(plane), np.inf)
@@ -106,11 +107,12 @@ def _profile(numbers: np.ndarray) -> np.ndarray:
 
 
 class _Quadratic:
-    """Unbiased quadratic estimate of the variance of the mean, for equal variances and equal covariances of neighbors.
+    """Unbiased quadratic estimate of the variance of the mean.
 
-    Let e be the residuals of the profile and A the adjacency matrix of neighbors. The expected values of the sums e'e
-    and e'Ae are linear in the variance and the covariance. The solution of these two linear equations has the form
-    e'(aI + bA)e. ``known`` contains correlations that are assumed and not estimated.
+    All positioners are assumed to have the same variance, and all pairs of neighbors the same covariance. Let e be the
+    residuals of a linear fit of the columns of ``basis``, and A the adjacency matrix of neighbors. The expected values
+    of the sums e'e and e'Ae are linear in the variance and the covariance. The solution of these two linear equations
+    gives an estimate of the form e'(aI + bA)e. ``known`` contains correlations that are assumed and not estimated.
     """
 
     def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
@@ -132,7 +134,10 @@ class _Quadratic:
             self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
     def _degrees(self, covariance):
-        """Return 2 E(V)^2 / Var(V) for normal variables, without making the dense matrix P (aI + bA) P."""
+        """Return 2 E(V)^2 / Var(V) for normal variables.
+
+        The dense matrix P K P with K = aI + bA, where P is the projection onto residuals, is not computed.
+        """
         basis, weight = self.basis, self.a * _identity(self.n) + self.b * self.adjacency
         expected = covariance.sum() / self.n**2
         weighted = weight @ basis
@@ -145,7 +150,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance, which is at least its estimate for a covariance of 0 between neighbors."""
+        """Return the estimated variance, but at least the estimate for neighbors whose covariance is 0."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

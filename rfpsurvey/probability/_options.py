@@ -1,4 +1,4 @@
-"""The random targets and the precision of a collision probability."""
+"""Options of a collision probability: its random targets and its precision."""
 
 from dataclasses import dataclass, fields, replace
 from numbers import Number
@@ -29,22 +29,23 @@ class RandomTargets:
     Parameters
     ----------
     kind : {"uniform", "poisson", "poisson_disc"}, optional
-        ``uniform``: independent points in a circle. ``poisson``: independent points whose number is Poisson
-        distributed. ``poisson_disc``: no two targets are closer than ``min_separation``.
+        ``uniform``: independent points in a circle. ``poisson``: independent points whose number has a Poisson
+        distribution. ``poisson_disc``: points of which no two are closer than ``min_separation``.
     number : float, optional
-        Number of targets (for ``poisson`` the expected number). By default the number of the instrument, or four per
-        positioner.
+        Number of targets (for ``poisson``, the expected number). By default the number of positioners multiplied by the
+        instrument's ``targets_per_fiber``, or by four for a FocalPlane.
     radius : Quantity, optional
-        Radius of the circle on the focal plane that contains the targets, a length. Its center is the origin, or the
-        midpoint of a focal plane that does not contain the origin. By default it covers all patrol areas.
+        Radius of the circle on the focal plane that contains the targets, a length. The center of the circle is the
+        origin, or the midpoint of a focal plane that does not contain the origin. By default, the circle covers all
+        patrol areas.
     min_separation : Quantity, optional
         Minimum separation of two targets on the focal plane, a length; required only for ``poisson_disc``.
 
     Raises
     ------
     InputError
-        If the kind is unknown, a value is out of range or has the wrong unit, or a minimum separation is missing or
-        belongs to another kind.
+        If the kind is unknown, a value is out of range or has the wrong unit, or ``min_separation`` is missing for
+        ``poisson_disc`` or is given for another kind.
 
     See Also
     --------
@@ -74,8 +75,8 @@ class RandomTargets:
             to_scalar(self.radius, u.mm, "radius", low=0, high=1e7)
         if (self.kind == "poisson_disc") != (self.min_separation is not None):
             raise InputError(
-                f"min_separation must be given for the kind 'poisson_disc' and for no other, got {self.min_separation} "
-                f"for {self.kind!r}"
+                f"min_separation must be given for the kind 'poisson_disc' and for no other kind, got "
+                f"{self.min_separation} for {self.kind!r}"
             )
         if self.min_separation is not None:
             to_scalar(self.min_separation, u.mm, "min_separation", low=0)
@@ -92,22 +93,23 @@ class Precision:
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach: iterations end when the interval is no wider than that of a normal distribution with
-        this standard error, and, if collisions are rare, a minimum number of iterations is done. By default 0.001, or
-        None if ``max_iterations`` is given.
+        Standard error to reach. Iterations end when the interval is no wider than that of a normal distribution with
+        this standard error and, if collisions are rare, a minimum number of iterations has been done. By default 0.001,
+        or None if ``max_iterations`` is given.
     max_iterations : int, optional
-        Maximum number of iterations, realizations or points; without ``standard_error`` exactly this number is used. By
-        default the maximum of the method.
+        Maximum number of iterations, realizations or points, depending on the method. Without ``standard_error``,
+        exactly this number is used (``quadrature`` rounds it down to a power of two). By default the maximum of the
+        method.
     confidence : float, optional
         Confidence level of the interval.
     interval : {"wilson", "wilson_naive", "bootstrap"}, optional
-        ``wilson``: Wilson's interval with the effective number of independent trials, from the scatter between
-        iterations. ``wilson_naive``: every positioner of every iteration is a trial, which makes the interval too
-        narrow. ``bootstrap``: percentiles of resampled iterations.
+        ``wilson``: Wilson's interval with the effective number of independent trials, which is estimated from the
+        scatter between iterations. ``wilson_naive``: Wilson's interval with every positioner of every iteration as a
+        trial, which is too narrow. ``bootstrap``: percentiles of resampled iterations.
     stop : {"interval", "convergence"}, optional
         ``interval``: the interval decides when iterations end. ``convergence``: iterations end when the running mean
-        moves by less than ``standard_error`` three times in a row. This does not limit the error and is provided for
-        comparison.
+        changes by less than ``standard_error`` three times in a row. This rule does not limit the error; it is provided
+        for comparison.
 
     Raises
     ------
@@ -149,11 +151,11 @@ class Precision:
 
     @property
     def half_width(self) -> float:
-        """Half width at which an interval is narrow enough; 0 if no standard error is to be reached."""
+        """Half width at which an interval is narrow enough; 0 if ``standard_error`` is None."""
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
-        """Return the same options, with the defaults of a method in place of values that are not given.
+        """Return a copy with the defaults of a method in place of values that are not given.
 
         Parameters
         ----------
@@ -176,7 +178,7 @@ class Precision:
 
 
 def as_precision(given: object) -> Precision:
-    """Return a `Precision` from a precision, a standard error, or None."""
+    """Return ``given`` as a `Precision`, if it is a `Precision`, a standard error, or None."""
     return given if isinstance(given, Precision) else Precision(given)
 
 

@@ -26,7 +26,7 @@ SLACK = 1e-9
 def find_method(
     given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
 ) -> tuple[Callable[[ProbabilityQuestion], dict], str]:
-    """Return the function that answers a `ProbabilityQuestion`, and its estimand."""
+    """Return the function that answers a `ProbabilityQuestion`, and the estimand of this function."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given], ESTIMANDS[given]
     plugin = find_function(GROUP, given, known, "method of collision probability")
@@ -61,7 +61,9 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         probability = np.where(plane.arrays.usable, _probabilities(answer.pop("per_positioner"), len(plane)), np.nan)
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
-        raise InputError("the answer must have value, or per_positioner for a positioner that can take targets")
+        raise InputError(
+            "the answer must have value, or per_positioner with a number for a positioner that can have a target"
+        )
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}
     value, error, low, high, n_effective = answer["value"], answer.get("standard_error", np.nan), *[np.nan] * 3
@@ -83,19 +85,19 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     found = {**usual, **answer, "per_positioner": probability, "meta": dict(meta)}
     low, high = found["low"], found["high"]
     if np.isnan(low) != np.isnan(high) or low > value + SLACK or high < value - SLACK:
-        raise InputError(f"low, value and high must ascend, got {low:g}, {value:g} and {high:g}")
+        raise InputError(f"low, value and high must be in ascending order, got {low:g}, {value:g} and {high:g}")
     return found
 
 
 def _probabilities(given: object, n: int) -> np.ndarray:
-    """Return the probability of each positioner."""
+    """Return the probabilities of positioners as an array, or raise an error if they are invalid."""
     try:
         probability = to_plain(given)
     except (TypeError, ValueError):
         probability = np.empty(0, dtype=object)
     if probability.shape != (n,) or probability.dtype.kind not in "fiu":
         raise InputError(
-            f"a method must return a probability for each positioner, numbers of the shape ({n},), or a dict; got "
+            f"a method must return a probability for each positioner, as numbers of the shape ({n},), or a dict, got "
             f"{type(given).__name__} of the shape {np.shape(probability) if probability.dtype != object else '()'}"
         )
     strange = probability[(probability < -SLACK) | (probability > 1 + SLACK)]
@@ -105,7 +107,7 @@ def _probabilities(given: object, n: int) -> np.ndarray:
 
 
 def _number(name: str, given: object) -> float:
-    """Return a valid number of a field; NaN if it is unknown."""
+    """Return the number of a field, or raise an error if it is invalid; only ``value`` must not be NaN."""
     kinds = (int, np.integer) if name == "n" else (int, float, np.integer, np.floating)
     most = 1.0 if name in PARTS else np.inf
     if not isinstance(given, kinds) or not (0 <= given <= most or (np.isnan(given) and name != "value")):

@@ -37,12 +37,12 @@ Weights require more points, because the bias of a weighted mean does not averag
 """
 BITS = 30
 NARROW = 2**12
-"""If a density is 0 at this number of points of a patrol area, an error is raised."""
+"""An error is raised if a density is 0 at all of at least this many points of a patrol area."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quadrature:
-    """Function that estimates the collision probability of one positioner by scrambled points."""
+    """Function that estimates the collision probability of one positioner with scrambled Sobol points."""
 
     plane: FocalPlane
     density: object
@@ -54,7 +54,7 @@ class Quadrature:
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
         radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
-        if self.density != "uniform":  # include positioners that overlap the neighbors
+        if self.density != "uniform":  # include positioners whose patrol areas overlap those of the neighbors
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)
 
@@ -103,7 +103,7 @@ class Quadrature:
         return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
-        """Return points of patrol areas in mm for points of the unit square, by a map that preserves areas."""
+        """Return the points of patrol areas, in mm, to which an equal-area map transforms points of the unit square."""
         inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
@@ -144,7 +144,7 @@ class Quadrature:
 
 
 def _limits_of(limits, own):
-    """Return the limits for a list of positioners, whose outlines have the same order."""
+    """Return the limits for the listed positioners, with outlines in the order of the list."""
     outline = limits.outline
     if outline.start.size == 1:
         return limits
@@ -154,7 +154,7 @@ def _limits_of(limits, own):
 
 @cache
 def _net(n_points: int) -> np.ndarray:
-    """Return Sobol's points of the unit square as whole numbers of BITS bits."""
+    """Return Sobol points of the unit square; their coordinates are whole numbers, in units of ``2**-BITS``."""
     from scipy.stats import qmc  # importing this takes longer than importing all of this package
 
     points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
@@ -170,14 +170,15 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return the probability, its interval and its error, computed with as many points as the precision requires."""
+    """Return the probability, its interval and its error; use as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    rare = (np.log2(share.max() / share) / 2).astype(int)  # environments of few positioners may have larger errors
+    # environments of few positioners may have larger errors, and use fewer points
+    rare = (np.log2(share.max() / share) / 2).astype(int)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)
         sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), rng.spawn(len(jobs))
@@ -194,7 +195,8 @@ def integrate(
         met = precision.standard_error is not None and half <= precision.half_width
         if met or 2 * n_points > precision.max_iterations:
             break
-        more = 4.0 if precision.half_width == 0 else half / precision.half_width  # the error falls about as 1 / n
+        # the error is approximately proportional to 1 / n_points
+        more = 4.0 if precision.half_width == 0 else half / precision.half_width
         n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
     per_positioner = np.full(len(first), np.nan)
     per_positioner[used] = probabilities.mean(axis=0)

@@ -18,14 +18,14 @@ __all__ = ["ProbabilityQuestion"]
 
 @dataclass(frozen=True, eq=False)
 class ProbabilityQuestion:
-    """A focal plane, its targets, and the precision of the collision probability that a method computes.
+    """The input of a method: a focal plane, the targets, and the precision of the collision probability.
 
     Built-in methods and those of other packages are functions of this object. A method returns an array of float, shape
     (n_positioners,), with the probability that each positioner is in collision, and NaN for positioners that are never
     counted. The method may also return a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``,
-    ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or ``value``. The interval of the estimate is
-    computed from ``standard_error``. The attribute ``estimand`` of the method names the quantity that it estimates:
-    "independent", the default, or "allocated".
+    ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or ``value``. If the dict does not contain
+    ``low`` and ``high``, they are computed from ``standard_error``. The attribute ``estimand`` of the method names the
+    quantity that the method estimates: "independent", the default, or "allocated".
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class ProbabilityQuestion:
     variant : str, optional
         Variant of the closed form.
     executor : concurrent.futures.Executor, optional
-        Executor that runs parts of a simulation; None for this thread.
+        Executor that runs parts of a computation; with None, the calling thread runs all parts.
     progress : bool or callable, optional
-        Whether to show a line on the standard error, or a function of (fraction done, 1).
+        Whether to show the progress on the standard error, or a function that is called with (fraction done, 1).
 
     Examples
     --------
@@ -91,8 +91,8 @@ class ProbabilityQuestion:
 
     @property
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
-        """Function that draws targets with a generator and returns their allocation, with queues.
+        """Function that draws targets with a generator, and returns their allocation by ``options``, with queues.
 
-        The allocation follows the options of the user. The attribute is None for independent targets.
+        The attribute is None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

@@ -17,23 +17,24 @@ from rfpsurvey.probability._simulate import Tally, merge
 __all__ = ["rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
-"""Tasks before the first estimate of the error."""
+"""Number of tasks before the first estimate of the error."""
 GROWTH = 8
 """Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
 """Number of realizations that must have a collision if most realizations have none.
 
-With fewer such realizations, the scatter of the rates is not known. If most realizations are the opposite case, in
-which all positioners collide, the same number of realizations must have a positioner without a collision.
+With fewer such realizations, the scatter of the rates is not known. Conversely, if all positioners collide in most
+realizations, this number of realizations must have a positioner that does not collide.
 """
 FLOOR = 4.0
-"""Factor of the minimum number of realizations if collisions are rare.
+"""Factor in the minimum number of realizations if collisions are rare.
 
-The number is this factor, divided by the precision and multiplied by the rate that one colliding pair causes. With
-fewer realizations, simulations without a collision would end early, and the mean of many estimates would be too low.
+The minimum number is this factor, divided by the standard error to reach, and multiplied by the collision rate that one
+colliding pair causes. With fewer realizations, simulations without a collision would end early, and the mean of many
+estimates would be too low.
 """
 FORESIGHT = 1.05
-"""Factor by which the predicted number of realizations is increased, so that a further step is rarely needed."""
+"""Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
 TOO_FEW = (
     "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
 )
@@ -51,9 +52,9 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Simulate realizations until the precision is met; return the tally of all realizations, and its summary.
+    """Simulate realizations until the precision or their maximum number is reached; return the tally and its summary.
 
-    The sizes of tasks and steps depend on the results alone, so that the number of workers does not change the result.
+    The sizes of tasks and steps depend only on the results, so that the number of workers does not change the result.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
@@ -91,12 +92,12 @@ def run(
 
 
 def _fewest(tally, precision):
-    """Return the minimum number of realizations, which is 0 unless events are rare.
+    """Return the minimum number of realizations, which is 0 unless collisions or their absence are rare.
 
-    Events are rare if fewer than half of the realizations have a collision, or if all positioners collide in more than
-    half of them. The estimated error of rare events grows with their number. A stopping rule based on this error
-    therefore ends too early if there are too few events by chance. A minimum number of realizations that depends only
-    on the precision prevents such an early end.
+    Collisions are rare if fewer than half of the realizations have a collision; their absence is rare if all
+    positioners collide in more than half of the realizations. The estimated error grows with the number of rare events.
+    A stopping rule based on this error therefore ends the simulation too early if there are too few events by chance. A
+    minimum number of realizations that does not depend on the number of events prevents this.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -107,13 +108,15 @@ def _fewest(tally, precision):
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
     """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
 
-    If the targets are given, or if realizations do not scatter for another reason, there is only one sky. In this case,
+    If the targets are given, or if all realizations have the same rate, the tally is treated as one sky. In this case,
     the error states how much the value of another patch of the same kind of sky may differ. If the focal plane is too
     small to estimate this error, there is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
-        raise InputError("no positioner reaches any target, and none is a parked obstacle: there is nothing to score")
+        raise InputError(
+            "at least one positioner must be counted, but no positioner reaches any target or is a parked obstacle"
+        )
     n, p = len(rates), min(float(rates.mean()), 1.0)
     scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
@@ -148,7 +151,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
     """Return the standard error, number of trials and quantile for one sky; NaN if the plane is too small.
 
-    Without ``single``, there are several skies with equal results; if these are all 0 or all 1, each sky is a trial.
+    Without ``single``, the tally has several skies with equal rates; if the rates are 0 or 1, each sky is one trial.
     """
     variance, degrees = sky_variance(plane, tally.per_positioner)
     n, certain = len(tally.rates()), p in (0.0, 1.0)
@@ -160,15 +163,16 @@ def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
 
 
 def _trials(plane, n):
-    """Return the number of independent trials in ``n`` positioners if all pairs of neighbors were fully correlated."""
+    """Return the effective number of trials in ``n`` positioners if all pairs of neighbors were fully correlated."""
     return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
 
 
 def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
-    """Return the mean over positioners and fields, and its interval, which includes the scatter between fields.
+    """Return the mean probability over positioners and fields, and the two ends of its interval.
 
-    Each row of ``probabilities`` is a field, with NaN for positioners that are not counted. The ends of the interval
-    are NaN if the fields have too few positioners to estimate their scatter.
+    The interval includes the differences that are expected between fields of the same kind, which are estimated from
+    the scatter between positioners. Each row of ``probabilities`` is a field, with NaN for positioners that are not
+    counted. The ends of the interval are NaN if the fields have too few positioners for this estimate.
     """
     counts = np.array([np.count_nonzero(~np.isnan(probability)) for probability in probabilities])
     n = int(counts.sum())

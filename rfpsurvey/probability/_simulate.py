@@ -1,4 +1,4 @@
-"""Simulation of allocated targets: single configurations, or expected values over all targets of the queues."""
+"""Simulation of allocated targets: collisions in single configurations, or means over all targets of the queues."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,13 +20,16 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Numbers of positioners, as columns: counted in collision, counted, assigned in collision, assigned."""
+    """Numbers of positioners: counted and in collision, counted, assigned and in collision, assigned (columns)."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return, by realization, the fraction of counted (with ``column=2``: assigned) positioners that collide."""
+        """Return, for each realization, the fraction of counted (``column=2``: assigned) positioners that collide.
+
+        Realizations without such positioners are omitted.
+        """
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
     @property
@@ -41,7 +44,7 @@ class Tally:
 
     @property
     def per_positioner(self) -> np.ndarray:
-        """Collision rate of each positioner, over the realizations in which it is counted."""
+        """Collision rate of each positioner in the realizations in which it is counted; NaN if there are none."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
@@ -72,7 +75,7 @@ class Simulation:
         return self.source.compiled and balanced and self.plane.arrays.joints_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
-        """Count the collisions of one configuration of each realization."""
+        """Draw realizations, and return the numbers of collisions in one configuration of each realization."""
         n = len(self.plane)
         counts, counted = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(n, dtype=np.int64)
         hits, workspace = np.zeros(n, dtype=np.int64), make_workspace(self.plane)
@@ -103,7 +106,7 @@ class Simulation:
         )
 
     def expect(self, size: int, rng: np.random.Generator) -> Tally:
-        """Average over all configurations that the queues of each realization allow."""
+        """Draw realizations, and return means over all configurations that the queues of each realization allow."""
         n = len(self.plane)
         sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
         probability, pair_probability = np.empty(n), np.empty(len(self.plane.arrays.neighbors))
@@ -151,7 +154,7 @@ class Simulation:
         return np.iinfo(np.int64).max if self.most_entries is None else self.most_entries
 
     def _queue_segments(self, rng, *, thin=False):
-        """Return the queues of one realization, and the arm segment that can collide for each target of a queue."""
+        """Return the queues of one realization, and, for each target of a queue, the arm segment that can collide."""
         given = self.source.kind == "given"
         allocation = self._given if given else self.realize(rng)
         if thin and self.most_entries is not None:

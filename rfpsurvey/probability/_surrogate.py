@@ -1,4 +1,4 @@
-"""Collision probability of a design by a spline through quadratures on a grid of designs."""
+"""Interpolate the collision probability of a design with a spline through the values for a grid of designs."""
 
 from concurrent.futures import Executor
 from functools import cache
@@ -27,7 +27,7 @@ AXES = {
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),
     "minimum separation over pitch": np.linspace(0.02, 0.30, 9),
 }
-"""Nodes of the grid of designs; the grid contains the designs of Chen and coauthors (2024)."""
+"""Nodes of the grid of designs, by axis; the range of the grid contains the designs of Chen et al. (2024)."""
 PITCH = 25.0
 N_POINTS = 1024
 FILE = "surrogate.npz"
@@ -40,15 +40,15 @@ def surrogate_probability(
 
     The result approximates that of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far
     from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and the segment
-    from elbow to tip can collide. The interpolation is a cubic spline through 3969 quadratures; the documentation
-    states its errors.
+    from elbow to tip can collide. The interpolation is a cubic spline through the probabilities of 3969 designs; the
+    documentation states the errors of the interpolation.
 
     Parameters
     ----------
     central_arm, eccentric_arm : Quantity
         Arm lengths; all arguments are broadcast against each other.
     pitch : Quantity
-        Distance of neighboring centers.
+        Distance between neighboring centers.
     min_separation : Quantity
         Minimum separation of two arms.
 
@@ -75,7 +75,7 @@ def surrogate_probability(
     try:
         l1, l2, step, distance = np.broadcast_arrays(*(to_mm(v, name) for name, v in values.items()))
     except ValueError as error:
-        raise InputError(f"the arguments must have shapes that fit each other: {error}") from None
+        raise InputError(f"the arguments must have shapes that can be broadcast together: {error}") from None
     if not ((l1 > 0) & (step > 0)).all():
         raise InputError("central_arm and pitch must be positive lengths, without NaN")
     shape = l1 / step, l2 / l1, distance / step
@@ -93,7 +93,7 @@ def surrogate_probability(
 
 
 def outside_box(name: str, value: np.ndarray) -> np.ndarray:
-    """Mark values of an axis, by its name in `AXES`, that are outside of the grid of the surrogate."""
+    """Return whether each value is outside of the grid of the surrogate, on the axis of `AXES` with this name."""
     nodes = AXES[name]
     slack = 1e-9 * nodes[-1]
     return ~((value >= nodes[0] - slack) & (value <= nodes[-1] + slack))
@@ -102,7 +102,10 @@ def outside_box(name: str, value: np.ndarray) -> np.ndarray:
 def interior_probability(
     shape: tuple[float, float, float], n_points: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Return the collision probability at the center of a lattice, and its error; ``shape`` is a point in `AXES`."""
+    """Return the collision probability of the central positioner of a lattice, and the error of this probability.
+
+    ``shape`` contains the coordinates of the design on the axes of `AXES`.
+    """
     l1, l2, distance = shape[0] * PITCH, shape[0] * shape[1] * PITCH, shape[2] * PITCH
     unit = Positioner(l1 * u.mm, l2 * u.mm, distance / 2 * u.mm)
     rings = int((2 * (l1 + l2) + distance) / (PITCH * np.sqrt(3) / 2)) + 1
@@ -129,9 +132,9 @@ def make_surrogate(
 def surrogate_spline() -> "NdBSpline":
     """Return the cubic spline of the surrogate.
 
-    Its variables are the central arm over the pitch, the eccentric over the central arm, and the minimum separation
-    over the pitch. The probability is 0 if two arms cannot touch; otherwise, it is the value of the spline, clipped to
-    the range from 0 to 1.
+    The variables of the spline are the ratio of the central arm to the pitch, the ratio of the eccentric to the central
+    arm, and the ratio of the minimum separation to the pitch. The probability is 0 if two arms cannot touch; otherwise,
+    it is the value of the spline, clipped to the range from 0 to 1.
 
     Returns
     -------

@@ -19,11 +19,12 @@ from rfpsurvey.probability._options import KINDS, RandomTargets
 __all__ = ["Source", "make_source"]
 
 PER_FIBER = 4.0
-"""Default number of targets per positioner, which is the number for LAMOST in the paper."""
+"""Default number of targets per positioner; Chen et al. (2024) use this number for LAMOST."""
 FILLING = 0.5
 """Largest fraction of the area that discs may fill.
 
-Discs that are added at random without overlap fill at most a fraction of 0.547. Near this limit, adding discs is slow.
+Discs that are added at random positions without overlap fill at most a fraction of 0.547 of the area. Near this limit,
+adding discs is slow.
 """
 FINEST = 700
 """Largest ratio of the radius to the minimum separation.
@@ -39,7 +40,7 @@ class Source:
     kind: str
     number: float = 0.0
     each: float = 0.0
-    """Targets per positioner."""
+    """Number of targets per positioner."""
     center: tuple[float, float] = (0.0, 0.0)
     radius: float = 0.0
     separation: float = 0.0
@@ -77,7 +78,7 @@ class Source:
         if self.kind == "given":
             return self.points
         if self.kind == "sampler":
-            return to_points_mm(self.sampler(rng), "what the sampler of targets returns")
+            return to_points_mm(self.sampler(rng), "the result of the function targets")
         x, y = np.empty((2, int(self.numbers(1, rng)[0])))
         if self.kind == "poisson_disc":
             found = simulate.scatter_apart(rng, self.sky, np.empty((2, self.grid_cells)), x, y)
@@ -112,7 +113,7 @@ def make_source(
         return Source("sampler", sampler=targets)
     raise InputTypeError(
         f"targets must be RandomTargets or one of {', '.join(KINDS)}, a Catalog, a Quantity of shape (n, 2), or a "
-        f"function of a Generator that returns one, got {type(targets).__name__}"
+        f"function of a Generator that returns such a Quantity, got {type(targets).__name__}"
     )
 
 
@@ -126,12 +127,13 @@ def _random(plane, instrument, targets):
         separation = to_scalar(targets.min_separation, u.mm, "min_separation", low=0, high=2 * radius)
         if round(number) * separation**2 > 4 * FILLING * radius**2:
             raise InputError(
-                f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle of {radius:g} mm: "
-                f"added at random, discs of that diameter must fill less than {FILLING:g} of the area"
+                f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle with the radius "
+                f"{radius:g} mm: discs of that diameter must fill at most the fraction {FILLING:g} of its area"
             )
         if separation * FINEST < radius:
             raise InputError(
-                f"min_separation must be at least {radius / FINEST:.3g} mm here, got {targets.min_separation}"
+                f"min_separation must be at least {radius / FINEST:.3g} mm for targets in a circle with the radius "
+                f"{radius:g} mm, got {targets.min_separation}"
             )
     return Source(targets.kind, float(number), number / len(plane), _center(plane), radius, separation)
 
@@ -145,7 +147,7 @@ def _center(plane):
 
 def _from_catalog(instrument, targets, center):
     if instrument is None:
-        raise InputError("a Catalog needs an Instrument, which has a plate scale; a FocalPlane has none")
+        raise InputError("targets in a Catalog require an Instrument, since a FocalPlane has no plate scale")
     if center is None:
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")

@@ -9,7 +9,10 @@ __all__ = ["make_entries", "make_positioners", "make_realization"]
 
 
 def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
-    """Return the data on which reach and poses depend; joint limits must allow the whole patrol areas."""
+    """Return the data of positioners on which reach and poses depend.
+
+    Kernels that draw targets assume that the joint limits allow the whole patrol areas.
+    """
     idle = setup.idle.copy()
     arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
     side = plane.arrays.sides(np.full((len(plane), 2), np.nan))

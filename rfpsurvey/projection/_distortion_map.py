@@ -1,4 +1,4 @@
-"""Maps between the tangent plane and the focal plane without radial symmetry, as of a dispersion compensator."""
+"""Maps without radial symmetry from the tangent plane to the focal plane, such as those of a dispersion compensator."""
 
 import os
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
 __all__ = ["DistortionMap"]
 
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
-# Directions slightly outside of the traced ones are extrapolated.
+# The maximum tangent for which a map is valid is that of the traced directions, multiplied by this factor.
 MARGIN = 1.04
 MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 
@@ -23,10 +23,10 @@ MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class DistortionMap:
-    """Positions on the focal plane as polynomials in the tangent plane, for a setting of a dispersion compensator.
+    """Map from the tangent plane to the focal plane by polynomials, for one setting of a dispersion compensator.
 
-    The compensator consists of two prisms that rotate about the optical axis. With their angles a1 and a2, the
-    half difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 its
+    The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half
+    difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 determines its
     orientation. The coefficients of the polynomials are Fourier series in s. The system is symmetric about the plane
     y = 0: if s and y change their signs, so does the position along y. The image of the field center is at (0, 0) at
     every setting, because guiding removes a common shift.
@@ -34,7 +34,7 @@ class DistortionMap:
     Parameters
     ----------
     coefficients : sequence of float
-        Coefficients in mm: first those along x, then those along y, for the terms that the symmetry allows.
+        Coefficients in mm of the terms that the symmetry allows: first for positions along x, then along y.
     degree : int
         Degree of the polynomials.
     harmonics : int
@@ -44,14 +44,14 @@ class DistortionMap:
     adc : Quantity, shape (2,), optional
         Angles a1 and a2 of the two prisms.
     mirrored : bool, optional
-        Whether x of the polynomials is reversed, because +x is west in the tables of DESI.
+        Whether +x of the polynomials is -x of the projection. This is true for the tables of DESI, in which +x is west.
     residuals : QTable, optional
-        Residuals of the fit by setting: ``adc1``, ``adc2``, ``n``, ``median``, ``rms``, ``max``.
+        Residuals of the fit for each setting, in the columns ``adc1``, ``adc2``, ``n``, ``median``, ``rms``, ``max``.
 
     Raises
     ------
     InputError
-        If the number of coefficients does not agree with degree and harmonics, or a value is not valid.
+        If the number of coefficients does not agree with ``degree`` and ``harmonics``, or a value is not valid.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class DistortionMap:
         c, s = np.cos(mean), np.sin(mean)
         turn = np.array([[c, -s], [s, c]])
         flip = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
-        # rows (x, y) of the package are turned into those of the polynomials by this matrix
+        # the third item is the matrix that transforms rows (x, y) of this package into rows (x, y) of the polynomials
         object.__setattr__(self, "_setting", (tables, unit, flip @ turn, center))
         if not np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]) > 0:
             raise InputError("coefficients must be those of a map that is invertible at the field center")
@@ -108,7 +108,7 @@ class DistortionMap:
         ----------
         path : str or path-like
             Table with the columns ``ADC1``, ``ADC2`` (deg), ``X_TAN``, ``Y_TAN`` (tangents), ``X_FP`` and ``Y_FP``
-            (mm), at settings with ADC1 = -ADC2.
+            (mm). All settings must have ADC1 = -ADC2.
         degree, harmonics : int, optional
             Degree of the polynomials, and order of the Fourier series.
 
@@ -120,7 +120,7 @@ class DistortionMap:
         Raises
         ------
         InputError
-            If the file cannot be read, lacks a column, or has too few rows.
+            If the file cannot be read, lacks a column, has invalid values, or has too few rows.
         """
         path = to_path(path)
         table = read_table(path)
@@ -142,7 +142,9 @@ class DistortionMap:
             columns = [(x / unit) ** i * (y / unit) ** j * _wave(kind, k, strength) for i, j, kind, k in terms]
             solution, _, rank, _ = np.linalg.lstsq(np.transpose(columns), values, rcond=None)
             if rank < len(terms):
-                raise InputError(f"{path}: the table must determine {len(terms)} coefficients, got {len(x)} rows")
+                raise InputError(
+                    f"{path}: the table must have enough rows to determine {len(terms)} coefficients, got {len(x)} rows"
+                )
             found.append(solution)
             errors.append(solution @ columns - values)
         distance = np.hypot(*errors)
@@ -180,13 +182,13 @@ class DistortionMap:
 
     @property
     def shift(self) -> u.Quantity:
-        """Position of the field center on the focal plane, shape (2,), which guiding moves to (0, 0)."""
+        """Position of the field center on the focal plane, shape (2,), before guiding moves it to (0, 0)."""
         _, _, turn, center = self._setting
         return turn @ center * u.mm
 
     @property
     def plate_scale(self) -> u.Quantity:
-        """Plate scale at the field center: the root of the product of the largest and the smallest scale."""
+        """Plate scale at the field center: the geometric mean of the largest and the smallest scale."""
         return (
             np.sqrt(np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]))
             * (u.mm / u.rad).to(u.mm / u.deg)
@@ -194,7 +196,7 @@ class DistortionMap:
         )
 
     def to_angle(self, radius: u.Quantity) -> u.Quantity:
-        """Return the largest field angles at distances from the field center on the focal plane.
+        """Return the largest field angle at each distance from the field center on the focal plane.
 
         Parameters
         ----------
@@ -204,7 +206,7 @@ class DistortionMap:
         Returns
         -------
         Quantity
-            Field angles in deg; NaN for distances outside the range of the map.
+            Field angles in deg; NaN if a part of the circle with this radius is outside the range of the map.
 
         Raises
         ------
@@ -218,12 +220,12 @@ class DistortionMap:
         return np.rad2deg(np.arctan(np.hypot(*np.moveaxis(tangents, -1, 0)).max(axis=1))).reshape(r.shape) * u.deg
 
     def project(self, tangents: np.ndarray) -> np.ndarray:
-        """Return the points on the focal plane of points in the tangent plane.
+        """Return the points on the focal plane that are images of points in the tangent plane.
 
         Parameters
         ----------
         tangents : ndarray, shape (n, 2)
-            Points in the tangent plane, in units of its distance.
+            Points in the tangent plane of the unit sphere.
 
         Returns
         -------
@@ -236,7 +238,7 @@ class DistortionMap:
         return np.column_stack([np.polynomial.polynomial.polyval2d(*local.T, table) for table in tables]) @ turn.T
 
     def unproject(self, points: np.ndarray) -> np.ndarray:
-        """Return the points in the tangent plane of points on the focal plane.
+        """Return the points in the tangent plane whose images are the given points on the focal plane.
 
         Parameters
         ----------
@@ -246,27 +248,27 @@ class DistortionMap:
         Returns
         -------
         ndarray, shape (n, 2)
-            Points in the tangent plane, in units of its distance; NaN for points outside the map.
+            Points in the tangent plane of the unit sphere; NaN for points outside the range of the map.
         """
         unit = self._setting[1]
         tangents = points @ np.linalg.inv(self._jacobian(np.zeros((1, 2)))[0]).T
         for _ in range(MOST_STEPS):
-            # points far outside would diverge
+            # the iteration would diverge for points far outside
             tangents = np.where(np.hypot(*tangents.T)[:, None] <= 1.5 * unit, tangents, np.nan)
             change = np.linalg.solve(self._jacobian(tangents), (points - self._image(tangents))[..., None])[..., 0]
             tangents = tangents + change
-            if not np.nanmax(np.abs(change), initial=0.0) > ENOUGH:  # the next step would be its square
+            if not np.nanmax(np.abs(change), initial=0.0) > ENOUGH:  # the next change would be about the square of this
                 break
         return np.where(np.hypot(*tangents.T)[:, None] <= unit * (1 + 1e-9), tangents, np.nan)
 
     def _image(self, tangents):
-        """Return the points (mm) of tangents, also beyond ``max_angle``."""
+        """Return the images (mm) of points in the tangent plane, including points beyond ``max_angle``."""
         tables, unit, turn, _ = self._setting
         local = tangents @ turn / unit
         return np.column_stack([np.polynomial.polynomial.polyval2d(*local.T, table) for table in tables]) @ turn.T
 
     def _jacobian(self, tangents):
-        """Return the derivatives (mm) of the points with respect to tangents, shape (n, 2, 2)."""
+        """Return the derivatives (mm) of the images with respect to the tangents, shape (n, 2, 2)."""
         tables, unit, turn, _ = self._setting
         local = tangents @ turn / unit
         rows = [
@@ -285,7 +287,7 @@ def _terms(degree: int, harmonics: int) -> tuple[list, list]:
     for i in range(degree + 1):
         for j in range(degree + 1 - i):
             for k in range(harmonics + 1):
-                # x does not change if y and s change their signs, and y changes its sign
+                # if y and s change their signs, the position along x does not change, and that along y changes its sign
                 along[0].append((i, j, "cos" if j % 2 == 0 else "sin", k))
                 along[1].append((i, j, "sin" if j % 2 == 0 else "cos", k))
     return tuple([term for term in terms if term[2:] != ("sin", 0)] for terms in along)
@@ -306,5 +308,5 @@ def _tables(values, degree, harmonics, strength) -> np.ndarray:
 
 
 def _scatter(distance: np.ndarray) -> tuple[int, float, float, float]:
-    """Return number, median, root mean square and largest of some residuals."""
+    """Return the number, the median, the root mean square and the maximum of residuals."""
     return len(distance), float(np.median(distance)), float(np.sqrt(np.mean(distance**2))), float(distance.max())

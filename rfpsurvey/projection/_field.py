@@ -18,9 +18,9 @@ class FieldProjection:
     basis : ndarray, shape (3, 3)
         ICRS unit vectors as rows: the directions of +x and +y at the field center, and the center.
     focal_length : float
-        Plate scale at the center, mm per radian, for a projection without a radial map.
+        Plate scale at the center, in mm per radian; used only without ``distortion``.
     distortion : RadialMap, DistortionMap, dict of str to one of them, or None
-        Radial map or distortion map, or one for each fiber type.
+        Radial map or distortion map, or a dict with one map for each fiber type.
 
     Attributes
     ----------
@@ -46,15 +46,18 @@ class FieldProjection:
         self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the points (n, 2) in mm of unit vectors (n, 3) on the focal plane; NaN if there is no image."""
+        """Return the points (n, 2) in mm on the focal plane for unit vectors (n, 3); NaN if there is no image."""
         return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN for points outside the radial map."""
+        """Return the unit vectors (n, 3) for points (n, 2) in mm; NaN for points outside the range of the map."""
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):
-        """Apply the kernel ``radial`` to rows of values that have a radial map, and ``gnomonic`` to all others."""
+        """Project or unproject values with the map of their fiber type, or with the kernel ``gnomonic`` without a map.
+
+        The kernel ``radial`` is used for radial maps.
+        """
         out = np.empty((len(values), width))
         for rows, distortion in self._map_of(fiber_type, len(values)):
             part = values[rows]
@@ -74,7 +77,7 @@ class FieldProjection:
         return out
 
     def _map_of(self, fiber_type, n):
-        """Return the rows that use each radial map, as pairs (rows, radial map or None)."""
+        """Return the rows that use each map, as pairs (rows, map or None)."""
         if not isinstance(self.distortion, dict):
             return [(slice(None), self.distortion)]
         names = list(self.distortion)

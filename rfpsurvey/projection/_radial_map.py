@@ -1,4 +1,4 @@
-"""Radial maps, which give the distance from the field center on the focal plane as a function of the field angle."""
+"""Radial maps: the distance from the field center on the focal plane as a function of the field angle."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,7 +26,7 @@ class RadialMap:
 
     * ``theta``: r = factor p(theta / unit_angle) mm,
     * ``tan_theta``: r = factor p(tan(theta) / unit_tangent) mm,
-    * ``sine``: r = factor R sin(p(theta / unit_angle) unit_angle), R the radius of a spherical focal surface.
+    * ``sine``: r = factor R sin(p(theta / unit_angle) unit_angle), where R is the radius of a spherical focal surface.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ class RadialMap:
     unit_tangent : float, optional
         Tangent for which the argument of the polynomial is 1.
     radius : Quantity, optional
-        Radius R of the focal surface, for the form ``sine``.
+        Radius R of the focal surface; required for the form ``sine`` and only for this form.
     factor : float, optional
         Scale factor applied to every radius.
 
     Raises
     ------
     InputError
-        If the map does not increase from 0 to ``max_angle``.
+        If the map does not increase from 0 to ``max_angle``, or a parameter is invalid.
 
     Examples
     --------
@@ -79,7 +79,7 @@ class RadialMap:
             ) from None
         c = np.array(self.coefficients)
         if c.size == 0 or not np.isfinite(c).all():
-            raise InputError(f"coefficients must be finite numbers, at least one, got {self.coefficients}")
+            raise InputError(f"coefficients must be at least one number, all of them finite, got {self.coefficients}")
         limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
         to_scalar(self.unit_angle, u.rad, "unit_angle", low=0)
         for name in ("unit_tangent", "factor"):
@@ -111,7 +111,7 @@ class RadialMap:
         output = float(self.factor)
         if self.form == "sine":
             output *= float(to_mm(self.radius, "radius"))
-        # This factor ensures that a direction at max_angle is inside in spite of rounding.
+        # With this factor, a direction at max_angle is within the limit in spite of rounding.
         limit = float(to_radian(self.max_angle, "max_angle")) * (1 + 1e-12)
         return _FORMS[self.form], np.array(self.coefficients), argument, unit, output, limit
 

@@ -1,4 +1,4 @@
-"""Projection between sky and focal plane, by a tangent plane or by a radial map."""
+"""Projection of the sky onto the focal plane and back, by a gnomonic projection or by a map of the distortion."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,8 +24,8 @@ class TangentPlane:
     """Projection of the sky around a field center onto the focal plane.
 
     Without rotation, +x points east and +y points north; a rotation moves +y from north toward east. Without
-    distortion, the projection is gnomonic. Directions that are 90 deg or more from the center, or outside the radial
-    map, have no image and become NaN. Refraction and chromatic effects are not modeled.
+    distortion, the projection is gnomonic. Directions that are 90 deg or more from the center, or outside the range of
+    the distortion, have no image; their positions are NaN. Refraction and chromatic effects are not modeled.
 
     Parameters
     ----------
@@ -33,11 +33,11 @@ class TangentPlane:
         Field center in any frame. The frame also defines north: for a center in ``FK5(equinox="J2026")``, position
         angles are measured from north at that equinox.
     plate_scale : Quantity, optional
-        Length per angle at the field center. It is not needed with ``distortion``, which determines it.
+        Length per angle at the field center. It can be omitted if ``distortion`` is given, which determines it.
     rotation : Quantity, optional
         Position angle of +y, measured from north toward east.
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
-        Radial map or distortion map, or one for each fiber type.
+        Radial map or distortion map, or a dict with one map for each fiber type.
 
     Raises
     ------
@@ -71,14 +71,15 @@ class TangentPlane:
         scale = self.plate_scale
         if scale is None:
             if self.distortion is None:
-                raise InputError("a TangentPlane needs plate_scale or distortion")
+                raise InputError("a TangentPlane requires plate_scale or distortion")
             scale = next(iter(maps)).plate_scale
         number = to_scalar(scale, _SCALE, "plate_scale", low=0)
         if self.distortion is not None and not any(
             np.isclose(number, m.plate_scale.to_value(_SCALE), rtol=1e-9) for m in maps
         ):
             raise InputError(
-                f"plate_scale {scale} is not that of the distortion ({next(iter(maps)).plate_scale}); give one of them"
+                f"plate_scale must be that of the distortion ({next(iter(maps)).plate_scale}), or be omitted, "
+                f"got {scale}"
             )
         object.__setattr__(self, "plate_scale", scale)
         to_scalar(self.rotation, u.deg, "rotation", low=-3600, high=3600)
@@ -125,15 +126,15 @@ class TangentPlane:
         return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
 
     def to_focal_plane(self, coord: SkyCoord, fiber_type: str | np.ndarray | None = None) -> u.Quantity:
-        """Return the positions of directions on the focal plane.
+        """Return the positions on the focal plane of directions on the sky.
 
         Parameters
         ----------
         coord : SkyCoord or Catalog
-            Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that projecting it for many
-            fields is fast.
+            Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that it can be projected rapidly
+            for many fields.
         fiber_type : str or array_like of str, optional
-            Fiber type of each direction, if fiber types have different maps; ``""`` and None stand for the first type.
+            Fiber type of each direction, if fiber types have different maps; ``""`` and None denote the first type.
 
         Returns
         -------
@@ -145,24 +146,24 @@ class TangentPlane:
         InputError
             If ``coord`` is not a direction on the sky, or a fiber type has no map.
         """
-        vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # a catalog has these
+        vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # only catalogs have this attribute
         vectors = to_vectors(coord) if vectors is None else vectors
         return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
 
     def to_sky(self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None) -> SkyCoord:
-        """Return the directions of points on the focal plane.
+        """Return the directions on the sky of points on the focal plane.
 
         Parameters
         ----------
         xy : Quantity, shape (n, 2)
             Points on the focal plane.
         fiber_type : str or array_like of str, optional
-            Fiber type of each point, if fiber types have different maps.
+            Fiber type of each point, if fiber types have different maps; ``""`` and None denote the first type.
 
         Returns
         -------
         SkyCoord, shape (n,)
-            ICRS directions; NaN for points outside the radial map.
+            ICRS directions; NaN for points outside the range of the distortion.
 
         Raises
         ------

@@ -86,8 +86,8 @@ class Region:
         Parameters
         ----------
         ra : tuple of Quantity
-            Western and eastern limit of right ascension. If the western limit is larger, the box contains RA = 0. A
-            difference of 360 deg is the full circle.
+            Western and eastern limit of right ascension. If the western limit is larger, the box contains RA = 0. With
+            a difference of 360 deg, the box contains all right ascensions.
         dec : tuple of Quantity
             Lower and upper declination.
 
@@ -108,12 +108,16 @@ class Region:
         width = last - first
         width = 360.0 if abs(width) == 360 else width % 360
         if width == 0 or abs(last - first) > 360:
-            raise InputError(f"ra must be (first, last), at most 360 deg apart, got ({first:g}, {last:g}) deg")
+            raise InputError(
+                f"ra must be (first, last), different and at most 360 deg apart, got ({first:g}, {last:g}) deg"
+            )
         return cls("box", np.deg2rad([first % 360, width, low, high]))
 
     @classmethod
     def polygon(cls, vertices: SkyCoord) -> "Region":
-        """Make a polygon, convex or not, with great-circle edges; its inside is the smaller of its two sides.
+        """Make a polygon with great-circle edges, which may be convex or not.
+
+        The edges divide the sky into two parts, of which the smaller part is the region.
 
         Parameters
         ----------
@@ -128,8 +132,8 @@ class Region:
         Raises
         ------
         InputError
-            If there are fewer than three vertices, if two consecutive vertices are equal or opposite, or if edges
-            cross.
+            If there are fewer than three vertices, if two consecutive vertices are equal or opposite, if edges cross or
+            touch each other, or if all vertices lie on one great circle.
         """
         vectors = to_vectors(vertices, "vertices")
         if len(vectors) > 1 and np.array_equal(vectors[0], vectors[-1]):
@@ -147,7 +151,7 @@ class Region:
         if crossing is not None:
             raise InputError(f"edges {crossing[0] + 1} and {crossing[1] + 1} of the polygon cross or touch each other")
         if not _shapes.polygon_area(vectors) > 0:
-            raise InputError("the vertices of the polygon lie on one great circle: it has no inside")
+            raise InputError("the vertices of a polygon must not all lie on one great circle")
         return cls("polygon", vectors)
 
     @classmethod
@@ -180,14 +184,14 @@ class Region:
             raise refusal("pixels must be at least one whole number", pixels, Number, list, np.ndarray)
         if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
             raise InputError(
-                f"pixels of nside {nside} go from 0 to {12 * nside**2 - 1}, got {numbers[0]} to {numbers[-1]}"
+                f"pixels must be from 0 to {12 * nside**2 - 1} for nside {nside}, got {numbers[0]} to {numbers[-1]}"
             )
         numbers = numbers.astype(np.int64)
         return cls("healpix", np.sort(_healpix.to_nested(nside, numbers)) if order == "ring" else numbers, nside)
 
     @classmethod
     def whole_sky(cls) -> "Region":
-        """Make a region that is the whole sky.
+        """Make a region that contains the whole sky.
 
         Returns
         -------
@@ -198,7 +202,7 @@ class Region:
 
     @classmethod
     def parse(cls, text: str) -> "Region":
-        """Make a region from text, in which all numbers are in degrees (ICRS).
+        """Make a region from text that contains its kind and numbers in degrees (ICRS).
 
         Parameters
         ----------

@@ -30,7 +30,7 @@ def from_lonlat(lon, lat) -> np.ndarray:
 
 
 def angle(a, b):
-    """Return angles between unit vectors by a method that is accurate even for angles close to 0 or pi."""
+    """Return the angles between unit vectors; the formula is accurate even for angles close to 0 or pi."""
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
@@ -54,17 +54,21 @@ def _east_of(begin, vectors):
 
 
 def box_contains(box, vectors):
-    """Return whether directions are inside a box; the border, also a pole on the border, is inside."""
+    """Return whether directions are inside a box; the border, including a pole on the border, is inside."""
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
-    # The tolerances allow for rounding at both ends.
+    # The tolerances allow for rounding at the western and the eastern border.
     inside = (east <= width + 1e-13) | (east >= 2 * np.pi - 1e-13)
     pole = np.abs(dec) >= np.pi / 2 - 1e-15
     return (dec >= low - 1e-15) & (dec <= high + 1e-15) & (inside | pole)
 
 
 def box_distance(box, vectors):
-    """Return distances to a box: to its nearer parallel within its right ascensions, otherwise to its nearer side."""
+    """Return distances to a box.
+
+    Within the right ascensions of the box, this is the distance to the nearer parallel; otherwise, it is the distance
+    to the nearer of the western and eastern sides.
+    """
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
     along = np.maximum(np.maximum(low - dec, dec - high), 0.0)
@@ -96,7 +100,7 @@ def edges_cross(vertices):
         j = np.arange(i + 2, n if i else n - 1)
         other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
         own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
-        # Great circles intersect twice; the edges must be on the same side of the sphere.
+        # Two great circles intersect at two opposite points; the edges cross only if both contain the same point.
         meet = np.cross(normal[i], normal[j])
         side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
         hit = j[other & own & side]
@@ -110,11 +114,11 @@ def edges_cross(vertices):
 
 
 def _left_area(vertices):
-    """Return the solid angle to the left of a closed path without crossings, from 0 to 4 pi."""
+    """Return the solid angle, from 0 to 4 pi, to the left of a closed path that does not cross itself."""
     before, after = np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0)
     come, go = np.cross(before, vertices), np.cross(vertices, after)
     turning = np.arctan2(np.sum(np.cross(come, go) * vertices, axis=1), np.sum(come * go, axis=1))
-    rough = 2 * np.pi - turning.sum()  # the sum of triangles is more accurate, but modulo 4 pi
+    rough = 2 * np.pi - turning.sum()  # the sum of triangles is more accurate, but determines the area only modulo 4 pi
     a, b, c = vertices[0], vertices[1:-1], vertices[2:]
     volume = np.sum(np.cross(b, c) * a, axis=1)
     fan = 2 * np.sum(np.arctan2(volume, 1 + b @ a + c @ a + np.sum(b * c, axis=1)))
@@ -130,7 +134,8 @@ def polygon_area(vertices):
 def polygon_contains(vertices, vectors):
     """Return whether directions are inside a polygon.
 
-    For each direction, the function counts the edges that a path from one edge to the direction crosses.
+    For each direction, the function counts the edges that the arc from the midpoint of one edge to the direction
+    crosses.
     """
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))
@@ -145,8 +150,8 @@ def polygon_contains(vertices, vectors):
     for k in range(0, len(vectors), step):
         p = vectors[k : k + step]
         height = p @ normal
-        # For a direction on the great circle of that edge, the path would follow the edge. Such directions are moved by
-        # 2 micro-arcseconds.
+        # For a direction on the great circle of this edge, the arc would follow the edge. Such directions are moved by
+        # 2 microarcseconds.
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)
@@ -164,7 +169,7 @@ def polygon_contains(vertices, vectors):
 
 
 def polygon_distance(vertices, vectors):
-    """Return distances to the smaller of the two regions that a polygon bounds."""
+    """Return distances to the smaller of the two regions that a polygon bounds; they are 0 inside this region."""
     out = np.full(len(vectors), np.pi)
     for a, b in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         np.minimum(out, _to_arc(vectors, a, b), out=out)

@@ -1,4 +1,4 @@
-"""Functions of regions on the unit sphere: directions inside, distances, borders and enclosing circles."""
+"""Functions of regions on the unit sphere: tests of directions, distances, borders and enclosing circles."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def is_inside(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def distance_to(region, vectors: np.ndarray) -> np.ndarray:
-    """Return distances (radians) to the region, which are 0 inside it.
+    """Return the distances (radians) from unit vectors, shape (n, 3), to a `Region`; they are 0 inside the region.
 
     Distances to HEALPix pixels can be too small by up to the size of a pixel.
     """
@@ -33,7 +33,7 @@ def distance_to(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def circle_around(region) -> tuple[np.ndarray, float]:
-    """Return center and radius (radians) of a circle that encloses the region."""
+    """Return the center (unit vector) and the radius (radians) of a circle that encloses a `Region`."""
     if region.kind == "cap":
         return region.values[:3], float(region.values[3])
     pixels = region.kind == "healpix"
@@ -48,13 +48,13 @@ def circle_around(region) -> tuple[np.ndarray, float]:
     if not pixels and is_inside(region, -center[None])[0]:
         return center, np.pi
     radius = _shapes.angle(border, center).max()
-    # Between two of the 100 points per edge, the distance of the border from the center is larger by less than 1/1000.
+    # The border has 100 points per edge. Between them, its distance from the center is larger by less than 1/1000.
     margin = _healpix.pixel_radius(region.nside) if pixels else radius * 1e-3
     return center, float(min(radius + margin, np.pi))
 
 
 def border_of(region) -> np.ndarray:
-    """Return points on the border of a box or polygon."""
+    """Return points on the border of a box or polygon as unit vectors."""
     if region.kind == "polygon":
         after = np.roll(region.values, -1, axis=0)
         return np.vstack([_shapes.arc(a, b, 101)[:-1] for a, b in zip(region.values, after, strict=True)])

@@ -1,4 +1,4 @@
-"""Reports: self-contained HTML pages on results."""
+"""Reports: self-contained HTML pages that describe results."""
 
 from typing import TYPE_CHECKING
 

@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """Labels and values; the value of an indented label is a part of the value above it."""
+    """A list of labels and values; the value of an indented label is a part of the value above it."""
 
     caption: str
     values: dict
@@ -31,8 +31,9 @@ class Facts:
 class Rows:
     """A table that can be sorted.
 
-    ``where`` names the file or attribute that contains all rows, and is stated if some rows are not shown. ``left_out``
-    is the number of rows that were already omitted. ``marks`` maps the text of cells to a style: good, bad or open.
+    ``where`` names the file or attribute that contains all rows; the page states this name if some rows are not shown.
+    ``left_out`` is the number of rows that ``table`` omits. ``marks`` maps the text of cells to a style: good, bad or
+    open.
     """
 
     caption: str
@@ -44,7 +45,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of matplotlib with its caption, and a description of what it shows."""
+    """A matplotlib figure with its caption, and a description of what the figure shows."""
 
     caption: str
     figure: "Figure | Axes"
@@ -55,8 +56,8 @@ class Picture:
 class View:
     """An interactive view.
 
-    The script ``scripts/KIND.js`` draws the ``data``, which must be valid JSON. The blocks in ``still`` are shown on
-    paper, and in browsers that run no scripts.
+    The script ``scripts/KIND.js`` draws the ``data``, which must be valid JSON. The blocks in ``still`` replace the
+    view on paper, and in browsers that run no scripts.
     """
 
     kind: str
@@ -75,9 +76,9 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A page: the kind of the result, a title, a sentence, the most important values, and sections.
+    """A page: the kind of the result, a title, an introductory sentence, the most important values, and sections.
 
-    ``provenance`` is at the end of the page; each dict in it becomes a group.
+    The end of the page shows ``provenance``, in which each nested dict becomes a group of values.
     """
 
     kind: str

@@ -8,11 +8,11 @@ from rfpsurvey.report._numbers import column_texts
 __all__ = ["MISSING", "cells_of"]
 
 MISSING = "\N{EN DASH}"
-SKY = {"ra": 6, "dec": 6}  # decimals of degrees
+SKY = {"ra": 6, "dec": 6}  # numbers of decimals, for columns in degrees
 
 
 def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
-    """Return the unit of a column, whether it contains numbers, and the text and sorting key of each cell.
+    """Return the unit of a column, whether the column contains numbers, and the text and sorting key of each cell.
 
     If the text may have fewer digits than the value, the sorting key is the full value. The key is "" for a missing
     value, and None if the text itself is the key.

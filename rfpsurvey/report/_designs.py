@@ -17,16 +17,17 @@ __all__ = ["calculator_data", "is_designs", "page_of_designs"]
 CAPTION = "The designs."
 WORDS = (
     "Each point is a design. The color and the marker show the ratio of the arms or the parameter with the most "
-    "values. Large points with an edge, joined by a line, are the front: no other design is better than these in both "
-    "objectives. If the scan is around an instrument, a star and a name mark its design."
+    "values. Large points with an edge, joined by a line, are the Pareto front: no other design is better in both "
+    "objectives than a design on the front. If the scan is around an instrument, a star and the name of the instrument "
+    "mark its design."
 )
 ABOUT = (
-    "The calculator evaluates the surrogate, a cubic spline through 3969 quadratures, for arms on a hexagonal lattice "
-    "without an edge and independent targets that are uniform over each patrol area. The segment from elbow to tip can "
-    "collide. A click on a design sets the sliders to that design."
+    "The calculator evaluates the surrogate, a cubic spline through the collision probabilities of 3969 designs. They "
+    "apply to positioners on a hexagonal lattice without an edge, and to independent targets that are uniform over "
+    "each patrol area. The segment from elbow to tip can collide. A click on a design sets the sliders to that design."
 )
 LARGEST_ERROR = 0.0016
-"""Largest error of the surrogate for designs that were not used to make it, see docs/probability.rst."""
+"""Largest error of the surrogate for designs that were not used to make the surrogate (see docs/probability.rst)."""
 DECIMALS = 8
 """Number of decimals of the coefficients of the spline."""
 NEED = {"central_arm", "ratio", "pitch", "clearance", "loss", "pareto"}
@@ -77,7 +78,7 @@ def _names(table):
 
 
 def _start(table):
-    """Return the row with which the calculator begins: that of the instrument, or the front's first design."""
+    """Return the initial design of the calculator: that of the instrument, or the first design of the Pareto front."""
     named = np.flatnonzero(np.array(_names(table)) != "")
     front = np.flatnonzero(np.asarray(table["pareto"]))
     row = table[next(iter([*named.tolist(), *front.tolist(), 0]))]
@@ -90,7 +91,7 @@ def _start(table):
 
 
 def calculator_data(start: dict) -> dict:
-    """Return the spline of the surrogate with its limits and errors, and the first design of the calculator."""
+    """Return the spline of the surrogate with its limits and errors, and the initial design of the calculator."""
     spline = surrogate_spline()
     return {
         "axes": [[name, float(nodes[0]), float(nodes[-1])] for name, nodes in AXES.items()],

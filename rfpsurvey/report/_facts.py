@@ -1,4 +1,4 @@
-"""Labels and values of results; a label with two leading blanks is for a part of the value above it."""
+"""Labels and values of results; the value of a label with two leading blanks is a part of the value above it."""
 
 from typing import TYPE_CHECKING
 
@@ -87,15 +87,16 @@ def tile_facts(tile: "Tile") -> dict:
 
 
 def _required(summary: dict) -> dict:
-    """Return the number of required targets that are observed, if any are required."""
+    """Return the number of required targets that are observed; an empty dict if no targets are required."""
     n = summary.get("n_required", 0)
     return {"required targets observed": f"{summary['n_required_observed']} of {n}"} if n else {}
 
 
 def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
-    """Return the number of fibers for each class of targets, and an upper limit if more fibers may be possible.
+    """Return the name and the number of fibers of each class of targets, and the limit of this number as text.
 
-    There are at most ``most`` lines; if there are more classes, the last line sums up all others.
+    The limit is "" if the number is known to be optimal, or if no limit is known. There are at most ``most`` lines; if
+    there are more classes, the last line contains the sum of the others.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
@@ -107,7 +108,7 @@ def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
         found.append((label, round(abs(value)), proof))
     rest = objectives[len(found) :]
     if rest:
-        # the last line of a summary can itself stand for many classes
+        # the last line of a summary can itself be the sum of many classes
         last, _, words = rest[-1][0].partition(" ")
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
         found.append(

@@ -1,4 +1,4 @@
-"""Data of the interactive view of a focal plane: one or several plans of a tile."""
+"""Data of the interactive view of a focal plane, which shows one or several plans of a tile."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ from rfpsurvey.tile import Tile
 __all__ = ["check_plans", "focal_plane_view", "name_of", "view_data"]
 
 MM, DEG, SKY = 3, 3, 6
-"""Numbers of decimals: lengths in mm, angles, and positions on the sky in degrees."""
+"""Numbers of decimals of lengths in mm, of angles in degrees, and of positions on the sky in degrees."""
 PLAN_COLUMNS = {
     "ra": SKY,
     "dec": SKY,
@@ -30,16 +30,16 @@ PLAN_COLUMNS = {
     "category": None,
     "priority": None,
 }
-"""Columns of the table of a tile, with the numbers of decimals."""
+"""Columns of the table of a tile, with their numbers of decimals."""
 
 
 def focal_plane_view(plans: Mapping[str, Tile], still: list, max_rows: int | None = None) -> View:
-    """Return the interactive view of one or several plans of a tile, by name."""
+    """Return the interactive view of one or several plans of a tile, given by name."""
     return View("focal_plane", "Focal plane", {**view_data(plans), "max_rows": max_rows}, still)
 
 
 def name_of(tile: Tile) -> str:
-    """Return the name of the plan of a tile, which is that of its allocator."""
+    """Return the name of the plan of a tile, which is the name of its allocator."""
     return str(tile.provenance["parameters"]["allocator"])
 
 
@@ -56,13 +56,13 @@ def check_plans(result: object, plans: Mapping[str, Tile] | None) -> dict[str, T
             raise InputTypeError(f"plans must be a dict of names to tiles, got {type(tile).__name__} for {key!r}")
         first = next(iter(tiles.values()), tile)
         if any(not np.array_equal(np.asarray(first[c]), np.asarray(tile[c])) for c in ("id", "x", "y")):
-            raise InputError(f"all plans must have the same positioners, got others in the plan {key!r}")
+            raise InputError(f"all plans must have the same positioners, got different ones in the plan {key!r}")
         tiles[str(key)] = tile
     return tiles
 
 
 def view_data(plans: Mapping[str, Tile]) -> dict:
-    """Return the data of the view."""
+    """Return the data that the script of the view draws."""
     tile = next(iter(plans.values()))
     table, geometry = tile.table, tile.table.meta["geometry"]
     return {
@@ -103,12 +103,12 @@ def _plan(name, tile):
 
 
 def _target_texts(column):
-    """Return the identifiers of targets as text; it is empty for positioners without a target."""
+    """Return the identifier of each positioner's target as text, which is empty for positioners without a target."""
     return [text_of(name) for name in np.ma.filled(np.ma.asarray(column).astype(str), "").tolist()]
 
 
 def _idle(tile):
-    """Return why positioners are idle, and their free targets, as lists by row of the positioner."""
+    """Return the reasons why positioners are idle, and their free targets; each list begins with a positioner's row."""
     if tile.idle is None:
         return {"idle": None, "free": []}
     row_of = {name: k for k, name in enumerate(tile.table["id"].tolist())}

@@ -1,4 +1,4 @@
-"""Conversion of a page to HTML: a single file that loads no others."""
+"""Conversion of a page to HTML: a single file that loads no other files."""
 
 import base64
 import hashlib
@@ -26,12 +26,12 @@ __all__ = ["html_of"]
 
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
 MOST_ITEMS = 30  # largest number of values of a list in the provenance
-NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts of a view
+NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts that a view requires
 MAX_ROWS = 1000  # largest number of rows of a table, by default
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as HTML, with tables of at most ``max_rows`` rows; None stands for the default of each table."""
+    """Return a page as HTML, with tables of at most ``max_rows`` rows; with None, tables have their default lengths."""
     kinds = sorted({block.kind for section in page.sections for block in section.blocks if isinstance(block, View)})
     script = _script(tuple(kinds))
     return _template().render(
@@ -47,7 +47,7 @@ def html_of(page: Page, max_rows: int | None) -> str:
 
 @cache
 def _template() -> "Template":
-    """Return the template of all pages; it passes every text through `text_of` and escapes it."""
+    """Return the template of all pages, which applies `text_of` to every text and escapes the result."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     environment = Environment(
@@ -94,7 +94,7 @@ def _asset(name: str) -> str:
 
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
-    """Return the number of rows to show of a table, and its columns."""
+    """Return the number of rows of a table that the page shows, and the columns of the table."""
     table = block.table[: MAX_ROWS if max_rows is None else max_rows]
     columns = []
     for name in table.colnames:
@@ -111,7 +111,7 @@ def _sorting_key(value: object) -> str:
 
 
 def _plain(value: object, number: Callable = number_text) -> str:
-    """Return a value of a summary or of the provenance as text."""
+    """Return a value of a summary or of the provenance as text; ``number`` converts numbers."""
     if isinstance(value, np.ndarray | np.generic) and not hasattr(value, "unit"):
         value = value.tolist()
     if value is None or (isinstance(value, str) and not value) or (isinstance(value, float) and np.isnan(value)):
@@ -125,12 +125,12 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Return nested dicts as separate dicts by name, with all digits of numbers."""
+    """Return nested dicts as a dict of separate dicts by name, in which numbers are texts with all digits."""
     groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):
             for title, group in _groups(value, f"{name} {key}".strip().replace("_", " ")).items():
-                while title in groups and groups[title] and group:  # another dict has the same name as text
+                while title in groups and groups[title] and group:  # another dict has the same title
                     title += "'"
                 groups[title] = groups.get(title, {}) | group
     return groups

@@ -17,12 +17,12 @@ __all__ = ["NotebookView", "notebook_view"]
 
 @dataclass(frozen=True)
 class NotebookView:
-    """An interactive view, which notebooks show in a frame without access to the notebook, its files or the network.
+    """An interactive view that notebooks show in a frame; the frame cannot access the notebook, files or the network.
 
     Parameters
     ----------
     title : str
-        What the view shows.
+        Description of the result that the view shows.
     page : str
         HTML of the page in the frame.
     height : int
@@ -51,7 +51,7 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     result : Tile, Survey or Tiling
         Result to show.
     plans : dict of str to Tile, optional
-        Other plans of a tile by name.
+        Other plans of the same tile, by name; only for a Tile.
     height : int, optional
         Height of the frame in pixels.
 
@@ -63,7 +63,8 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     Raises
     ------
     InputError
-        If ``result`` has another type, a plan has other positioners, or the height is not a positive integer.
+        If ``result`` has another type, ``plans`` are not tiles with the same positioners, or ``height`` is not a
+        positive integer.
 
     Examples
     --------
@@ -84,6 +85,6 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     elif isinstance(result, Tiling):
         title, view = "a tiling", sky_view(result.table, result.summary.get("radius_deg", 1.0), [])
     else:
-        raise InputTypeError(f"a view is of a Tile, a Survey or a Tiling, got {type(result).__name__}")
+        raise InputTypeError(f"result must be a Tile, a Survey or a Tiling, got {type(result).__name__}")
     page = Page("View", title[0].upper() + title[1:], "", {}, [Section(view.caption, [view])], {})
     return NotebookView(title, html_of(page, None), int(height))

@@ -1,4 +1,4 @@
-"""Conversion of numbers to text: four significant digits, with the same number of decimals in a column."""
+"""Conversion of numbers to text with four significant digits, and of columns with the same number of decimals."""
 
 import math
 
@@ -7,12 +7,12 @@ import numpy as np
 __all__ = ["column_texts", "number_text"]
 
 DIGITS = 4
-SMALL, LARGE = 1e-4, 1e7  # numbers outside of this range have an exponent
-WIDE = 100  # a column whose numbers differ by more cannot have the same decimals
+SMALL, LARGE = 1e-4, 1e7  # numbers outside of this range are written with an exponent
+WIDE = 100  # if the numbers of a column differ by more than this factor, their numbers of decimals differ
 
 
 def number_text(value: object) -> str:
-    """Return a number as text."""
+    """Return a number as text; booleans become "yes" or "no"."""
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if not isinstance(value, float | np.floating) or not math.isfinite(value):
@@ -39,5 +39,5 @@ def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
 
 
 def _decimals(size: float) -> int:
-    """Return the number of decimals of a number with four significant digits."""
+    """Return the number of decimals with which a number of this size has four significant digits."""
     return 0 if size == 0 else max(DIGITS - 1 - math.floor(math.log10(size)), 0)

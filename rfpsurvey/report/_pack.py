@@ -1,4 +1,4 @@
-"""Columns as compact JSON, which the scripts of a page unpack."""
+"""Conversion of columns to compact JSON, which the scripts of a page unpack."""
 
 import json
 
@@ -8,14 +8,15 @@ from rfpsurvey.report._text import text_of
 
 __all__ = ["json_of", "pack", "pack_texts"]
 
-FEW = 64  # a text column with at most this many different values is stored as names and codes
+FEW = 64  # a text column with at most this many different values is stored as names and the index of each name
 
 
 def pack(values: object, decimals: int | None = None) -> dict:
     """Return a column of numbers or text as a dict.
 
-    The key ``v`` contains the values, or integers to be divided by 10 to the power ``d``; None stands for NaN. The key
-    ``c`` contains the only value of a constant column. Text with few different values has the keys ``names`` and ``v``.
+    The key ``v`` contains the values or, if there is a key ``d``, integers to be divided by 10 to the power ``d``; NaN
+    becomes None. The key ``c`` contains the only value of a constant column. Text with few different values has the
+    keys ``names`` and ``v``; in this case, ``v`` contains indices of ``names``.
     """
     mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else None
     plain = np.asarray(np.ma.getdata(values) if mask is not None else getattr(values, "value", values))
@@ -33,7 +34,7 @@ def pack(values: object, decimals: int | None = None) -> dict:
 
 
 def pack_texts(texts: list[str]) -> dict:
-    """Return texts as a dict, see `pack`."""
+    """Return a column of texts as a dict (see `pack`)."""
     names = list(dict.fromkeys(texts))
     if len(names) == 1:
         return {"c": names[0]}
@@ -58,6 +59,6 @@ def _constant(values):
 
 
 def json_of(data: object) -> str:
-    """Return JSON for a script element: ASCII, without the characters that can end the element."""
+    """Return data as JSON for a script element, in ASCII and without the characters that can end the element."""
     text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -13,7 +13,7 @@ __all__ = ["sky_view"]
 DECIMALS = 4
 """Number of decimals of positions in degrees, and of fractions."""
 WIDE = 70
-"""Degrees: if tiles are farther than this from their mean direction, the map shows the whole sky."""
+"""Angle in degrees. If a tile is farther than this from the mean direction of tiles, the map shows the whole sky."""
 COLUMNS = (
     "tile",
     "pass",
@@ -33,7 +33,7 @@ COLUMNS = (
 
 
 def sky_view(table: Table, radius_deg: float, still: list) -> View:
-    """Return the map of the tiles in a table, with fields of a given radius."""
+    """Return the interactive map of the tiles in a table, with fields of the given radius."""
     centers = SkyCoord(table["ra"], table["dec"])
     x, y, z = centers.cartesian.xyz.value.mean(axis=1)
     known = np.hypot(np.hypot(x, y), z) > 1e-9

@@ -80,16 +80,17 @@ def _about_tiles(table, color) -> str:
     """Return a description of a map of tiles; ``color`` is the quantity that the colors of the tiles show."""
     words = f"Each circle is a field. East is to the left. The color of a field shows the {color}."
     if len(set(table["pass"].tolist())) > 1:
-        words += " Fields of later passes are drawn with a smaller radius, so that the fields below can be seen."
+        words += " Fields of later passes are drawn with a smaller radius, so that they do not hide earlier fields."
     return words
 
 
 def _about_curves(survey) -> str:
     """Return a description of the plot of the completeness."""
     words = (
-        "The line shows the fraction of all visits that are observed, in the order in which tiles are planned. Crosses "
-        "show the fraction of targets with all of their visits after each pass. Gray lines mark the ends of passes."
+        "The line shows the fraction of all visits that have been observed after each tile, in the order in which "
+        "tiles are planned. Crosses show the fraction of targets with all of their visits after each pass. Gray lines "
+        "mark the ends of passes."
     )
-    if len(set(survey.completeness["priority"].tolist())) > 2:  # "all" is one of the classes
+    if len(set(survey.completeness["priority"].tolist())) > 2:  # one class is "all"
         words += " Dotted lines connect the completeness of each priority class after each pass."
     return words

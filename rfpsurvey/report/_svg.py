@@ -1,4 +1,4 @@
-"""Figures as SVG for a page: with unique ids, without style sheets, and with gray levels that the page defines."""
+"""Conversion of figures to SVG with unique ids, without style sheets, and with gray levels that the page defines."""
 
 import base64
 import io
@@ -11,25 +11,28 @@ import numpy as np
 
 __all__ = ["dark_grays", "svg_of"]
 
-# In figures with more points than this, artists with many points become images inside the SVG. As paths, the arms of
-# 4000 positioners would take megabytes.
+# In figures with more than MOST_POINTS points, artists with more than MANY_POINTS points become images inside the SVG,
+# because the arms of 4000 positioners, for example, would take megabytes as paths.
 MOST_POINTS = 60_000
 MANY_POINTS = 2000
 DPI = 200
-WIDE = 9  # inches: the caption of a wider figure is below the figure
+WIDE = 9  # width in inches; the caption of a wider figure is below the figure
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
-ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # in XML
+ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow
 IMAGE = "data:image/png;base64,"
 LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
 USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
-# replacements of black and white on a dark screen; colors do not change, because they can represent values
+# colors that replace black and white on a dark screen; other colors do not change, because they can represent values
 DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
 def svg_of(figure, name: str) -> dict:
-    """Return the content, box and width of the SVG of a figure, and whether it is wide; its ids begin with ``name``."""
+    """Return the content, box and width of the SVG of a figure, and whether the figure is wide.
+
+    All ids in the SVG begin with ``name``.
+    """
     from matplotlib import rc_context
 
     figure = getattr(figure, "figure", figure)
@@ -63,7 +66,7 @@ def dark_grays(page: str) -> str:
 
 @contextmanager
 def _heavy_as_images(figure) -> Iterator[None]:
-    """Draw artists with very many points as images within this context."""
+    """Draw artists with many points as images within this context, if the figure has too many points."""
     points = {artist: _points(artist) for artist in figure.findobj(lambda a: not a.get_rasterized())}
     crowded = sum(points.values()) > MOST_POINTS
     heavy = [artist for artist, number in points.items() if crowded and number > MANY_POINTS]
@@ -77,7 +80,7 @@ def _heavy_as_images(figure) -> Iterator[None]:
 
 
 def _points(artist) -> int:
-    """Return the approximate number of points of an artist in a file."""
+    """Return the approximate number of points of an artist in an SVG file."""
     from matplotlib.collections import Collection
     from matplotlib.lines import Line2D
 
@@ -91,7 +94,7 @@ def _points(artist) -> int:
 
 
 def _local(name: str) -> str:
-    """Return the name without its namespace, which HTML does not require."""
+    """Return a name without its namespace, which HTML does not require."""
     return name.rpartition("}")[2]
 
 
@@ -133,7 +136,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
 
 
 def _with_palette(image: str) -> str:
-    """Return a PNG with 256 colors, which reduces its size to a third; drawings of lines have few colors."""
+    """Return a PNG image with only 256 colors, which has a third of the size; drawings of lines have few colors."""
     from PIL import Image
 
     file = io.BytesIO()

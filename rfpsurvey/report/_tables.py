@@ -1,4 +1,4 @@
-"""Pages on estimates and tables: any table, comparisons of allocators and of instruments, the claims of the paper."""
+"""Pages on estimates, on comparisons of allocators and of instruments, on the claims of the paper, and on any table."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,24 +22,25 @@ VERDICTS = {"reproduced": "good", "not reproduced": "bad", "cannot be decided fr
 FIGURES = {
     "small": (
         "Collision probability against arm ratio and pitch.",
-        "Solid lines are simulations with their 95 % intervals as shades, and dashed lines are the formula. The lower "
-        "panels show the same values scaled to the range from 0 to 1, as in the paper.",
+        "Solid lines are simulations with shaded 95 % intervals, and dashed lines are the formula. The lower panels "
+        "show the same values scaled to the range from 0 to 1, as in the paper.",
     ),
     "large": (
         "Comparison of the formula with the simulation.",
-        "Left: each point is a design, with two definitions of the simulated probability; on the gray line the two are "
-        "equal. Right: the difference of formula and simulation, each scaled to the range from 0 to "
-        "1. Triangles point up where the formula is larger.",
+        "Left: each point is a design; the colors distinguish two areas of the simulated targets. On the gray line, "
+        "formula and simulation are equal. Right: the difference of formula and simulation, each scaled to the range "
+        "from 0 to 1. Triangles point up where the formula is larger.",
     ),
     "poisson": (
         "Collision probability with uniform targets minus that with Poisson-distributed targets.",
-        "Each panel shows the difference of the collision probabilities for one reading of the paper's text. Triangles "
-        "point up where uniform targets collide more often.",
+        "Each panel shows the difference of the collision probabilities for one interpretation of the paper. Triangles "
+        "point up where the probability is larger with uniform targets.",
     ),
     "poisson_disc": (
         "Comparison of uniform targets with Poisson-disc targets.",
-        "The points show by how many percent uniform targets collide more often, for each minimum separation of the "
-        "targets; bars are standard errors. The dashed line is the value of the paper, 2.6 %. The gray line is 0.",
+        "The points show by how many percent the collision probability is larger with uniform targets, for each "
+        "minimum separation of Poisson-disc targets; bars are standard errors. The dashed line is the value of the "
+        "paper, 2.6 %. The gray line is 0.",
     ),
     "surrogate": (
         "The error of the surrogate.",
@@ -52,7 +53,7 @@ FIGURES = {
         "band extends from 93.5 to 96.5 %.",
     ),
     "one_sky": (
-        "How often the interval for given targets contains the expectation over skies.",
+        "How often the interval for given targets contains the mean over skies.",
         "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars extend "
         "two standard errors to each side. The gray line is the nominal fraction of 95 %. Points with the same number "
         "of positioners are drawn beside each other.",
@@ -63,7 +64,7 @@ FIGURES = {
         "points per arm. Methods to the lower left are faster and more accurate.",
     ),
 }
-"""Caption and description of each figure, by the name of the figure."""
+"""Captions and descriptions of figures, by the names of the figures."""
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
@@ -72,14 +73,14 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
     kind = f"{estimate.method}, for {estimate.estimand} targets"
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]
     spread = {f"{q}th percentile over the positioners": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
-    blocks = [Facts("", facts), *([Facts("Probability of single positioners", spread)] if len(likely) else [])]
+    blocks = [Facts("", facts), *([Facts("Probabilities of individual positioners", spread)] if len(likely) else [])]
     highlights = {"collision probability": facts["collision probability"]}
     highlights |= {k.strip(): v for k, v in facts.items() if k.endswith("interval")}
     meta = {"method": estimate.method, "estimand": estimate.estimand, **estimate.meta, "software": versions()}
     return Page(
         "Estimate",
         "Collision probability",
-        f"By the method {kind}.",
+        f"Estimated by the method {kind}.",
         highlights,
         [Section("Result", blocks)],
         meta,
@@ -102,23 +103,24 @@ def _count(n, word) -> str:
 
 
 def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
-    """Return a page on a comparison of allocators; with ``plans``, their differences can be seen."""
+    """Return a page on a comparison of allocators; with ``plans``, it contains an interactive view of the plans."""
     meta = table.meta
     words = (
-        f"One field of {meta['instrument']}, planned with {len(table)} allocators. If arms could pass each other, "
+        f"One field of {meta['instrument']} was planned with {len(table)} allocators. If arms could pass each other, "
         f"{meta['blind_science']} science targets could be observed."
     )
     unmet = [f"{name}: {sentence}" for name, sentences in meta["unmet"].items() for sentence in sentences]
     notes = (
         "usable: number of science fibers without a collision. loss: fraction by which usable is smaller than the "
         "number of science targets that could be observed if arms could pass each other. gap: largest possible "
-        "difference from the best plan, if it is known. missing: number of fibers that are missing for requirements."
+        "difference from the best plan, if known. missing: number of fibers that are missing for requirements."
     )
     seen = (
-        "Bars are fibers on science targets, usable or lost to collisions, and fibers missing for requirements. The "
-        "dashed line is the number of science fibers if collisions are ignored. The time is that of the allocation."
+        "Bars show the numbers of usable fibers on science targets, of fibers lost to collisions, and of fibers "
+        "missing for requirements. The dashed line is the number of science fibers if collisions are ignored. The time "
+        "is that of the allocation."
     )
-    picture = Picture("Fibers of each allocator.", plot_allocators(table), seen)
+    picture = Picture("Numbers of fibers for each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
     sections = [Section("Side by side", blocks)]
     if plans:
@@ -136,7 +138,7 @@ def page_of_instruments(table: Table, where: str) -> Page:
     lead = f"{', '.join(names)}; number of fields of each instrument: {meta['n_fields']}; {meta['way']}."
     seen = (
         "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions "
-        "of the positioners with a science target and no collision, with a science target but in collision, and "
+        "of the positioners with a science target and without a collision, with a science target but in collision, and "
         "without a science target; the number to the right is the fraction of targets lost to collisions. Right: the "
         "collision probability with its 95 % interval."
     )
@@ -166,12 +168,12 @@ def page_of_claims(table: Table, where: str) -> Page:
         else ""
     )
     lead = f"This page compares {len(table)} claims of the paper on collision probabilities with new results.{quick}"
-    title = "The paper's experiments, run again"
+    title = "Repetition of the experiments of the paper"
     return Page("Reproduction", title, lead, highlights, sections, _without_private(table.meta))
 
 
 def _experiment(name, folder) -> list:
-    """Return figures and tables of an experiment, from the folder with its output."""
+    """Return the figures and tables of an experiment, from the folder that contains its output."""
     if folder is None:
         return []
     tables = {key: read_table(Path(folder) / f"{key}.ecsv") for key in TABLES[name]}
@@ -181,5 +183,5 @@ def _experiment(name, folder) -> list:
 
 
 def _without_private(meta) -> dict:
-    """Return the meta of a table without the entries that readers of files add, and without its folder."""
+    """Return the ``meta`` of a table without the folder, and without the entries that readers of files add."""
     return {k: v for k, v in meta.items() if not str(k).startswith("__") and k != "folder"}

@@ -5,13 +5,13 @@ import unicodedata
 __all__ = ["text_of"]
 
 BAD = ("Cc", "Cn", "Co", "Cs")
-"""Unicode categories of characters that are not text: control, unassigned and surrogate characters."""
+"""Unicode categories of characters that are not text: control, unassigned, private-use and surrogate characters."""
 TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 """Characters that change the direction of the text that follows."""
 
 
 def text_of(value: object) -> str:
-    """Return text for a page, with replacement characters for those that are invalid or change the direction."""
+    """Return a value as text for a page; characters that are invalid or change the direction of text are replaced."""
     text = str(value).replace("\r\n", "\n")
     if text.isascii() and text.isprintable():
         return text

@@ -1,4 +1,4 @@
-"""The page of a tile."""
+"""The report page of a tile."""
 
 from collections.abc import Mapping
 
@@ -31,14 +31,14 @@ COLUMNS = (
     "phi",
 )
 NARROW = 25
-MARGIN = 4  # size of the enlarged region around a point, in radii of patrol areas
+MARGIN = 4  # half width of the enlarged region around a point, in outer radii of the largest patrol area
 MOST_OBJECTIVES = 12
 TITLE = 0.35  # inches, height of the title that a caption replaces
-LITTLE = 60  # if there are more positioners, a part of the focal plane is also shown enlarged
+LITTLE = 60  # if there are more positioners than this, a second figure enlarges a part of the focal plane
 
 
 def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
-    """Return a page on a tile; ``where`` names the file with all rows, and ``plans`` are its plans by name."""
+    """Return a page on a tile; ``where`` names the file with all rows, and ``plans`` contains plans of the tile."""
     summary, parameters = tile.summary, tile.provenance["parameters"]
     name = tile.provenance["instrument"]["name"]
     counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
@@ -80,7 +80,7 @@ def _title(name, parameters) -> str:
 
 
 def _asked(tile) -> dict:
-    """Return the parameters of the tile as labels and values, with units."""
+    """Return the parameters of a tile as labels and values with units."""
     p, catalog = tile.provenance["parameters"], tile.provenance["catalog"]
     asked = {"instrument": tile.provenance["instrument"]["name"], "allocator": p["allocator"]}
     if "ra_deg" in p:
@@ -116,14 +116,15 @@ def _objectives(tile) -> list:
 
 
 def _completeness(tile) -> list:
-    """Return a figure and a table of the numbers of assigned targets of each class."""
-    words = "A target of the field is observed if it is assigned and its arm is not in collision."
+    """Return a figure and a table with the numbers of assigned and observed targets of each class."""
+    words = "A target of the field is observed if it is assigned to a positioner that is not in collision."
     axes = plot_quality(tile)
     axes[0].set_title("", loc="left")
     about = (
         "The panels show the outcomes of the targets in the field, with the numbers of observed and of all targets on "
-        "the right; the fibers by what they observe; the values of a column of the catalog; and the fractions of "
-        "science targets in rings of equal area about the center of the field, with intervals of 68\N{NO-BREAK SPACE}%."
+        "the right; the numbers of fibers by the kind of target or by requirement; a histogram of a column of the "
+        "catalog; and the fractions of science targets that are in reach and assigned, in rings of equal area around "
+        "the center of the field, with 68\N{NO-BREAK SPACE}% intervals."
     )
     figure = Picture("Targets that are available, in reach and assigned.", axes[0], about)
     table = [Rows("Targets of the field by class.", tile.completeness)] if len(tile.completeness) > 1 else []
@@ -137,24 +138,24 @@ def _pictures(tile) -> list:
     }
     if dots:
         words = (
-            "Blue dots are fibers on their targets, gray dots are positioners without a target, and diamonds are in "
-            "collision."
+            "Blue dots are fibers on their targets, gray dots are positioners without a target, and diamonds are "
+            "positioners in collision."
         )
     else:
         words = (
-            "Circles are patrol areas; dotted circles are their inner edges. The shade around an arm is half the "
-            "minimum separation wide: two arms collide where their shades overlap."
+            "Circles are patrol areas; dotted circles are their inner edges. The shading extends from each arm by half "
+            "the minimum separation: two arms collide where their shadings overlap."
         )
     if "position_angle_deg" in tile.provenance["parameters"]:
-        words += " East is to the left of north, as on the sky; the arrows show both."
+        words += " East is to the left of north, as on the sky; arrows show both directions."
     pictures = [Picture("The whole focal plane.", whole, words)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
         words = "This part of the focal plane has the smallest clearance between two arms."
         if tile.summary["n_colliding"]:
             words = (
-                "This part of the focal plane has the most collisions. Arms whose shades overlap collide, and "
-                "are hatched."
+                "This part of the focal plane has the most collisions. Arms whose shadings overlap collide, and are "
+                "hatched."
             )
         pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
     return pictures
@@ -181,13 +182,13 @@ def _crowded(tile) -> u.Quantity:
     else:
         clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
         center = xy[clearance.argmin()]
-    # do not extend beyond the outermost positioners
+    # the square must not extend beyond the outermost patrol areas
     center = np.clip(center, xy.min(axis=0) - outer + half, np.maximum(xy.max(axis=0) + outer - half, xy.min(axis=0)))
     return np.stack([center - half, center + half]) * u.mm
 
 
 def _collisions(tile, where) -> list:
-    """Return a table of the positioners in collision, and a table of the smallest clearances of the others."""
+    """Return a table of the positioners in collision, and a table of other positioners with the smallest clearances."""
     table = tile.table[[c for c in COLUMNS if c in tile.table.colnames and not _empty(tile.table[c])]]
     colliding = np.asarray(tile.table["in_collision"])
     clearance = np.nan_to_num(tile.table["clearance"].to_value(u.mm), nan=np.inf)
@@ -201,12 +202,12 @@ def _collisions(tile, where) -> list:
     left_out = len(narrow) - len(rest)
     return [
         *blocks,
-        Rows("Positioners with the smallest clearances, of those that do not collide.", rest, where, left_out),
+        Rows("Positioners without a collision that have the smallest clearances.", rest, where, left_out),
     ]
 
 
 def _view(tile, where, plans, max_rows) -> View:
-    """Return the interactive focal plane with all assignments; figures replace it where no script runs."""
+    """Return the interactive view of all assignments; in browsers that run no scripts, figures replace it."""
     words = "All assignments are in the interactive view, which requires a browser that runs scripts"
     words += f", and in {where}." if where else "."
     return focal_plane_view(plans, [*_pictures(tile), Text(words)], max_rows)

@@ -38,20 +38,20 @@ PAGES: dict[type, Callable[..., Page]] = {
     Estimate: page_of_estimate,
     Table: page_of_table,
 }
-"""For each type of result, the function that makes its page from the result and the name of the file with all rows."""
+"""Functions that make a page from a result and the name of the file with all rows, by the type of the result."""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
-"""For each ``meta["made_by"]``, the function for the page of the table, and columns that the table must have."""
+"""Functions that make the page of a table, and the columns that the table must have, by ``meta["made_by"]``."""
 WITH_PLANS = (page_of_tile, page_of_allocators)
-"""Functions for pages with interactive focal planes."""
+"""Functions that make pages with an interactive focal plane."""
 ENDINGS = (".html", ".htm")
 
 
 def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
-    """Return the path if a report can be written there, or raise an error."""
+    """Return the path if a report can be written to it, or raise an error."""
     return check_output(path, ENDINGS, overwrite=overwrite)
 
 
@@ -70,7 +70,7 @@ def write_report(
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
     The page is a single file that contains its styles, script and figures (as SVG), and loads nothing from a network.
-    Pages on the same result contain the same bytes.
+    If the same result is written twice, the two files have the same bytes.
 
     Parameters
     ----------
@@ -92,14 +92,14 @@ def write_report(
         Largest number of rows of a table; the page states the number of all rows. By default, the list of all
         assignments of a tile is complete, and other tables show 1000 rows.
     plans : dict of str to Tile, optional
-        Other plans of the same tile by name, for a report on a `Tile`, or all plans of a comparison, for a table of
-        `compare_allocators`. The view of the focal plane shows the differences of any two of them.
+        For a report on a `Tile`, other plans of the same tile by name; for a table of `compare_allocators`, all plans
+        of the comparison by name. The view of the focal plane shows the differences between any two plans.
 
     Raises
     ------
     InputError
-        If there is no page for this type of result, the path has another ending or exists, a figure is not valid, or
-        ``plans`` have other positioners or belong to another type of result.
+        If there is no page for this type of result, the path has another ending or exists, a figure is not valid,
+        ``plans`` have different positioners, or ``plans`` are given for another type of result.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def write_report(
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
     if title is not None:
-        page = replace(page, title=str(title))  # a plain str, since other types can mark themselves as safe HTML
+        page = replace(page, title=str(title))  # a plain str, since subclasses can declare that they are safe HTML
     if pictures:
         page = replace(page, sections=[Section("Figures", pictures), *page.sections])
     content = html_of(page, max_rows).encode()
@@ -137,7 +137,7 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None
             own, columns = MADE_BY.get(made_by, (build, set()))
-            complete = not columns or columns <= set(result.colnames)  # a selection of columns has a plain page
+            complete = not columns or columns <= set(result.colnames)  # a table with missing columns gets a plain page
             build = own if complete else build
             if build is page_of_table and is_designs(result):
                 build = page_of_designs
@@ -148,11 +148,11 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
                 raise InputError("plans must be given only for a Tile or a table of compare_allocators")
             return build(result, where, **more)
     known = ", ".join(kind.__name__ for kind in PAGES)
-    raise InputTypeError(f"a report is about one of: {known}; got {type(result).__name__}")
+    raise InputTypeError(f"result must be one of {known}, got {type(result).__name__}")
 
 
 def _pictures(figures) -> list[Picture]:
-    """Return figures with captions."""
+    """Return figures with captions; the first sentence of a caption is separate from the rest."""
     named = figures if isinstance(figures, Mapping) else None
     if named is None:
         several = figures if isinstance(figures, Iterable) else [figures]

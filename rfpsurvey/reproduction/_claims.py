@@ -1,4 +1,4 @@
-"""The claims of the paper, and the results of this package."""
+"""The claims of Chen et al. (2024), and the results with which this package compares them."""
 
 from dataclasses import dataclass, fields
 
@@ -12,7 +12,7 @@ REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, and the result of this package."""
+    """A claim of the paper, the result of this package, the verdict, and how the claim was interpreted (reading)."""
 
     experiment: str
     claim: str
@@ -23,7 +23,7 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Return the verdict, which depends on whether the two numbers differ by at most ``sigmas`` errors."""
+    """Return the verdict "reproduced" if the two numbers differ by at most ``sigmas`` errors, else "not reproduced"."""
     return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
 
 
@@ -34,7 +34,7 @@ def claims_table(claims: list[Claim]) -> QTable:
 
 
 def claims_page(table: QTable, settings: dict) -> str:
-    """Return a page of reStructuredText with the claims."""
+    """Return a page in reStructuredText that lists the claims and the settings."""
     lines = ["Claims of the paper", "===================", "", "Made by ``rfpsurvey reproduce``: "]
     lines[-1] += ", ".join(f"{key} {value}" for key, value in settings.items()) + "."
     for experiment in dict.fromkeys(np.asarray(table["experiment"])):

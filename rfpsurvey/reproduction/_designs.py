@@ -31,23 +31,23 @@ N_TARGETS = 20_000
 SMALL = {"rings": 2, "radius": 76.8 * u.mm}
 LARGE = {"rings": 12, "radius": 200 * u.mm}
 MOST_ENTRIES = 32
-"""Maximum number of targets used from each queue; short queues allow more realizations in the same time."""
+"""Maximum number of targets that are used from each queue; a small number allows more realizations in the same time."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a run."""
+    """The settings of all experiments."""
 
     quick: bool = False
     executor: Executor | None = None
     progress: bool = False
     seed: int = 0
     error: float | None = None
-    """Standard error of every design; by default 0.0001, or 0.002 in a quick run."""
+    """Standard error to reach for every design; by default 0.0001, or 0.002 in a quick run."""
 
     @property
     def precision(self) -> float:
-        """Standard error of every design."""
+        """Standard error to reach for every design."""
         usual = 2e-3 if self.quick else 1e-4
         return usual if self.error is None else self.error
 
@@ -63,14 +63,14 @@ def plane_of(l1: float, ratio: float, pitch: float, rings: int) -> FocalPlane:
 
 
 def random_designs(settings: Settings) -> QTable:
-    """Return the designs of the large experiment, which are uniform in its ranges of parameters."""
+    """Return the designs of the experiment "large", drawn uniformly from its ranges of parameters."""
     rng = np.random.default_rng([settings.seed, 80])
     l1, ratio, pitch = rng.uniform((7.25, 1, 24.6), (14.5, 2, 35), (80, 3))[: settings.pick(80, 24)].T
     return QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm})
 
 
 def numbers_of(design: Row) -> tuple[float, float, float]:
-    """Return central arm (mm), ratio of the arms and pitch (mm) of a design."""
+    """Return the central arm (mm), the ratio of the arms and the pitch (mm) of a design."""
     l1, pitch = (float(design[name].to_value(u.mm)) for name in ("central_arm", "pitch"))
     return l1, float(design["ratio"]), pitch
 
@@ -89,13 +89,13 @@ def estimate(
 
 
 def scaled(values: np.ndarray) -> np.ndarray:
-    """Return values scaled so that the smallest is 0 and the largest 1."""
+    """Return values scaled so that the smallest is 0 and the largest is 1."""
     values = np.asarray(values, dtype=float)
     return (values - values.min()) / (values.max() - values.min())
 
 
 def error_of_fraction(p: float, n: int) -> float:
-    """Return the standard error of a fraction of ``n`` trials, which is never 0."""
+    """Return the standard error of a fraction ``p`` of ``n`` trials; the error is never 0."""
     return float(np.sqrt(max(p * (1 - p), 1 / n) / n))
 
 

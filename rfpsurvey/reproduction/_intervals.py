@@ -1,4 +1,4 @@
-"""Coverage of the confidence intervals for each stopping rule."""
+"""Coverage of the confidence intervals: the fraction of intervals that contain the true value, by stopping rule."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
-# arms and pitch (mm), minimum separation over 2, targets, precision of plain and of conditional simulation
+# central arm, eccentric arm, pitch, half of the minimum separation (mm), number of targets; standard errors to reach
 SCENES = {
     "LAMOST": ((8.25, 8.25, 25.6, 2.25, 148), {"monte_carlo": 0.003, "conditional": 0.0015}),
     "SDSS-V": ((7.4, 15.0, 22.4, 2.5391, 148), {"monte_carlo": 0.005, "conditional": 0.003}),
@@ -38,7 +38,7 @@ CONFIDENCE = 0.95
 
 
 def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the coverage of the confidence interval for each kind of interval and stopping rule, and the claims."""
+    """Return the coverage of each kind of confidence interval for each stopping rule, and the claims about it."""
     table = coverage(settings)
     claims = []
     for scene in SCENES:
@@ -79,8 +79,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     """Return how often each interval contains the true value, for plain and for conditional simulation.
 
-    Every repeat runs until the precision is met; the true value is estimated by a conditional simulation twenty
-    times as precise.
+    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation with one
+    twentieth (in a quick run, one fifth) of the smallest standard error of the repeats.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [

@@ -14,7 +14,10 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Largest relative half width of an interval for a sufficient number of iterations; the paper states no value."""
+"""Relative half width below which an interval has a sufficient ("proper") number of iterations.
+
+The paper states no value.
+"""
 NORMALIZATIONS = {
     "scaled to 0 and 1": scaled,
     "divided by the largest": lambda v: v / v.max(),
@@ -22,7 +25,7 @@ NORMALIZATIONS = {
 
 
 def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return estimates of all designs, plain simulations of named designs, and the claims."""
+    """Return estimates for all designs, plain simulations of the designs in ``NAMED``, and the claims about them."""
     designs = random_designs(settings)
     jobs = [(way, k) for way in WAYS for k in range(len(designs))]
 
@@ -52,7 +55,7 @@ def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **option
 
 
 def _differences(table, settings):
-    """Compare the normalized results of formula and simulation as in the paper; errors are from resampled designs."""
+    """Compare the normalized results of formula and simulation, as in the paper, with errors from resampled designs."""
     rng = np.random.default_rng([settings.seed, 1])
     samples = rng.integers(0, len(table), (2000, len(table)))
     rows = []
@@ -126,7 +129,7 @@ def _of_differences(table, differences):
 
 
 def _plain(settings):
-    """Return plain simulations with 6000 iterations, as in the paper, and conditional simulations."""
+    """Return plain simulations with 6000 iterations, as in the paper, and conditional simulations of named designs."""
 
     def run(name):
         seed = [settings.seed, 6000, list(NAMED).index(name)]
@@ -169,7 +172,10 @@ def _of_plain(plain):
 
 
 def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return fits, each with a random quarter of the designs held back, and the errors of the surrogate."""
+    """Return fits of the polynomial, the errors of the surrogate, and the claims about the fits.
+
+    In each fit, a random quarter of the designs is held back to test the fit.
+    """
     table = large(settings)[0]["large"] if table is None else table
     claims, rows = [], []
     for way in ("range_200", "covered"):
@@ -204,7 +210,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
 
 
 def _surrogate(settings):
-    """Compare the surrogate with quadratures for designs in the paper's range that were not used for its grid."""
+    """Compare the surrogate with quadratures for designs in the range of the paper that are not on the grid."""
     rng = np.random.default_rng([settings.seed, 300])
     n = settings.pick(300, 20)
     l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1.0), (14.5, 2, 35, 7.0), (n, 4)).T

@@ -1,4 +1,4 @@
-"""Coverage of the interval from one sky: how often it contains the mean over all skies of the same kind."""
+"""Coverage of the interval from one sky: how often this interval contains the mean over all skies of the same kind."""
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +12,7 @@ from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
 
 __all__ = ["one_sky"]
 
-# arms, pitch and half of the minimum separation (mm)
+# central arm, eccentric arm, pitch and half of the minimum separation (mm)
 ARMS = {
     "LAMOST": (8.25, 8.25, 25.6, 2.25),
     "SDSS-V": (7.4, 15.0, 22.4, 2.5391),
@@ -26,7 +26,7 @@ CLUSTERED = {
 }
 """Focal planes that are also simulated with clustered targets."""
 CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
-"""Mean number of targets in a cluster, and its standard deviation in x and y (mm)."""
+"""Mean number of targets in a cluster, and standard deviation of their positions in x and y (mm)."""
 MOST_LARGE = 800
 """Number of skies for focal planes of 200 positioners or more; for smaller focal planes, the number is 2000."""
 CONFIDENCE = 0.95
@@ -82,7 +82,7 @@ def _row(arms, rings, number, sky, settings):
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))
-    if n < skies / 2:  # skies with an interval are a biased sample
+    if n < skies / 2:  # a minority of skies that have an interval would be a biased sample
         return (arms, len(plane), number, sky, truth, float(values.std()), *[np.nan] * 4, n / len(found), skies)
     held = float(np.mean((low <= truth) & (truth <= high), where=some))
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)
@@ -103,7 +103,10 @@ def _row(arms, rings, number, sky, settings):
 
 
 def _clustered(n_targets, radius, size, scale):
-    """Return a sampler of targets in clusters; cluster centers are uniform, and cluster sizes Poisson distributed."""
+    """Return a function that draws clustered targets.
+
+    The centers of the clusters are uniform, and the numbers of targets in them have a Poisson distribution.
+    """
     wide = radius + 4 * scale
 
     def sampler(rng):

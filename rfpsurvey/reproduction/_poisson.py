@@ -22,24 +22,30 @@ from rfpsurvey.reproduction._large import NAMED, uniform_estimate
 __all__ = ["drops_by_ratio", "poisson"]
 
 PAPER = 2.6
-"""Percentage by which uniform targets collide more often than Poisson-distributed ones."""
+"""Percentage by which the collision probability is larger with uniform than with Poisson-distributed targets."""
 MARGIN = 0.2
 """Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
-"""Minimum separations (mm) of Poisson-disc targets; 20,000 random discs fit into 200 mm only up to 2.09 mm."""
+"""Minimum separations (mm) of Poisson-disc targets.
+
+With separations above 2.09 mm, 20,000 random targets would not fit into the circle with the radius 200 mm.
+"""
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
-"""Index of each interpretation of the paper in the random seeds, by the name of the interpretation."""
+"""Number that identifies each interpretation of the paper in the random seeds, by the name of the interpretation."""
 DISC_DESIGNS = 24
 """Number of random designs that are also simulated with Poisson-disc targets."""
 DISC_ERROR = 3e-3
-"""Relative standard error of a design with Poisson-disc targets, which take a long time to draw."""
+"""Relative standard error to reach for a design with Poisson-disc targets, which take a long time to draw."""
 LAMOST_ERROR = 0.4
-"""Standard error for LAMOST's design, which is also compared separately, divided by that for other designs."""
+"""Standard error for LAMOST's design, which is also compared separately, relative to that for other designs."""
 FEW_ERROR = 5e-3
-"""Standard error of a design if few positioners reach targets; the error of the mean over designs is then 0.2 %."""
+"""Standard error of a design for interpretations of the paper in which few positioners reach targets.
+
+The relative error of the mean over designs is then 0.2 %.
+"""
 RATIOS = (1.0, 1.25, 1.5, 2.0)
 """Edges of ranges of the ratio of the arms."""
 
@@ -49,10 +55,10 @@ def poisson(
 ) -> tuple[dict[str, QTable], list[Claim]]:
     """Return estimates for every interpretation of "Poisson-distributed", and the differences from uniform targets.
 
-    The table ``poisson`` has a row for each design, the last one LAMOST's; ``poisson_disc`` has a row for each minimum
-    separation, which contains several averages of the drop (the percentage by which uniform targets collide more often
-    than Poisson-disc targets). If ``discs`` is empty, ``poisson_disc`` has no rows; most of the computing time is spent
-    on Poisson-disc targets.
+    The table ``poisson`` has a row for each design; the last row is LAMOST's design. The table ``poisson_disc`` has a
+    row for each minimum separation, with several averages of the drop, which is the percentage by which the collision
+    probability is larger with uniform targets than with Poisson-disc targets. Most of the computing time is spent on
+    Poisson-disc targets. If ``discs`` is empty, they are omitted, and ``poisson_disc`` has no rows.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -100,12 +106,12 @@ def poisson(
 def _averages(table, name):
     """Return the rows of a table that have values for an interpretation, and the drop for each of these designs.
 
-    A drop is the percentage by which uniform targets collide more often than Poisson-distributed targets. The rows of
-    the second result are the drops and their standard errors.
+    A drop is the percentage by which the collision probability is larger with uniform targets than with
+    Poisson-distributed targets. The second result has two rows: the drops, and their standard errors.
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
-    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # NaN: no drop
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # no drop: NaN
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 
@@ -119,21 +125,23 @@ def _of_means(part, name):
 
 
 def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
-    """Return the percentage by which uniform targets collide more often than targets with each minimum separation.
+    """Return the drop for each minimum separation of Poisson-disc targets.
+
+    The drop is the percentage by which the collision probability is larger with uniform targets.
 
     Parameters
     ----------
     table : QTable
-        Values and errors by design, the last one LAMOST's.
+        Values and errors of each design; the last row is LAMOST's design.
     discs : dict of str to float
-        Minimum separation (mm) of each reading, by name.
+        Minimum separation (mm) in each interpretation of the paper, by the name of the interpretation.
 
     Returns
     -------
     QTable
-        A row for each separation: the percentage for the mean over designs (``of_means``), the mean of the percentages
-        of the designs (``of_designs``), the same mean for ranges of the ratio of the arms (``ratio_1.00_1.25``, ...),
-        and the percentage for LAMOST's design (``lamost``), each with a standard error.
+        A row for each separation: the drop of the mean over designs (``of_means``), the mean of the drops of the
+        designs (``of_designs``), this mean for ranges of the ratio of the arms (``ratio_1.00_1.25``, ...), and the drop
+        of LAMOST's design (``lamost``), each with a standard error.
     """
     rows = []
     for name, separation in discs.items():
@@ -156,8 +164,8 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 def _of_reading(name, table):
     """Compare averages over all designs, averages over designs of small ratios, and LAMOST's design with the paper.
 
-    The paper averages over its designs. If only some of the designs agree with the paper, the text of the paper does
-    not determine the verdict.
+    The paper averages over its designs. The claim is therefore reproduced if an average over all designs agrees with
+    the paper. If only some of the designs agree, the text of the paper does not determine the verdict.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]
@@ -182,14 +190,17 @@ def _of_reading(name, table):
 
 
 def _mean(values, errors):
-    """Return the mean of known values and its standard error."""
+    """Return the mean of the values that are not NaN, and the standard error of this mean."""
     known = np.isfinite(values)
     n = int(np.count_nonzero(known))
     return (values[known].mean(), np.sqrt((errors[known] ** 2).sum()) / n) if n else (np.nan, np.nan)
 
 
 def _coordinates(scale):
-    """Return a sampler of points with coordinates that are Poisson distributed about 0, in units of ``scale`` mm."""
+    """Return a function that draws points, whose coordinates have a Poisson distribution minus its mean of 100.
+
+    The coordinates are in units of ``scale`` mm.
+    """
 
     def sampler(rng):
         return scale * (rng.poisson(100.0, (N_TARGETS, 2)) - 100.0) * u.mm

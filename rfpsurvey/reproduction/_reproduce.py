@@ -1,4 +1,4 @@
-"""Run the experiments of Chen and coauthors (2024), write tables and figures, and compare results with claims."""
+"""Repeat the experiments of Chen et al. (2024), write tables and figures, and compare the results with the claims."""
 
 import os
 import platform
@@ -40,7 +40,7 @@ TABLES = {
     "intervals": ("intervals", "one_sky"),
     "speed": ("speed",),
 }
-"""Tables that each experiment writes, by the name of the experiment."""
+"""Names of the tables that each experiment writes, by the name of the experiment."""
 
 
 @check_keywords
@@ -54,24 +54,26 @@ def reproduce(
     overwrite: bool = False,
     progress: bool = False,
 ) -> QTable:
-    """Repeat the experiments of Chen and coauthors (2024), arXiv:2409.07288, and compare the results with its claims.
+    """Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with the claims.
 
     Parameters
     ----------
     experiment : {"all", "small", "large", "poisson", "fit", "intervals", "speed"}, optional
         ``small``: scans of arm ratio and pitch with 19 positioners. ``large``: comparison of formula and simulation
         for 80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets,
-        for every reading of the paper. ``fit``: the polynomial, and the surrogate for designs that were not used to
-        make it. ``intervals``: how often confidence intervals contain the true value, including intervals of given
-        targets. ``speed``: speed of arms of 64 segments compared with swept areas.
+        for every interpretation of the paper. ``fit``: the fit of the polynomial, and the errors of the surrogate for
+        designs that were not used to make the surrogate. ``intervals``: how often confidence intervals contain the true
+        value, including intervals for given targets. ``speed``: the time that collisions of arms of 64 segments take,
+        compared with that of swept areas. ``all``: all experiments.
     folder : str or path, optional
-        Folder of the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); created if it is missing.
+        Folder for the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); it is created if it does
+        not exist.
     quick : bool, optional
         Whether to use few designs, repeats and iterations. The results then test the code, but not the claims.
     workers : int, optional
-        Number of threads, by default the number of cores. Results do not depend on it.
+        Number of threads, by default the number of cores. Results other than times do not depend on this number.
     rng : int, optional
-        Seed.
+        Seed of the random number generators.
     overwrite : bool, optional
         Whether to replace outputs of an earlier run.
     progress : bool, optional
@@ -80,19 +82,20 @@ def reproduce(
     Returns
     -------
     QTable
-        Table with a row for each claim: experiment, claim, paper, ours, verdict (reproduced, not reproduced, or cannot
-        be decided from the text), and reading (how the claim was interpreted). The ``meta`` of the table contains the
-        settings, and the ``folder`` of the tables of results.
+        Table with a row for each claim and the columns ``experiment``, ``claim``, ``paper`` (the result of the paper),
+        ``ours`` (the result of this package), ``verdict`` (reproduced, not reproduced, or cannot be decided from the
+        text), and ``reading`` (how the claim was interpreted). The ``meta`` of the table contains the settings, and the
+        ``folder`` with the tables of results.
 
     Raises
     ------
     InputError
-        If the name is unknown, or outputs exist and ``overwrite`` is False.
+        If the name is unknown, ``rng`` or ``workers`` is invalid, or outputs exist and ``overwrite`` is False.
 
     References
     ----------
-    Chen and coauthors (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different
-    Types of Theta-phi Positioners".
+    Chen et al. (2024), arXiv:2409.07288, "General Methods for Evaluating Collision Probability of Different Types of
+    Theta-phi Positioners".
 
     Examples
     --------
@@ -116,7 +119,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name in ("fit", "poisson") and "large" in made:  # use the existing designs
+            if name in ("fit", "poisson") and "large" in made:  # use the results for these designs
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)

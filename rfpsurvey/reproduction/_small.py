@@ -17,7 +17,7 @@ COMPARABLE = 0.1
 
 
 def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the scans of ratio and pitch, and the claims about them."""
+    """Return the scans of the arm ratio and of the pitch, and the claims about them."""
     ratios, pitches = np.linspace(1, 3, settings.pick(9, 3)), np.linspace(25.6, 35, settings.pick(9, 3))
     scans = {
         "ratio": [(L1, r, PITCH) for r in ratios],

@@ -1,4 +1,4 @@
-"""Speed of arms of 64 segments, compared with swept areas and with exact distances."""
+"""Computing time of arms of 64 segments, compared with that of swept areas and of exact distances."""
 
 import numpy as np
 from astropy.table import QTable
@@ -10,11 +10,11 @@ from rfpsurvey.reproduction._designs import Settings
 __all__ = ["speed"]
 
 FAR_LESS = 1.0
-"""Percentage of the time of swept areas; if arms of 64 segments take longer than this, the claim is refuted."""
+"""If arms of 64 segments take more than this percentage of the time of swept areas, the claim is refuted."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the times of all methods of finding collisions for LAMOST, and the claims about two of them."""
+    """Return the times that four methods take to find the collisions of LAMOST, and the claims about the times."""
     table = benchmark_collisions(
         "lamost",
         methods=["exact", "sampled", "sweep", "scipy"],

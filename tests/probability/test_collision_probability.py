@@ -260,7 +260,7 @@ def test_without_targets_parked_arms_remain():
         assert np.isnan(got.value_assigned)
         np.testing.assert_array_equal(got.per_positioner, np.where(counted, hit, np.nan))
         for nobody, options in ((sdss_like(1), {}), (lamost_like(1), {"parked_obstacles": False})):
-            with pytest.raises(rs.InputError, match="there is nothing to score"):
+            with pytest.raises(rs.InputError, match="at least one positioner must be counted"):
                 flat.collision_probability(nobody, method=method, n_targets=0, max_iterations=5, **options)
 
 
@@ -406,5 +406,5 @@ def test_bad_planes_are_named():
         rs.collision_probability(12)
     idle = rs.FocalPlane(PAIR, LAMOST, disabled=[True, True])
     for method in ("conditional", "monte_carlo", "quadrature", "closed_form", "overlap_ratio"):
-        with pytest.raises(rs.InputError, match="there is nothing to score"):
+        with pytest.raises(rs.InputError, match="at least one positioner must be"):
             flat.collision_probability(idle, method=method, max_iterations=4)

@@ -99,7 +99,7 @@ def test_simulations_take_allocators_of_others(small, hers):
     [
         (
             None,
-            r"must return a probability for each positioner, numbers of the shape \(37,\), or a dict; got None",
+            r"must return a probability for each positioner, as numbers of the shape \(37,\), or a dict, got None",
         ),
         (0.5, r"got float of the shape \(\)"),
         (np.zeros(3), r"got ndarray of the shape \(3,\)"),
@@ -107,7 +107,7 @@ def test_simulations_take_allocators_of_others(small, hers):
         ([[1], [1, 2]], "must return a probability for each"),
         (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
         (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
-        (np.full(37, np.nan), "the answer must have value, or per_positioner for a positioner that can take"),
+        (np.full(37, np.nan), "the answer must have value, or per_positioner with a number for"),
         ({}, "the answer must have value, or per_positioner"),
         ({"n": 3}, "the answer must have value, or per_positioner"),
         (
@@ -121,8 +121,8 @@ def test_simulations_take_allocators_of_others(small, hers):
         ({"value": np.ones(3)}, "value must be a number"),
         ({"value": 0.5, "standard_error": -1}, "standard_error must be a number of at least 0, got -1"),
         ({"value": 0.5, "n": 1.5}, "n must be a whole number of at least 0, got 1.5"),
-        ({"value": 0.5, "low": 0.6, "high": 0.7}, "low, value and high must ascend, got 0.6, 0.5 and 0.7"),
-        ({"value": 0.5, "low": 0.4}, "low, value and high must ascend, got 0.4, 0.5 and nan"),
+        ({"value": 0.5, "low": 0.6, "high": 0.7}, "must be in ascending order, got 0.6, 0.5 and 0.7"),
+        ({"value": 0.5, "low": 0.4}, "low, value and high must be in ascending order, got 0.4, 0.5 and nan"),
         ({"value": 0.5, "meta": 3}, "meta must be a dict, got 3"),
     ],
 )

@@ -77,7 +77,7 @@ def test_the_surrogate_does_not_extrapolate(design, words):
 def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
     with pytest.raises(rs.InputError, match="central_arm must be a Quantity"):
         rs.probability.surrogate_probability(8, 8 * MM, 25 * MM, 4 * MM)
-    with pytest.raises(rs.InputError, match="shapes that fit"):
+    with pytest.raises(rs.InputError, match="shapes that can be broadcast"):
         rs.probability.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
 
 
@@ -139,9 +139,9 @@ def test_a_penalty_shrinks_what_noise_suggests(rng):
     [
         ({"probability": [0.1] * 5}, "30 finite numbers"),
         ({"probability": [np.nan] * 30}, "30 finite numbers"),
-        ({"ratio": np.ones(30)}, "must differ"),
+        ({"ratio": np.ones(30)}, "at least two different values"),
         ({"held_back": 0.9}, "held_back"),
-        ({"ratio": [[1.0] * 30] * 2}, "finite columns"),
+        ({"ratio": [[1.0] * 30] * 2}, "must be one-dimensional and finite"),
     ],
 )
 def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):

@@ -186,10 +186,10 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     # the provenance contains all digits
     assert float(facts["radius_deg"]) == pytest.approx(tile.provenance["catalog"]["radius_deg"], rel=1e-14)
     # the smallest clearances without a collision, compared with a direct calculation
-    heads, rows = page.table("Positioners with the smallest clearances")
+    heads, rows = page.table("Positioners without a collision that have the smallest")
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
-    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("Positioners with the smallest")]
+    (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("Positioners without a collision")]
     assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
@@ -388,7 +388,7 @@ def test_ids_of_figures_never_clash():
         ({"path": "page.pdf"}, "must end in .html or .htm"),
         ({"path": "no/page.html"}, "does not exist"),
         ({"path": "there.html"}, "exists; ask for it to be overwritten"),
-        ({"result": [1, 2]}, "a report is about one of: Tile, Survey, Tiling, Estimate, Table; got list"),
+        ({"result": [1, 2]}, "result must be one of Tile, Survey, Tiling, Estimate, Table, got list"),
         ({"figures": ["x"]}, "figures must be Figures or Axes of matplotlib, got str"),
         ({"max_rows": 0}, "max_rows must be a whole number of at least 1, got 0"),
         ({"title": 3}, "title must be text, got 3"),

@@ -111,7 +111,7 @@ class CalculatorView {
     this.curve();
   }
 
-  // What changes if one length changes by a little.
+  // The changes of the collision probability if one length changes slightly.
   fillSteps(p) {
     const rows = STEPS.map(([name, step]) => {
       const changed = { ...this.design, [name]: this.design[name] + step };

@@ -146,7 +146,7 @@ class DesignsView {
     }
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     const keys = make("p", { class: "keys" }, "Wheel, two fingers, + and \u2212: zoom; both plots show the same range of the horizontal axis. Drag, Shift and arrow keys: " +
-      "move. 0: show everything. Arrow keys: select a design. Large points are on the front: no other design is better in both objectives. Squares are instruments.");
+      "move. 0: show everything. Arrow keys: select a design. Large points are on the Pareto front: no other design is better in both objectives. Squares are instruments.");
     live.append(tools, make("div", { class: "panes" }, make("div", { class: "linked" }, ...this.plots.map((plot) => plot.stage.frame), keys), this.panel));
     this.update();
     this.choose(-1);
@@ -175,7 +175,7 @@ class DesignsView {
     const show = (value) => (Number.isInteger(value) ? String(value) : Number.isFinite(value) ? String(+value.toPrecision(5)) : "\u2013");
     const entries = Object.entries(this.columns).slice(0, long ? undefined : 8);
     return [make(long ? "h3" : "p", {}, make("strong", {}, this.instrument[k] || `Design ${k}`)),
-      ...(this.pareto[k] ? [make("p", {}, "On the front.")] : []), list(entries.map(([name, values]) => [this.words(name), show(values[k])]))];
+      ...(this.pareto[k] ? [make("p", {}, "This design is on the Pareto front.")] : []), list(entries.map(([name, values]) => [this.words(name), show(values[k])]))];
   }
 
   choose(k) {

@@ -222,7 +222,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
 
   choose(k, show = true) {
     this.selected = k;
-    const hint = "Click a positioner, or search its id, to see its target, its angles, its clearance, and why it is idle.";
+    const hint = "Click a positioner, or search for its id, to see its target, its angles, its clearance, and why it is idle.";
     this.panel.replaceChildren(...(k < 0 ? [make("p", {}, hint)] : this.card(k, true)));
     this.markRow(show);
     this.stage.draw();

@@ -200,7 +200,7 @@ class Stage {
   }
 }
 
-// The item nearest to another one in a direction: distances across count twice.
+// The nearest item in a direction from another item; distances perpendicular to this direction count twice.
 function nextItem(xs, ys, from, dx, dy, allowed) {
   let best = -1, least = Infinity;
   for (let k = 0; k < xs.length; k += 1) {

@@ -4,7 +4,7 @@ const RAMPS = { light: [[198, 226, 244], [0, 114, 178], [30, 16, 70]], dark: [[5
 const BINS = 8;
 const RAD = Math.PI / 180;
 
-// Equal-area projections, in degrees: of Hammer for the whole sky, of Lambert around a center. x increases to the east.
+// Equal-area projections, in degrees: Hammer's for the whole sky, Lambert's around a center. x increases to the east.
 function projection(whole, ra0, dec0) {
   const [sin0, cos0] = [Math.sin(dec0 * RAD), Math.cos(dec0 * RAD)];
   return (ra, dec) => {
@@ -222,7 +222,7 @@ class SkyMapView {
 
   choose(k) {
     this.selected = k;
-    this.panel.replaceChildren(...(k < 0 ? [make("p", {}, "Click a tile, or search its number, to see its values.")] : this.card(k, true)));
+    this.panel.replaceChildren(...(k < 0 ? [make("p", {}, "Click a tile, or search for its number, to see its values.")] : this.card(k, true)));
     this.stage.draw();
   }
 
