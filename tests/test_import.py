@@ -145,6 +145,12 @@ def test_unknown_names_are_refused():
         rs.plan_tiles  # noqa: B018
 
 
+@pytest.mark.parametrize("path", sorted(Path(__file__).parent.parent.glob("rfpsurvey/*/__init__.py")))
+def test_packages_have_all_names_of_their_lists(path):
+    package = import_module(f"rfpsurvey.{path.parent.name}")
+    assert all(hasattr(package, name) for name in getattr(package, "__all__", ()))
+
+
 def test_the_public_names_are_there():
     import rfpsurvey as rs
 

@@ -39,7 +39,6 @@ __all__ = [
     "interior_probability",
     "make_source",
     "make_surrogate",
-    "map_with_progress",
     "outside_box",
     "quantile",
     "rate_interval",

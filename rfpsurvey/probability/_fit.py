@@ -150,10 +150,14 @@ def fit_polynomial(
 
 def _designs(central_arm, ratio, pitch):
     columns = [to_mm(central_arm, "central_arm"), np.asarray(ratio, dtype=float), to_mm(pitch, "pitch")]
-    columns = np.broadcast_arrays(*map(np.atleast_1d, columns))
-    designs = np.column_stack(columns)
+    message = "central_arm, ratio and pitch must be one-dimensional and finite, with the same length"
+    try:
+        designs = np.column_stack(np.broadcast_arrays(*map(np.atleast_1d, columns)))
+    except ValueError:
+        shapes = ", ".join(str(column.shape) for column in columns)
+        raise InputError(f"{message}, got the shapes {shapes}") from None
     if designs.shape[1] != 3 or not np.isfinite(designs).all():
-        raise InputError("central_arm, ratio and pitch must be one-dimensional and finite, with the same length")
+        raise InputError(message)
     return designs
 
 

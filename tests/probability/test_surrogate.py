@@ -142,6 +142,7 @@ def test_a_penalty_shrinks_what_noise_suggests(rng):
         ({"ratio": np.ones(30)}, "at least two different values"),
         ({"held_back": 0.9}, "held_back"),
         ({"ratio": [[1.0] * 30] * 2}, "must be one-dimensional and finite"),
+        ({"ratio": [1.0, 2.0]}, r"with the same length, got the shapes \(30,\), \(2,\), \(30,\)"),
     ],
 )
 def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):
