@@ -48,7 +48,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])
-            looked = f"{n_near} of the {n_pairs} pairs of arms that can touch are close; their distances are"
+            looked = f"Distances were computed for {n_near} of the {n_pairs} pairs of arms that can touch; they are"
         collisions = f"Collisions: {TYPES[kind]}. {looked} {arms}"
     if instrument.distortion is None or projection == "tangent":
         positions = "a tangent plane with one plate scale"
