@@ -16,7 +16,7 @@ from pathlib import Path
 from setuptools.command.build_py import build_py
 
 DATA = Path(__file__).parent
-EXAMPLES = {"tycho2_anticenter_r8.ecsv.gz": {"ra": 8, "dec": 8, "pmra": 1, "pmdec": 1, "bt_mag": 3, "vt_mag": 3}}
+EXAMPLES = {"tycho2_anticenter_r5.ecsv.gz": {"ra": 8, "dec": 8, "pmra": 1, "pmdec": 1, "bt_mag": 3, "vt_mag": 3}}
 """Number of decimals of each column of numbers, for each file; all other columns are whole numbers with hyphens."""
 
 

@@ -32,7 +32,7 @@ def presets():
 @pytest.fixture(scope="session")
 def tycho():
     """Return the real catalog of the package."""
-    return Path(__file__).parent.parent / "data" / "tycho2_anticenter_r8.ecsv.gz"
+    return Path(__file__).parent.parent / "data" / "tycho2_anticenter_r5.ecsv.gz"
 
 
 @pytest.fixture(scope="session")

@@ -38,11 +38,11 @@ def test_scripts_are_short():
 def test_lamost_observes_the_fraction_that_is_asked_for(script):
     values, printed = script("plot_1_lamost")
     survey = values["survey"]
-    assert printed.startswith(f"<Tiling of 7 tiles in 1 pass>\n{survey}\n")
+    assert printed.startswith(f"<Tiling of 5 tiles in 1 pass>\n{survey}\n")
     assert 0.8 <= survey.summary["completeness"] < 0.85
     assert survey.summary["n_colliding"] == 0
     assert sum(map(int, re.findall(r"^ *(\d+) ", printed, re.MULTILINE))) == len(values["stars"])
-    assert len(QTable.read("lamost_tiles.ecsv", format="ascii.ecsv")) == 7
+    assert len(QTable.read("lamost_tiles.ecsv", format="ascii.ecsv")) == 5
     assert len(QTable.read("lamost_targets.ecsv", format="ascii.ecsv")) == survey.summary["n_visits_observed"]
     assert plt.get_fignums()
 

@@ -12,7 +12,7 @@ from rfpsurvey.errors import InputError, check_choice
 __all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name", "read_table"]
 
 PREFIX = "example:"
-EXAMPLES = {"anticenter": "tycho2_anticenter_r8.ecsv"}
+EXAMPLES = {"anticenter": "tycho2_anticenter_r5.ecsv"}
 # The first folder is in the wheel, where data/wheel.py writes it. The second folder is in the source tree.
 _PLACES = ((Path(__file__).parent / "examples", ".packed"), (Path(__file__).parents[2] / "data", ".gz"))
 

@@ -17,7 +17,7 @@ def example_catalog(name: str = "anticenter") -> Catalog:
     Parameters
     ----------
     name : {"anticenter"}, optional
-        ``anticenter``: the 21,662 stars of the Tycho-2 main catalog within 8 deg of ICRS (95, +23) deg, the Galactic
+        ``anticenter``: the 8830 stars of the Tycho-2 main catalog within 5 deg of ICRS (95, +23) deg, the Galactic
         anticenter with the cluster M35.
 
     Returns
@@ -40,7 +40,7 @@ def example_catalog(name: str = "anticenter") -> Catalog:
     >>> import rfpsurvey as rs
     >>> stars = rs.example_catalog("anticenter")
     >>> stars
-    <Catalog of 21662 targets with epoch, bt_mag, vt_mag>
+    <Catalog of 8830 targets with epoch, bt_mag, vt_mag>
     """
     check_choice(name, EXAMPLES, "example catalog")
     return Catalog.read(f"{PREFIX}{name}", keep=["bt_mag", "vt_mag"])

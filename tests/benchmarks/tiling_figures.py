@@ -47,24 +47,24 @@ def promises(name):
                 print(f"{name}, {len(catalog)} targets, {method}, {goal}, fibers {fibers}: {what}", flush=True)
 
 
-def numbers_of_tiles(title, catalog, fibers):
+def numbers_of_tiles(title, catalog, instrument, fibers):
     """Print the number of tiles that each method requires for a completeness."""
-    print(f"{title}: {len(catalog)} targets, LAMOST, {fibers} fibers a tile; tiles (seconds)")
+    print(f"{title}: {len(catalog)} targets, {instrument}, {fibers} fibers a tile; tiles (seconds)")
     print(f"  {'method':<18}" + "".join(f"{100 * goal:>16g} %" for goal in GOALS))
     for method in SEARCHES:
         cells = []
         for goal in GOALS:
-            tiling, seconds = place(catalog, "lamost", method=method, fibers=fibers, completeness=goal)
+            tiling, seconds = place(catalog, instrument, method=method, fibers=fibers, completeness=goal)
             cells.append(f"{len(tiling):>9} ({seconds:6.2f})")
         print(f"  {method:<18}" + "  ".join(cells), flush=True)
 
 
-def one_pass(title, catalog, fibers):
+def one_pass(title, catalog, instrument, fibers):
     """Print the completeness that each method reaches with the number of tiles of one pass of the hexagonal lattice."""
-    options = {"fibers": fibers, "n_tiles": len(rs.place_tiles(catalog, "lamost", fibers=fibers))}
+    options = {"fibers": fibers, "n_tiles": len(rs.place_tiles(catalog, instrument, fibers=fibers))}
     print(f"{title}: completeness of {options['n_tiles']} tiles")
     for method in SEARCHES:
-        tiling, _ = place(catalog, "lamost", method=method, **options)
+        tiling, _ = place(catalog, instrument, method=method, **options)
         print(f"  {method:<18}{tiling.summary['completeness']:.4f}", flush=True)
 
 
@@ -101,14 +101,14 @@ if __name__ == "__main__":
     for name in ("lamost", "sdss_apo", "moons", "desi"):
         with warnings.catch_warnings(action="ignore"):
             promises(name)
-    anticenter = rs.Catalog.read(DATA / "tycho2_anticenter_r8.ecsv.gz")
+    anticenter = rs.Catalog.read(DATA / "tycho2_anticenter_r5.ecsv.gz")
     for method in SEARCHES:  # compile the kernels
         rs.place_tiles(anticenter[::50], "lamost", method=method, n_tiles=2)
-    numbers_of_tiles("Tycho-2 anticenter, 8 deg", anticenter, 1000)
-    one_pass("Tycho-2 anticenter, 8 deg", anticenter, 1000)
+    numbers_of_tiles("Tycho-2 anticenter, 5 deg", anticenter, "sdss_apo", 500)
+    one_pass("Tycho-2 anticenter, 5 deg", anticenter, "sdss_apo", 500)
     spring = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 1000)
-    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, 250)
-    one_pass("Tycho-2 spring, 60 x 20 deg", spring, 1000)
+    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, "lamost", 1000)
+    numbers_of_tiles("Tycho-2 spring, 60 x 20 deg", spring, "lamost", 250)
+    one_pass("Tycho-2 spring, 60 x 20 deg", spring, "lamost", 1000)
     for density, fibers in ((90, 640), (90, 592), (120, 640), (120, 592)):
         blanton(density, fibers)

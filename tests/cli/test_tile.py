@@ -44,7 +44,7 @@ def test_a_catalog(tile, tycho, tmp_path):
     assert "exists" in err
     code, _, err = tile(tycho, "--fibers", 100, "--n-tiles", 3, "--completeness", 0.5)
     assert code == 0
-    assert "warning: 3 tiles reach a completeness of 0.0138" in err
+    assert "warning: 3 tiles reach a completeness of 0.0340" in err
 
 
 def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_path):

@@ -6,13 +6,12 @@ This script plans a survey of Tycho-2 stars around the Galactic anticenter. A ne
 the positions of the tiles.
 """
 
-import astropy.units as u
 import matplotlib.pyplot as plt
 
 import rfpsurvey as rs
 
 # The package includes this catalog. To read your own catalog, write rs.Catalog.read("stars.fits").
-stars = rs.example_catalog("anticenter").within("95 23", 6 * u.deg)
+stars = rs.example_catalog("anticenter")
 
 # Tiles are added until 80 % of the stars are observed. The allocator must be the same as for the survey, because
 # another allocator would observe other stars of a tile.
