@@ -42,7 +42,8 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     """List the colliding candidates of each pair of neighboring positioners, beginning with the pair of index ``p``.
 
     Returns the number of listed candidate pairs, and the index of the first pair of neighbors for which there was no
-    space in the lists. ``borderline`` marks the candidate pairs for which rounding errors could change the result.
+    space in the lists. ``borderline`` marks the candidate pairs for which rounding errors could change the result. If
+    the arms have outlines, all close candidate pairs are listed, and `keep_outlined` must test them.
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
@@ -81,7 +82,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
             m += ahead[b] - foremost <= touching
         a = a0
         while a < a1:
-            found = 0
+            found = np.int64(0)  # a literal 0 would compile `keep_near` a second time
             while a < a1 and found < BATCH:
                 line = ahead[a] + touching
                 if hindmost <= line:
@@ -95,10 +96,23 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
                 a += 1
             for k in range(keep_near(halves, found, touching**2, one, two)):
                 c, d = one[k], two[k]
-                d2 = outlined_squared(segments, c, d, limits, i, j) if outlined else pair_squared(segments, c, d)
+                d2 = pair_squared(segments, c, d)
                 first[n], second[n], borderline[n] = c, d, d2 >= limit - band
-                n += d2 < limit + band
+                n += outlined | (d2 < limit + band)
     return n, p
+
+
+@kernel
+def keep_outlined(n, own, segments, limits, first, second, borderline):
+    """Keep those of the first n candidate pairs whose outlines collide, in place, and return their number."""
+    m = 0
+    limit, band = limits.separation**2, limits.band
+    for k in range(n):
+        a, b = first[k], second[k]
+        d2 = outlined_squared(segments, a, b, limits, own[a], own[b])
+        first[m], second[m], borderline[m] = a, b, d2 >= limit - band
+        m += d2 < limit + band
+    return m
 
 
 @kernel
@@ -161,14 +175,15 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
     fill = column.size > 0
     for p in range(n_pairs):
         lo, hi = pair_start[p], pair_start[p + 1]
-        a, b = np.unique(first[lo:hi]), np.unique(second[lo:hi])
-        table = np.zeros((a.size, b.size), np.bool_)
-        for k in range(lo, hi):
-            table[np.searchsorted(a, first[k]), np.searchsorted(b, second[k])] = True
-        by_a, by_b = distinct_rows(table), distinct_rows(table.T)
+        a, place_a = distinct_values(first[lo:hi])
+        b, place_b = distinct_values(second[lo:hi])
+        table, turned_table = np.zeros((a.size, b.size), np.bool_), np.zeros((b.size, a.size), np.bool_)
+        for k in range(hi - lo):
+            table[place_a[k], place_b[k]] = turned_table[place_b[k], place_a[k]] = True
+        by_a, by_b = distinct_rows(table), distinct_rows(turned_table)
         turned = by_b.sum() < by_a.sum()  # the positioner with fewer distinct rows gives fewer cliques
         rows, columns = (b, a) if turned else (a, b)
-        matrix = table.T.copy() if turned else table
+        matrix = turned_table if turned else table
         new = by_b if turned else by_a
         for r in range(rows.size):
             if not new[r]:
@@ -189,6 +204,30 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
             n += 1
             row_start[n] = filled
     return n
+
+
+@kernel
+def distinct_values(values):
+    """Return the distinct integers of an array in increasing order, and the index of each element in this list.
+
+    The range of the integers must be short. `numpy.unique` does the same, but takes seconds to compile.
+    """
+    least = most = values[0]
+    for value in values:
+        least, most = min(least, value), max(most, value)
+    index = np.full(most - least + 1, -1)
+    for value in values:
+        index[value - least] = 0
+    n = 0
+    for k in range(index.size):
+        if index[k] == 0:
+            index[k] = n
+            n += 1
+    distinct, place = np.empty(n, np.int64), np.empty(values.size, np.int64)
+    for k in range(values.size):
+        place[k] = index[values[k] - least]
+        distinct[place[k]] = values[k]
+    return distinct, place
 
 
 @kernel

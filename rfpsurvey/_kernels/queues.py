@@ -125,7 +125,7 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
             n += (ahead[b] - foremost <= touching) & (weight[b] > 0.0)
         a, found = a0, False
         while a < a1:
-            m = 0
+            m = np.int64(0)  # a literal 0 would compile `keep_near` a second time
             while a < a1 and m < BATCH:
                 line = ahead[a] + touching
                 if hindmost <= line and weight[a] > 0.0:

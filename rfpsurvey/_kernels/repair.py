@@ -9,6 +9,9 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
+# Literal integers would compile `put` and `displace` once more.
+NONE, NO, YES = np.int64(-1), np.int64(0), np.int64(1)
+
 
 @kernel
 def put(i, c, options, chosen, blocked, holder):
@@ -89,7 +92,7 @@ def displace(i, floor, better, options, chosen, blocked, holder):
         if j < 0:
             continue
         theirs = chosen[j]
-        put(j, -1, options, chosen, blocked, holder)
+        put(j, NONE, options, chosen, blocked, holder)
         put(i, c, options, chosen, blocked, holder)
         d = best_free(j, theirs, options, chosen, blocked, holder)
         if d >= 0 and blocked[c] == 0:
@@ -154,7 +157,7 @@ def settle(options, order, fixed, chosen, blocked, holder):
         if c >= 0:
             put(i, c, options, chosen, blocked, holder)
             moved += 1
-        elif displace(i, chosen[i], 0, options, chosen, blocked, holder):
+        elif displace(i, chosen[i], NO, options, chosen, blocked, holder):
             moved += 1
     return moved
 
@@ -206,6 +209,6 @@ def gain(options, order, chosen, blocked, holder):
         if c >= 0 and rank[c] < rank[chosen[i]]:
             put(i, c, options, chosen, blocked, holder)
             changed = True
-        elif displace(i, chosen[i], 1, options, chosen, blocked, holder):
+        elif displace(i, chosen[i], YES, options, chosen, blocked, holder):
             changed = True
     return changed

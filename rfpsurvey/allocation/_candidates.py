@@ -110,6 +110,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
     key, as_good = _keys(problem, target, held)
     indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
+    pairs = np.ascontiguousarray(pairs)  # another memory layout would compile the kernel a second time
     conflicts.adjacency(pairs[0], pairs[1], indptr, other)
     by_target = _by_target(target, len(problem.xy))
     options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
@@ -155,6 +156,8 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
     room = int(max(ROOM, (size[pairs[:, 0]] * size[pairs[:, 1]]).max(initial=0)))
     first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     borderline = np.empty(room, dtype=bool)
+    owner = np.repeat(np.arange(len(size)), size)
+    outlined = columns.limits.outline.start.size > 1
     p, found, total, begin = 0, [], 0, np.inf
     while p < len(pairs):
         if perf_counter() - begin > seconds or total > most_pairs:
@@ -162,12 +165,13 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
         n, p = conflicts.list_conflicts(
             pairs, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
         )
+        if outlined:
+            n = conflicts.keep_outlined(n, owner, segments, columns.limits, first, second, borderline)
         if not found:
             begin = perf_counter()  # the first call may compile the kernel
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])
         if len(edge):
-            owner = np.repeat(np.arange(len(size)), size)
             rows = [(*part[:, k], *owner[part[:, k]]) for k in edge]
             close = [arms_closer_exactly(columns, segments, *four) for four in rows]
             part = np.delete(part, edge[~np.array(close)], axis=1)
