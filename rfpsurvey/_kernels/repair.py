@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Literal integers would compile `put` and `displace` once more.
+# Literal integers would compile `put` and `displace` a second time.
 NONE, NO, YES = np.int64(-1), np.int64(0), np.int64(1)
 
 

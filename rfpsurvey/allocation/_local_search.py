@@ -72,7 +72,7 @@ def repair_collisions(
     groups = candidates.problem.groups
     now, *state = stand(candidates, np.where(chosen < 0, options.start[1:] - 1, chosen))
     low = [group.requirement.minimum > 0 for group in groups]
-    most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups])
+    most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
     def order():
         """Return the order of positioners: those that no requirement counts are first, then low-priority targets."""
@@ -107,7 +107,7 @@ def _repair(options, order, now, blocked, holder, deadline):
             break
         moved += moves.settle(options, some, fixed, now, blocked, holder)
     dropped = moves.drop(options, order, fixed, now, blocked, holder)
-    parts = _batches(options, order[::-1])
+    parts = _batches(options, order[::-1].copy())
     for _ in range(ROUNDS):
         changed = False
         for some in parts:
