@@ -39,15 +39,15 @@ def benchmark_batches(
     workers : sequence of int, optional
         Numbers of threads.
     repeats : int, optional
-        Number of calls with the same settings. The table contains the median of their times.
+        Number of calls with the same settings. The table contains the median time of these calls.
     rng : int, Generator or None, optional
-        Seed or random number generator of the targets, which are uniform in the patrol areas.
+        Seed or random number generator for the targets, which are uniformly distributed in the patrol areas.
 
     Returns
     -------
     QTable
-        Table with a row for each device, number of workers and size: median ``time`` of a call, and ``rate``, the
-        number of configurations per second.
+        Table with a row for each combination of device, number of workers and size. ``time`` is the median time of a
+        call, and ``rate`` is the number of configurations per second.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def benchmark_collisions(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Measure the time and the errors of each method of finding collisions, on the same arms.
+    """Measure the time and the errors of each method of finding collisions; all methods use the same arms.
 
     Each positioner has one target, uniformly distributed in its patrol area. The result of each method is compared with
     the result of rational arithmetic. The measured time begins with known poses of the arms and ends with the list of
@@ -94,20 +94,22 @@ def benchmark_collisions(
     repeats : int, optional
         Largest number of runs of each method on each configuration.
     seconds : float, optional
-        Total time (s) of a method after which it is not run again.
+        Time limit (s) of each method. A method is not run again when its total time exceeds this limit.
     rng : int, Generator or None, optional
         Seed or random number generator of the targets.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished runs and of all runs.
+        Show the progress on the standard error, or call a function with the number of finished rounds and the total
+        number of rounds. Each round runs every method once on each configuration.
 
     Returns
     -------
     QTable
-        Table with a row for each method and number of points: ``method``, ``n_points``, ``device``, median ``time`` of
-        a configuration, ``ratio`` of this time to the time of ``exact``, ``n_colliding_true`` (true number of colliding
-        pairs, the same for every method), ``n_missed`` (false negatives) and ``n_spurious`` (false positives),
-        ``misclassified`` (``n_missed`` plus ``n_spurious``, divided by the true number), ``max_error`` and
-        ``mean_error`` of the distances of colliding pairs that were found. The counts are sums over all configurations.
+        Table with a row for each method and ``n_points`` (see `~rfpsurvey.find_collisions`): ``method``, ``n_points``,
+        ``device``, ``time`` (median time per configuration), ``ratio`` of this time to the time of ``exact``,
+        ``n_colliding_true`` (true number of colliding pairs, the same for every method), ``n_missed`` (false negatives)
+        and ``n_spurious`` (false positives), ``misclassified`` (``n_missed`` plus ``n_spurious``, divided by
+        ``n_colliding_true``), ``max_error`` and ``mean_error`` of the distances of the colliding pairs that were found.
+        The counts are sums over all configurations.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each method finds in each case, and the times without that of the first round."""
+    """Return the pairs that each method finds in each case, and the times of each method after the first round."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -189,7 +191,7 @@ def _true_pairs(case):
 
 
 def _errors(truth, found):
-    """Return the numbers of missed and spurious pairs, and the errors of the distances of all other pairs."""
+    """Return the numbers of missed and spurious pairs, and the errors of the distances of the pairs that were found."""
     n = missed = spurious = 0
     errors = []
     for true, got in zip(truth, found, strict=True):
@@ -209,7 +211,7 @@ def _errors(truth, found):
 
 
 def _case(plane, tips) -> Configuration:
-    """Return the configuration of arms with given tips."""
+    """Return the configuration in which the arms have the given tips."""
     posed = place_arms(plane, tips * u.mm)
     return Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
 

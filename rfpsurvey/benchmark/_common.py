@@ -16,7 +16,7 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 def random_tips(plane, rng):
     """Return one random target (mm) per positioner, uniformly distributed in its patrol area.
 
-    If a hundred random points are out of reach of a positioner, its target is NaN.
+    If a positioner reaches none of a hundred random points, its target is NaN.
     """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)

@@ -47,10 +47,10 @@ def benchmark_probability(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Name of a preset, instrument or focal plane. Random targets are the default ones of
+        Name of a preset, instrument or focal plane. The random targets are the default targets of
         `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
-        Numbers of iterations, realizations or points for each method; the number for formulas is 0.
+        Numbers of iterations, realizations or points for each method. Give 0 for the methods that are formulas.
     repeats : int, optional
         Number of runs with different random numbers for each method and effort.
     precision : float, optional
@@ -58,7 +58,8 @@ def benchmark_probability(
     rng : int, Generator or None, optional
         Seed or random number generator.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished runs and of all runs.
+        Show the progress on the standard error, or call a function with the number of finished rounds and the total
+        number of rounds. Each round runs every method once with each effort.
 
     Returns
     -------
@@ -149,7 +150,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare collision probabilities of independent targets, for several densities, with that of allocated targets.
+    """Compare the collision probability of independent targets, for several densities, with that of allocated targets.
 
     Parameters
     ----------

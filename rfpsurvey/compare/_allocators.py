@@ -45,12 +45,13 @@ def compare_allocators(
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`.
     allocators : list of str or callable, optional
-        Allocators, see `AllocationOptions`; all built-in ones by default.
+        Allocators (see `AllocationOptions`); by default all built-in allocators.
     options : AllocationOptions, optional
-        Options of every plan, such as requirements, required targets and circles that no arm may cover. Their
-        allocator is replaced by each of ``allocators``.
+        Options of every plan, such as requirements, required targets and circles that no arm may cover. The
+        allocator in these options is replaced by each of ``allocators``.
     return_tiles : bool, optional
-        Whether to return the planned tiles as well, for example as the ``plans`` of `~rfpsurvey.write_report`.
+        Whether to return the planned tiles as well, for example for the argument ``plans`` of
+        `~rfpsurvey.write_report`.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
@@ -58,16 +59,18 @@ def compare_allocators(
     -------
     QTable
         Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
-        fibers on each kind of target); the number of fibers on each priority class, if there are from two to eight
-        classes; ``missing`` (number of fibers missing for the requirements); ``colliding`` (number of positioners in
-        collision), ``pairs`` (colliding pairs) and ``at_obstacles`` (collisions with obstacles); ``usable`` (number of
-        science fibers without a collision); ``loss`` (fraction by which ``usable`` is smaller than the number of
-        science fibers of the best plan that ignores collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (relative difference between the objective of the plan and its proven upper bound; NaN
-        without a proven bound); ``seconds`` (time for finding the targets in reach and for the allocation, without
-        compilation). ``meta`` contains the unmet requirements of each allocator, and the provenance.
+        fibers on each kind of target); the number of fibers on targets of each priority class, if there are from two to
+        eight classes; ``missing`` (number of additional fibers that the requirements demand); ``colliding`` (number of
+        positioners in collision), ``pairs`` (number of colliding pairs) and ``at_obstacles`` (number of collisions with
+        obstacles); ``usable`` (number of science fibers without a collision); ``loss`` (fraction by which ``usable`` is
+        smaller than the number of science fibers of the best plan that ignores collisions; it can be negative for
+        allocators that ignore requirements); ``gap`` (relative difference between the objective of the plan and its
+        proven upper bound; NaN without a proven bound); ``seconds`` (time for finding the targets in reach and for the
+        allocation, without compilation). ``meta`` contains the unmet requirements of each allocator, and the
+        provenance.
     dict of str to Tile
-        The tile that each allocator planned, by the name of the allocator. It is returned only with ``return_tiles``.
+        For the name of each allocator, the tile that this allocator planned. This dict is returned only if
+        ``return_tiles`` is true.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
     if not isinstance(methods, list | tuple):
         raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
     if "allocator" in others:
-        raise InputError("the argument allocators must name the allocators to compare, got the argument allocator")
+        raise InputError("the allocators to compare must be given as the argument allocators, got allocator")
     if not methods:
         raise InputError("allocators must name at least one allocator, got none")
     common = AllocationOptions() if options is None else as_options(options)

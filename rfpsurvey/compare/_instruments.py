@@ -27,8 +27,8 @@ WITHOUT_COLLISIONS = ("optimal", "repair")
 COMPARABLE = {
     "same targets per positioner": (
         "Each instrument observes its own synthetic targets; the number of targets per positioner in the "
-        "footprint is the same. Fractions of the positioners, probabilities, pairs per positioner and losses "
-        "can be compared; numbers of targets and values per field or solid angle cannot be compared."
+        "footprint is the same for all instruments. Fractions of the positioners, probabilities, pairs per positioner "
+        "and losses can be compared; numbers of targets and values per field or solid angle cannot be compared."
     ),
     "same density": (
         "Each instrument observes one full field, and all fields have the same density of targets. Fibers per field "
@@ -103,7 +103,7 @@ def compare_instruments(
     instruments : list of Instrument or str, optional
         Instruments, names of presets, or paths of TOML files; by default all of `available_instruments`.
     center : SkyCoord, scalar or shape (n_fields,), optional
-        Field centers for a catalog; by default its mean direction.
+        Field centers for a catalog; by default the mean direction of the catalog.
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`.
     targets_per_positioner : float, optional
@@ -114,16 +114,16 @@ def compare_instruments(
         ``targets_per_positioner``.
     options : AllocationOptions, optional
         Options of every plan, such as requirements, required targets of a catalog and circles that no arm may cover.
-        Their allocator is replaced by each of ``allocators``.
+        The allocator in these options is replaced by each of ``allocators``.
     n_realizations : int, optional
-        Number of synthetic fields of each instrument; 4 by default. A catalog has one field for each center.
+        Number of synthetic fields of each instrument; 4 by default. With a catalog, each center has one field.
     rng : int, Generator or None, optional
         Seed or random number generator.
     executor : concurrent.futures.Executor, optional
         Executor that plans fields in parallel; only the column ``seconds`` depends on it.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished fields and of all
-        fields.
+        Show the progress on the standard error, or call a function with the number of finished fields and the
+        total number of fields.
     **others
         Passed to `plan_tile`, such as ``position_angle``.
 
@@ -131,24 +131,24 @@ def compare_instruments(
     -------
     QTable
         Table with a row for each instrument and allocator. Columns that describe the instrument: ``instrument``;
-        ``positioners`` (number of positioners that can have a target); ``field`` (diameter); ``footprint`` (area of the
-        convex hull of the centers); ``type`` (1: no arms can collide, 2: only arms of first neighbors can collide, 3:
-        more distant arms can also collide); ``multiplicity`` (mean number of positioners that reach a point of the
-        footprint); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of the footprint within reach of no,
-        one, two, and at least three positioners). Columns that describe the plans, averaged over the fields:
-        ``allocator``; ``targets`` (number of science targets in reach); ``targets_per_positioner`` (``targets`` divided
-        by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part`` (fraction of the
-        positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision probability of the
-        positioners that have a target or are parked obstacles, with its 95 % interval); ``pairs_per_positioner``
-        (number of colliding pairs divided by the number of these positioners); ``usable`` (number of fibers on science
-        targets without a collision); ``usable_per_area`` (``usable`` divided by the area of the footprint);
-        ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss`` (fraction by which
-        ``usable`` is smaller than the number of science fibers of the best plan that ignores collisions; for
-        ``optimal`` this is the fraction of targets lost to collisions; it can be negative for allocators that ignore
-        requirements); ``gap`` (relative difference between the objective of a plan and its proven upper bound, maximum
-        over the fields; NaN without a proven bound); ``seconds`` (median time for finding the targets in reach and for
-        the allocation of a field, without compilation). ``meta`` contains the provenance, and states which columns can
-        be compared between instruments.
+        ``positioners`` (number of positioners that can have a target); ``field`` (diameter of the field); ``footprint``
+        (area of the convex hull of the positioner centers); ``type`` (1: no arms can collide, 2: only arms of first
+        neighbors can collide, 3: more distant arms can also collide); ``multiplicity`` (mean number of positioners that
+        reach a point of the footprint); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of the footprint
+        within reach of no, one, two, and at least three positioners). Columns that describe the plans, averaged over
+        the fields: ``allocator``; ``targets`` (number of science targets in reach); ``targets_per_positioner``
+        (``targets`` divided by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part``
+        (fraction of the positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision
+        probability of the positioners that have a target or are parked obstacles, with its 95 % interval);
+        ``pairs_per_positioner`` (number of colliding pairs divided by the number of these positioners); ``usable``
+        (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
+        of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss``
+        (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
+        collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be negative for
+        allocators that ignore requirements); ``gap`` (relative difference between the objective of a plan and its
+        proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time for finding
+        the targets in reach and for the allocation of a field, without compilation). ``meta`` contains the provenance,
+        and states which columns can be compared between instruments.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def compare_instruments(
     -----
     The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
     scatter between positioners and the correlation of neighbors. The interval describes how much the probability would
-    vary between other fields with targets of the same kind.
+    vary from field to field for targets of the same kind.
 
     Examples
     --------
@@ -235,7 +235,7 @@ def compare_instruments(
 
 
 def parts_of(table: QTable) -> dict[str, QTable]:
-    """Split a comparison into three tables that fit on a page: for instruments, for fibers and for collisions."""
+    """Split a comparison into three tables that each fit on a page: for instruments, for fibers and for collisions."""
     parts = {title: table[["instrument", *columns]] for title, columns in PARTS.items()}
     rows = np.unique(np.asarray(table["instrument"]), return_index=True)[1]
     return parts | {"instruments": parts["instruments"][np.sort(rows)]}
@@ -258,7 +258,7 @@ def _models(instruments) -> list[Instrument]:
 
 
 def _describe(model: Instrument) -> dict:
-    """Return the columns of an instrument that do not depend on the targets."""
+    """Return the columns that describe an instrument and do not depend on the targets."""
     plane = model.focal_plane
     try:
         parts = plane.coverage()

@@ -36,15 +36,15 @@ def explore_around(
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     spread : float, optional
-        Fraction by which the central arm, the ratio of the arms and the pitch may be smaller or larger than those of
-        the instrument. The clearance and the motor step are those of the instrument.
+        Fraction by which the central arm, the ratio of the arms and the pitch may be smaller or larger than the values
+        of the instrument. All designs have the clearance and the motor step of the instrument.
     n_nodes : int, optional
         Number of values of each parameter that varies; all combinations are scanned.
     n_designs : int, optional
-        Number of Sobol points between the limits, instead of a grid.
+        Number of Sobol points between the limits that ``spread`` sets, instead of a grid.
     **others
-        Parameters of `explore_designs`. Parameters of the design (``central_arm``, ``ratio``, ``pitch``,
-        ``clearance``, ``step``) replace the values around those of the instrument.
+        Parameters of `explore_designs`. If parameters of the design (``central_arm``, ``ratio``, ``pitch``,
+        ``clearance``, ``step``) are given, they replace the values that follow from the instrument.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def design_improvements(table: QTable) -> QTable:
     Returns
     -------
     QTable
-        Table with a row for each objective: ``objective``; ``value`` (of the objective for the instrument); ``best``
+        Table with a row for each objective: ``objective``; ``value`` (value for the instrument); ``best``
         (value for the best design, or for the instrument if no design is better); ``change`` (``best`` minus
         ``value``); ``other`` (value of the other objective for the best design); ``central_arm``, ``ratio``, ``pitch``
         and ``clearance`` of the best design. The values of objectives are numbers without units; they have the units of

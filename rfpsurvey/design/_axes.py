@@ -22,7 +22,7 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
         axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
     except (TypeError, ValueError, u.UnitConversionError):
         raise InputError(
-            f"ratio (eccentric arm length divided by central arm length) must be numbers, got {ratio!r}"
+            f"ratio (eccentric arm length divided by central arm length) must be one or several numbers, got {ratio!r}"
         ) from None
     for name, values in axes.items():
         wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
@@ -30,7 +30,7 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
             what = "of at least 0" if name == "clearance" else "above 0"
             raise InputError(f"{name} must be finite and {what}, got {wrong.flat[0]:g}")
         if values.ndim > 1 or values.size == 0:
-            raise InputError(f"{name} must be one value, or values along one axis, got the shape {values.shape}")
+            raise InputError(f"{name} must be one value or a one-dimensional array, got the shape {values.shape}")
     return {name: np.atleast_1d(axes[name]) for name in AXES}
 
 
@@ -39,7 +39,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
     if n_designs is None:
         for name, values in axes.items():
             if len(np.unique(values)) < len(values):
-                raise InputError(f"{name} must have different values, got {values}")
+                raise InputError(f"the values of {name} must differ from each other, got {values}")
         n = np.prod([float(len(values)) for values in axes.values()])
         if n > MOST:
             raise InputError(f"a grid must have at most {MOST:.0e} designs, got {n:.3g}")
@@ -49,7 +49,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
         raise InputError(f"n_designs must be a whole number from 1 to {MOST:.0e}, got {n_designs!r}")
     for name, values in axes.items():
         if len(values) > 2 or (len(values) == 2 and not values[0] < values[1]):
-            raise InputError(f"with n_designs, {name} must be one value or its limits (low, high), got {values}")
+            raise InputError(f"if n_designs is given, {name} must be one value or its limits (low, high), got {values}")
     low, high = (np.array([values[k] for values in axes.values()]) for k in (0, -1))
     points = np.zeros((n_designs, len(axes)))
     free = low < high

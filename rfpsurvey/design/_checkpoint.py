@@ -27,7 +27,7 @@ class Checkpoint:
     path : str, path-like or None
         Path of the file; None for no file.
     request : dict
-        The request; a scan can only be resumed with the same request.
+        The arguments of the scan; a scan can be resumed only with the same arguments.
     designs : ndarray of float, shape (n, 4)
         All designs, in the order in which they are computed.
     resume, overwrite : bool
@@ -41,7 +41,7 @@ class Checkpoint:
         self.done = 0
         if path is None:
             if resume:
-                raise InputError("resume requires the path of the file of the scan to continue")
+                raise InputError("resume requires the path of the file with the unfinished scan")
             return
         if self._path.exists() and not (resume or overwrite):
             raise InputError(
@@ -60,7 +60,7 @@ class Checkpoint:
         return self.parts[0]
 
     def add(self, rows: np.ndarray) -> None:
-        """Add finished designs, in the order of the scan."""
+        """Add the rows of finished designs, in the order of the scan."""
         self.parts.append(rows)
         self.done += len(rows)
 

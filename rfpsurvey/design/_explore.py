@@ -66,25 +66,25 @@ def explore_designs(
     pitch : Quantity, scalar or shape (k,)
         Distance between neighboring centers.
     clearance : Quantity, scalar or shape (k,)
-        Radius around the eccentric arm that must be free of other arms: half the minimum separation, except for
-        ``step``.
+        Radius around the eccentric arm that must be free of other arms: half the minimum separation if ``step`` is 0.
     n_designs : int, optional
-        Number of designs between limits, instead of a grid. Each parameter is then one value, or (low, high). The
-        designs are scrambled Sobol points; for the same seed, the first n designs do not depend on ``n_designs``.
+        Number of designs between limits, instead of a grid. Each parameter is then one value or a pair of limits (low,
+        high). The designs are scrambled Sobol points; for the same seed, the first n designs do not depend on
+        ``n_designs``.
     step : Quantity, optional
         Angle of one motor step, on which the minimum separation depends; see `~rfpsurvey.Positioner`.
     loss : LossOptions or {"independent", "allocated", "collision_free"}, optional
-        Definition of the loss, and method that computes it. A name stands for that loss and the fastest method that
-        is accurate enough.
+        Definition of the loss, and method that computes it. If only the name of a definition is given, the fastest
+        method that is accurate enough is used.
     objectives : dict of str to str, optional
-        Two columns and ``"max"`` or ``"min"`` for each, which define the Pareto front; coverage and loss by default.
+        The two columns that define the Pareto front, each with ``"max"`` or ``"min"``; by default coverage and loss.
     rng : int, Generator or None, optional
         Seed or random number generator; each design has its own stream of random numbers.
     executor : concurrent.futures.Executor, optional
         Executor that computes designs in parallel, in threads or processes; the result does not depend on it.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished designs and of all
-        designs.
+        Show the progress on the standard error, or call a function with the number of finished designs and the
+        total number of designs.
     path : str or path-like, optional
         File (.ecsv or .fits) to which finished designs are written every ten seconds and at the end.
     resume : bool, optional
@@ -99,21 +99,22 @@ def explore_designs(
         ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only arms of first neighbors can touch,
         3: more distant arms can also touch); ``multiplicity`` (patrol area divided by the area of a lattice cell);
         ``reach_0`` to ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners)
-        and ``coverage`` (fraction within reach of at least one); ``targets`` (number per positioner) and ``empty``
-        (fraction of the positioners with no target in reach); ``assigned`` (number of fibers with a target, per
-        positioner, if arms could pass through each other; it is 1 for independent targets), ``loss`` (fraction of the
-        assigned fibers lost to collisions), ``loss_error`` (standard error), ``usable`` (number of remaining fibers per
-        positioner); ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and ``method`` of the loss;
-        ``n_unproven`` (number of searches that the time limit ended; if it is not 0, the loss is too large and depends
-        on the speed of the machine); ``loss_gap`` (fraction of the fibers of the simulated lattice that better plans
-        could assign at most, by the upper bounds of these searches; NaN for ``repair``, which has no bounds);
-        ``reason`` (why a design has no values); ``pareto`` (whether no other design is at least as good in both
-        objectives and better in one). The ``meta`` of the table contains the arguments of the scan.
+        and ``coverage`` (fraction within reach of at least one); ``targets`` (number of targets per positioner) and
+        ``empty`` (fraction of the positioners with no target in reach); ``assigned`` (number of fibers per positioner
+        that would have a target if arms could pass through each other; it is 1 for independent targets), ``loss``
+        (fraction of the assigned fibers lost to collisions), ``loss_error`` (standard error of the loss), ``usable``
+        (number of remaining fibers per positioner); ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and
+        ``method`` of the loss; ``n_unproven`` (number of searches that the time limit ended; if it is not 0, the loss
+        can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit, from the bounds of these
+        searches, of the number of additional fibers that better plans could assign, divided by the number of fibers
+        of the simulated lattice with a target; NaN for ``repair``, which has no bounds); ``reason`` (why a design has
+        no values); ``pareto`` (True if no other design is at least as good in both objectives and better in one). The
+        ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------
     InputError
-        If a value is not valid for any design, a name is unknown, or the file contains another scan.
+        If a parameter value is invalid for every design, a name is unknown, or the file contains another scan.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly. Designs that were already written remain in the file.
 

@@ -22,9 +22,10 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
 
 
 def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
-    """Return whether each row is on the Pareto front: no row is at least as good in both columns and better in one.
+    """Return whether each row is on the Pareto front.
 
-    If several rows have the same best values, all of them are on the front. Rows without a value are not on the front.
+    A row is on the front if no other row is at least as good in both columns and better in one. If several rows have
+    the same best values, all of them are on the front. Rows without a value are not on the front.
     """
     signs = {"max": -1.0, "min": 1.0}
     values = [signs[aim] * np.asarray(getattr(table[name], "value", table[name])) for name, aim in objectives.items()]
@@ -32,8 +33,8 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]
-    start = np.searchsorted(a, a, side="left")  # first row with an equal first value; it has the best second value
-    least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before them
+    start = np.searchsorted(a, a, side="left")  # first row with this first value, and with the best second
+    least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before start
     front = np.zeros(len(table), dtype=bool)
     front[order] = (b == b[start]) & (b < least)
     return front

@@ -104,7 +104,7 @@ def _centers(reach: int) -> np.ndarray:
 def make_lattice(
     central_arm: float, ratio: float, pitch: float, clearance: float, step: float
 ) -> tuple[Lattice | None, str]:
-    """Return a design and empty text, or None and the reason why the design is impossible; the lengths are in mm."""
+    """Return a design and an empty text, or None and the reason why the design is impossible; lengths are in mm."""
     try:
         unit = Positioner(central_arm * u.mm, central_arm * ratio * u.mm, clearance * u.mm, step=step * u.rad)
     except InputError as error:

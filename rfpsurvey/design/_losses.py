@@ -24,16 +24,16 @@ N_POINTS = 256
 SURROGATE_ERROR = 5e-4
 """Upper limit of the root-mean-square error of the surrogate; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
-"""Smallest value for which the relative error of the surrogate is acceptable."""
+"""Smallest loss for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
-"""Radius, in units of the pitch, of the part of a patch whose 91 positioners are counted."""
+"""Radius, in units of the pitch, of the center of a patch; only the 91 positioners in this center are counted."""
 
 
 class Loss(NamedTuple):
     """The result of a method for a design."""
 
     assigned: float
-    """Number of fibers with a target per positioner if arms could pass through each other."""
+    """Number of fibers per positioner that would have a target if arms could pass through each other."""
     loss: float
     """Fraction of the assigned fibers that is lost."""
     error: float
@@ -56,19 +56,19 @@ class Skies(NamedTuple):
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """Compute the loss of independent targets by interpolation between precomputed quadratures."""
+    """Compute the loss for independent targets by interpolation between precomputed quadratures."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
 
 
 def quadrature(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of independent targets by integration over the targets of a positioner and its neighbors."""
+    """Compute the loss for independent targets by integration over the targets of a positioner and its neighbors."""
     return Loss(1.0, *interior_probability(lattice.shape, N_POINTS, skies.rng))
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of allocated targets as an average over all configurations that the queues allow."""
+    """Compute the loss for allocated targets as an average over all configurations that the queues allow."""
 
     def look(points, plane, core):
         assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
@@ -81,12 +81,12 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare the best plan without collisions with the best plan that ignores collisions."""
+    """Compute the loss of the best plan without collisions, relative to the best plan that ignores collisions."""
     return _compare(lattice, skies, "optimal")
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compare a LAMOST plan without its collisions (``repair``) with the best plan that ignores collisions."""
+    """Compute the loss of a LAMOST plan after ``repair``, relative to the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
@@ -136,7 +136,7 @@ def _compare(lattice, skies, method):
 
 
 def _gap(blind, plan):
-    """Return the proven upper limit of the fraction of fibers of a patch that a better plan could assign."""
+    """Return the proven upper limit of the fraction of the fibers of a patch that a better plan could add."""
     most = min(blind.levels[0].bound, plan.levels[0].bound)
     return max(most - plan.levels[0].value, 0.0) / max(blind.levels[0].value, 1.0)
 
@@ -145,8 +145,8 @@ def _over_skies(lattice, skies, look, *, whole=False):
     """Return the fraction of the fibers in the center of a patch that is lost, over all realizations.
 
     Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is as
-    large as if one fiber were lost. With ``whole``, each fiber is either lost or not lost, and the error is always at
-    least as large as for one lost fiber.
+    large as if one fiber were lost. If ``whole`` is true, each fiber is either lost or not lost, and the error is
+    always at least as large as for one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
@@ -158,7 +158,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
     total, n = assigned.sum(), skies.number
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
-    loss = max(lost.sum() / total, 0.0)  # different positioners may be idle in two plans
+    loss = max(lost.sum() / total, 0.0)  # the plan that ignores collisions can have fewer fibers in the center
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1 and (whole or loss == 0):
         error = max(error, 1 / total)
@@ -166,7 +166,10 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return a patch (counted positioners, neighbors, and those that share targets with them) and its targets."""
+    """Return a patch of positioners, and its targets.
+
+    The patch contains the counted positioners, their neighbors, and positioners that share targets with the neighbors.
+    """
     edge = (CORE + 0.01) * lattice.pitch + 2 * lattice.sight
     plane = FocalPlane.hexagonal(lattice.unit, pitch=lattice.pitch * u.mm, radius=edge * u.mm)
     radius = float(np.hypot(*plane.arrays.xy.T).max()) + lattice.radii[1]

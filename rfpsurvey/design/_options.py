@@ -29,10 +29,11 @@ class LossOptions:
         or, without a method, ``independent``.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
         Method: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for ``allocated``; exact for
-        each realization), ``optimal`` (for ``collision_free``; proven) or ``repair`` (for ``collision_free``; the
-        method of LAMOST, repaired by local moves). ``auto`` selects the fastest method that is accurate enough for a
-        design: for ``independent``, ``surrogate`` if the design is within its range and the result is at least 0.01,
-        otherwise ``quadrature``; for ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
+        each realization), ``optimal`` (for ``collision_free``; a proven optimum) or ``repair`` (for ``collision_free``;
+        a plan by the method of LAMOST, whose collisions are removed by local moves). ``auto`` selects the fastest
+        method that is accurate enough for a design: for ``independent``, ``surrogate`` if the design is within its
+        range and the result is at least 0.01, otherwise ``quadrature``; for ``allocated``, ``conditional``; for
+        ``collision_free``, ``optimal``.
     targets_per_positioner : float, optional
         Mean number of Poisson-distributed targets per positioner; four by default.
     target_density : Quantity, optional
@@ -98,5 +99,5 @@ class LossOptions:
 
     @property
     def seconds(self) -> float:
-        """Time limit of the searches of a design, in seconds."""
+        """Time limit of each search of a design, in seconds."""
         return to_scalar(self.time_limit, u.s, "time_limit", low=0)

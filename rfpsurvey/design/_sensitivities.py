@@ -29,8 +29,8 @@ def design_sensitivities(
     Parameters
     ----------
     table : QTable
-        Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored, and so is the design
-        that a scan around an instrument added.
+        Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored. The design of an
+        instrument is also ignored if `~rfpsurvey.design.explore_around` added it to the scan.
     figures : sequence of str, optional
         Columns to explain.
 

@@ -29,7 +29,7 @@ class Task:
     seed: int
 
     def __call__(self, first: int, designs: np.ndarray) -> np.ndarray:
-        """Return the records of consecutive designs; ``first`` is the number of the first design."""
+        """Return the records of consecutive designs; ``first`` is the index of the first design."""
         rows = blank(designs, self.estimand)
         for number, row in enumerate(rows, first):
             self._fill(row, np.random.default_rng([self.seed, number]))

@@ -19,9 +19,9 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the closed form of Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9.
+    """Return the collision probabilities by the closed form of Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9.
 
-    It is the sum, over the neighbors of a positioner, of a product of two ratios of areas.
+    The probability of a positioner is a sum over its neighbors; each term is a product of two ratios of areas.
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
     d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
@@ -54,8 +54,8 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the probability that another observed target lies within the minimum separation of a positioner's target.
 
-    Each positioner observes one target. Targets are assumed to be uniform in the area that positioners reach, so that
-    the number of targets near a given target has a binomial distribution.
+    Each positioner observes one target. Targets are assumed to be uniformly distributed in the area that the
+    positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # count each point once, for the last positioner that reaches it
@@ -76,7 +76,7 @@ def _pairs_within(plane, radius):
 def _overlapping(plane, *, both_ways):
     """Return, for each positioner, the rows of positioners whose patrol areas may overlap its patrol area (CSR).
 
-    Without ``both_ways``, only positioners with larger row numbers are listed.
+    If ``both_ways`` is false, only positioners with larger row numbers are returned for each positioner.
     """
     pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
@@ -98,7 +98,7 @@ def _pitch(plane):
 
 
 def _lens(a, b, d):
-    """Return the area common to two circles of the radii a and b whose centers are at the distance d."""
+    """Return the area common to two circles with the radii a and b whose centers are a distance d apart."""
     small, large = np.minimum(a, b), np.maximum(a, b)
     apart, within = d >= a + b, d <= large - small
     partly = ~apart & ~within

@@ -58,64 +58,66 @@ def collision_probability(
     """Estimate the probability that a positioner at its target collides with another positioner.
 
     The probability is the expected fraction of the counted positioners that are in collision. Positioners with a target
-    are counted, and so are parked positioners if the arms have equal lengths. Each method estimates one of two
-    quantities, its estimand. For the first quantity, targets are **allocated** to queues, and a configuration has one
-    target of each queue. For the second quantity, every positioner draws a target **independently** of all other
-    positioners. The two quantities differ by up to a factor of five: compare only methods with the same estimand.
+    are counted. A positioner without a target is counted only if its arms have equal lengths: it is then parked, and is
+    an obstacle for its neighbors. Each method estimates one of two quantities, its estimand. For the first quantity,
+    targets are **allocated** to queues, and a configuration has one target of each queue. For the second quantity,
+    every positioner draws a target **independently** of all other positioners. The two quantities differ by up to a
+    factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
     focal_plane : FocalPlane, Instrument or str
         The positioners; a str is the name of a preset.
     method : str or callable, optional
-        ``conditional`` (allocated): average over all configurations that the queues of a realization allow.
-        ``monte_carlo`` (allocated): one configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288.
-        ``quadrature`` (independent): scrambled Sobol points for each positioner and its neighbors. Three methods
-        (independent) give no error estimate: ``closed_form`` (Eq. 5 to 9 of the same paper), ``overlap_ratio``
-        (fraction of the patrol area that other positioners also reach), and ``close_pair`` (probability that another
-        observed target lies within the minimum separation). ``auto``: the fastest method with an error estimate for the
-        requested estimand. Any other name refers to a method of an installed package. A function of a
-        `~rfpsurvey.probability.ProbabilityQuestion` is called directly.
+        The estimand of each method is given in parentheses. ``conditional`` (allocated): average over all
+        configurations that the queues of a realization allow. ``monte_carlo`` (allocated): one configuration for each
+        realization, as in Chen et al. (2024), arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points
+        for each positioner and its neighbors. Three other methods (independent) give no error estimate: ``closed_form``
+        (Eq. 5 to 9 of Chen et al.), ``overlap_ratio`` (fraction of the patrol area that other positioners also reach),
+        and ``close_pair`` (probability that another observed target lies within the minimum separation). ``auto``: the
+        fastest method with an error estimate for the requested estimand. Any other name refers to a method of an
+        installed package. A function is called with a `~rfpsurvey.probability.ProbabilityQuestion`.
     estimand : {"allocated", "independent"}, optional
         Quantity that ``auto`` estimates, ``allocated`` by default. With any other method, this must be the estimand of
         the method.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. For random targets, give
-        `~rfpsurvey.probability.RandomTargets`, only their kind (``"uniform"`` or ``"poisson"``), or a function of a
-        Generator that returns new targets, a Quantity of shape (n, 2), at each call. For one realization of the sky,
-        give points on the focal plane, or a Catalog, whose science targets are projected to the focal plane of the
-        Instrument.
+        `~rfpsurvey.probability.RandomTargets`, the name of a kind of random targets (``"uniform"`` or ``"poisson"``),
+        or a function that takes a Generator and returns new targets (a Quantity of shape (n, 2)) at each call. For one
+        realization of the sky, give points on the focal plane, or a Catalog, whose science targets are projected to the
+        focal plane of the Instrument.
     center : SkyCoord, optional
-        Field center for a Catalog; its mean direction by default.
+        Field center for a Catalog; by default the mean direction of the Catalog.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost``, gives one
         configuration for each realization. AllocationOptions also state whether idle positioners whose arms have equal
         lengths are obstacles and are counted (``parked_obstacles``, true by default). The options must not contain
         requirements, a sky separation, required targets or keep-out regions.
     most_entries : int, optional
-        Maximum number of targets of each queue that ``conditional`` uses. From longer queues, each realization uses
-        this number of targets at random, which is faster and reaches a given precision sooner. With None, all targets
-        are used.
+        Maximum number of targets of each queue that ``conditional`` uses. From each longer queue, every realization
+        uses this number of random targets. Realizations are then faster, and a given precision is reached sooner. With
+        None, all targets are used.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
         at points that k positioners reach; ``"voronoi"``, uniform over the points that are nearer to the center of the
         positioner than to any other center; a function of points (Quantity of shape (n, 2)) that returns their density
         up to a factor; or allocations, whose combined queues define the density.
     variant : {"corrected", "pitch", "printed"}, optional
-        Variant of the closed form. ``corrected``: both misprints of the paper are corrected, so that the formula
-        contains the distance of each neighbor. ``pitch``: the formula contains the pitch instead of these distances, as
-        printed. ``printed``: no misprint is corrected; the formula is then 0/0 for equal arms.
+        Variant of the closed form. ``corrected``: both misprints of the paper are corrected; the formula then contains
+        the distance of each neighbor. ``pitch``: only the misprint of the radius is corrected; as printed, the formula
+        contains the pitch instead of these distances. ``printed``: no misprint is corrected; the formula is then 0/0
+        for equal arms.
     precision : float or Precision, optional
-        A `~rfpsurvey.probability.Precision` states when iterations end, and how the interval is computed. A float is
-        the standard error to reach. By default 0.001.
+        Standard error to reach, or a `~rfpsurvey.probability.Precision`, which states when iterations end and how the
+        interval is computed. By default 0.001.
     dynamic : float, optional
         Probability that a positioner fails to reach its target for dynamic reasons, independently of all other
         positioners. For LAMOST, this probability is 0.025.
     rng : int, Generator or None, optional
         Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
-        Executor that runs parts of the computation; kernels release the GIL, so that threads suffice. With None, the
-        calling thread runs all parts.
+        Executor that runs parts of the computation. A thread pool is sufficient, because the kernels release the GIL.
+        With None, the calling thread runs all parts.
     progress : bool or callable, optional
         Whether to show the progress on the standard error, or a function that is called with (fraction done, 1).
 
@@ -123,8 +125,8 @@ def collision_probability(
     -------
     Estimate
         The probability with its interval, the probability of each positioner, and the expected number of pairs. If
-        ``targets`` contains positions, the value applies to these targets, and the error states how much the value for
-        another patch of the same kind of sky may differ. If the focal plane then has too few positioners for an
+        ``targets`` contains positions, the value applies to these targets, and the error states by how much the value
+        for another patch of the same kind of sky may differ. If the focal plane then has too few positioners for an
         estimate of this error (seven, for example), there is no interval, and ``meta["no_interval"]`` states the
         reason.
 
@@ -237,8 +239,8 @@ def _check_science_only(options):
     """Raise an error for allocation options that concern a catalog, or targets other than science targets."""
     if options.requirements or options.sky_separation is not None:
         raise InputError(
-            f"allocator must have no requirements and no sky_separation, since all targets of a collision probability "
-            f"are science targets, got {options!r}"
+            f"allocator must have no requirements and no sky_separation, since all targets are treated as science "
+            f"targets, got {options!r}"
         )
     if options.required or options.keep_out:
         raise InputError(
@@ -261,12 +263,12 @@ def _check_density(density):
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
         names = ", ".join(DENSITIES)
-        text = f"density must be one of {names}, an Allocation or a list of them, or a function of points"
+        text = f"density must be one of {names}, an Allocation, a list of Allocations, or a function of points"
         raise refusal(f"{text} on the focal plane", density, str, list, tuple)
 
 
 def _zero(plane, source):
-    """Return the result if no arm can touch another arm or an obstacle, so that no targets need to be drawn."""
+    """Return the result for a plane in which no arm can touch another arm or an obstacle; no targets are drawn."""
     check_usable(plane)
     nothing = dict.fromkeys(("value", "value_assigned", "low", "high", "standard_error", "pairs_per_positioner"), 0.0)
     per_positioner = np.where(plane.arrays.usable, 0.0, np.nan)

@@ -20,7 +20,7 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
         return None
     for one in some:
         if not isinstance(one, Allocation) or one.queues is None:
-            raise InputError(f"density must be Allocations by 'balanced', whose queues define it, got {one!r}")
+            raise InputError(f"density must be Allocations by 'balanced', whose queues define the density, got {one!r}")
         if len(one.target_of_positioner) != len(plane):
             raise InputError(f"the allocation is for {len(one.target_of_positioner)} positioners, not for {len(plane)}")
     return list(some)

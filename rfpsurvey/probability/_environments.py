@@ -15,9 +15,9 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     """Return one positioner for each distinct environment, and the index of the environment of each positioner.
 
     Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
-    depends on the direction, environments that differ by a rotation by a multiple of 60 deg are also the same. The key
-    of a positioner is the sum of hashes of its neighbors, which does not depend on their order; it is computed for all
-    six rotations.
+    depends on the direction, environments that differ only by a rotation by a multiple of 60 deg are also the same.
+    Environments are compared by their keys. The key of an environment is the sum of the hashes of the neighbors, and
+    does not depend on the order of the neighbors; it is computed for all six rotations.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
@@ -30,8 +30,8 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
             kinds += [*columns.joints.limits, columns.joints.theta_zero, columns.joints.phi_zero]
     kinds = np.column_stack([_codes(values) for values in kinds])
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
-    # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, so that
-    # its kind is different after each rotation
+    # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, and
+    # therefore its kind is different after each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
     # each of the few positioners near polygons is a separate kind
     touched = np.zeros(n, dtype=bool)

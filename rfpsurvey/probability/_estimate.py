@@ -16,12 +16,13 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected fraction of the counted positioners that are in collision. Assigned positioners are counted, and parked
-        positioners if their arms have equal lengths.
+        Expected fraction of the counted positioners that are in collision. Assigned positioners are counted. A
+        positioner without a target is counted only if its arms have equal lengths: it is then parked, and is an
+        obstacle for its neighbors.
     value_assigned : float
         Expected fraction of the assigned positioners that are in collision.
     low, high : float
-        Confidence interval of ``value``, with the confidence level in ``meta``; NaN for methods without an error
+        Confidence interval of ``value``; ``meta`` contains the confidence level. NaN for methods without an error
         estimate, and for given targets on a focal plane that is too small (``meta["no_interval"]`` then states the
         reason).
     standard_error : float

@@ -99,7 +99,7 @@ def fit_polynomial(
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional
-        Fraction of the designs that are held back to test the fit, below 0.8. The penalty is chosen by cross-validation
+        Fraction (below 0.8) of the designs that is held back to test the fit. The penalty is chosen by cross-validation
         with the other designs.
     rng : int, Generator or None, optional
         Seed or random number generator for the choice of the designs that are held back.
@@ -107,7 +107,8 @@ def fit_polynomial(
     Returns
     -------
     PolynomialFit
-        The polynomial, with its coefficients of determination for the fitted designs and for the designs held back.
+        The polynomial, with its coefficients of determination for the fitted designs and for the designs that were held
+        back.
 
     Raises
     ------

@@ -131,7 +131,7 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""If there are fewer targets per positioner, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
+"""With fewer targets per positioner than this, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:

@@ -8,16 +8,16 @@ from rfpsurvey.focal_plane import FocalPlane
 __all__ = ["FEWEST_DEGREES", "sky_variance"]
 
 FEWEST_DEGREES = 3.0
-"""With fewer degrees of freedom, the variance is so uncertain that no interval is given."""
+"""With fewer degrees of freedom than this, the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0
 """With at least this many degrees of freedom, the correlation of all neighbors is estimated; with fewer, only the
 correlation of neighbors in the nearest ring."""
 NEAREST_RING = 1.5
 """Maximum distance of a neighbor in the nearest ring, in units of the median distance to the nearest neighbor."""
 CORRELATION = 0.2
-"""Typical correlation of positioners in the nearest ring (0.13 to 0.28 for LAMOST, SDSS-V and MOONS).
+"""Typical correlation of a positioner with its neighbors in the nearest ring.
 
-Only the degrees of freedom depend on this value.
+The correlation is 0.13 to 0.28 for LAMOST, SDSS-V and MOONS. Only the degrees of freedom depend on this value.
 """
 BEYOND = -0.03
 """Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide.
@@ -30,10 +30,11 @@ This value is assumed, since it cannot be measured on a small focal plane. For S
 def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:
     """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
 
-    Neighboring positioners share targets, so that their collisions are correlated. The estimate is unbiased if all
-    pairs of neighbors in the nearest ring have the same covariance, pairs of neighbors beyond this ring have the
-    correlation ``BEYOND``, and the expected value of a positioner is linear in its number of neighbors, which is
-    smaller at an edge. If there are enough positioners, all pairs of neighbors are assumed to have the same covariance.
+    Neighboring positioners share targets, and therefore their collisions are correlated. The estimate is unbiased if
+    three conditions are met: all pairs of neighbors in the nearest ring have the same covariance; all pairs of
+    neighbors beyond this ring have the correlation ``BEYOND``; the expected value of a positioner is a linear function
+    of its number of neighbors (which is smaller at an edge). If there are enough positioners, the first two conditions
+    are replaced by one condition: all pairs of neighbors have the same covariance.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ class _Quadratic:
             self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
     def _degrees(self, covariance):
-        """Return 2 E(V)^2 / Var(V) for normal variables.
+        """Return 2 E(V)^2 / Var(V), where V is the estimated variance, for normal variables.
 
         The dense matrix P K P with K = aI + bA, where P is the projection onto residuals, is not computed.
         """
@@ -150,7 +151,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance, but at least the estimate for neighbors whose covariance is 0."""
+        """Return the estimated variance, but at least the estimate for neighbors with the covariance 0."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

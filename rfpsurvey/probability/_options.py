@@ -16,7 +16,7 @@ KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
 MOST_TARGETS = 1_000_000
 MOST_POINTS = 2**14
-"""Number of quadrature points of each positioner in each random repetition."""
+"""Maximum number of quadrature points of each positioner in each random repetition."""
 STANDARD_ERROR = 1e-3
 MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
@@ -35,11 +35,11 @@ class RandomTargets:
         Number of targets (for ``poisson``, the expected number). By default the number of positioners multiplied by the
         instrument's ``targets_per_fiber``, or by four for a FocalPlane.
     radius : Quantity, optional
-        Radius of the circle on the focal plane that contains the targets, a length. The center of the circle is the
+        Radius (a length) of the circle on the focal plane that contains the targets. The center of the circle is the
         origin, or the midpoint of a focal plane that does not contain the origin. By default, the circle covers all
         patrol areas.
     min_separation : Quantity, optional
-        Minimum separation of two targets on the focal plane, a length; required only for ``poisson_disc``.
+        Minimum separation (a length) of two targets on the focal plane; required only for ``poisson_disc``.
 
     Raises
     ------
@@ -88,24 +88,25 @@ class RandomTargets:
 @check_keywords
 @dataclass(frozen=True)
 class Precision:
-    """When iterations end, and how the confidence interval is computed.
+    """Options that state when iterations end, and how the confidence interval is computed.
 
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach. Iterations end when the interval is no wider than that of a normal distribution with
-        this standard error and, if collisions are rare, a minimum number of iterations has been done. By default 0.001,
-        or None if ``max_iterations`` is given.
+        Standard error to reach. Iterations end when the interval is no wider than the interval of a normal distribution
+        with this standard error. If collisions are rare, a minimum number of iterations must also have been done. By
+        default 0.001, or None if ``max_iterations`` is given.
     max_iterations : int, optional
         Maximum number of iterations, realizations or points, depending on the method. Without ``standard_error``,
-        exactly this number is used (``quadrature`` rounds it down to a power of two). By default the maximum of the
-        method.
+        exactly this number is used (``quadrature`` rounds it down to a power of two). By default the maximum that is
+        defined for the method.
     confidence : float, optional
         Confidence level of the interval.
     interval : {"wilson", "wilson_naive", "bootstrap"}, optional
         ``wilson``: Wilson's interval with the effective number of independent trials, which is estimated from the
-        scatter between iterations. ``wilson_naive``: Wilson's interval with every positioner of every iteration as a
-        trial, which is too narrow. ``bootstrap``: percentiles of resampled iterations.
+        scatter between iterations. ``wilson_naive``: Wilson's interval with every positioner of every iteration as an
+        independent trial; it is too narrow for ``monte_carlo`` and too wide for ``conditional``. ``bootstrap``:
+        percentiles of the means of resampled iterations.
     stop : {"interval", "convergence"}, optional
         ``interval``: the interval decides when iterations end. ``convergence``: iterations end when the running mean
         changes by less than ``standard_error`` three times in a row. This rule does not limit the error; it is provided
@@ -178,7 +179,7 @@ class Precision:
 
 
 def as_precision(given: object) -> Precision:
-    """Return ``given`` as a `Precision`, if it is a `Precision`, a standard error, or None."""
+    """Return ``given`` (a `Precision`, a standard error, or None) as a `Precision`."""
     return given if isinstance(given, Precision) else Precision(given)
 
 

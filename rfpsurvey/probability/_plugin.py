@@ -62,7 +62,8 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
         raise InputError(
-            "the answer must have value, or per_positioner with a number for a positioner that can have a target"
+            "the answer must have value, or per_positioner with a number for at least one positioner that can have a "
+            "target"
         )
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}
@@ -97,7 +98,7 @@ def _probabilities(given: object, n: int) -> np.ndarray:
         probability = np.empty(0, dtype=object)
     if probability.shape != (n,) or probability.dtype.kind not in "fiu":
         raise InputError(
-            f"a method must return a probability for each positioner, as numbers of the shape ({n},), or a dict, got "
+            f"a method must return a dict, or an array of the shape ({n},) with a probability for each positioner, got "
             f"{type(given).__name__} of the shape {np.shape(probability) if probability.dtype != object else '()'}"
         )
     strange = probability[(probability < -SLACK) | (probability > 1 + SLACK)]

@@ -27,8 +27,8 @@ SCRAMBLES = 8
 FIRST_POINTS = 128
 """Number of points in the first estimate if there is one environment.
 
-An environment is an arrangement of neighbors. The errors of several environments average out, so that fewer points
-suffice.
+An environment is an arrangement of neighbors. The errors of several environments average out, and therefore fewer
+points are sufficient.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
 """Minimum numbers of points without and with weights, in this order.
@@ -37,7 +37,7 @@ Weights require more points, because the bias of a weighted mean does not averag
 """
 BITS = 30
 NARROW = 2**12
-"""An error is raised if a density is 0 at all of at least this many points of a patrol area."""
+"""An error is raised if a density is 0 at all points of a patrol area, and if there are at least this many points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Quadrature:
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
         radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
-        if self.density != "uniform":  # include positioners whose patrol areas overlap those of the neighbors
+        if self.density != "uniform":  # include positioners whose patrol areas overlap the neighbors' areas
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)
 
@@ -103,7 +103,7 @@ class Quadrature:
         return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
-        """Return the points of patrol areas, in mm, to which an equal-area map transforms points of the unit square."""
+        """Return points (mm) of the patrol areas, computed from points of the unit square by an equal-area map."""
         inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
@@ -123,14 +123,14 @@ class Quadrature:
             if weight.shape != (len(rows),) or not ((weight >= 0) & (weight < np.inf)).all():
                 raise InputError(
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
-                    f"shape {weight.shape}, from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
+                    f"shape {weight.shape} with values from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
                 )
         if self.density == "shared" or not self.plane.arrays.joints_free:
             reach = self.plane.arrays.reach(tips)
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
             weight = weight * mine / (np.maximum(many, 1) if self.density == "shared" else 1)
-        # the factor of a density does not matter, but its square may overflow
+        # a constant factor does not change the result, but squares of large densities may overflow
         return weight / max(weight.max(initial=0.0), 1e-300)
 
     @cached_property
@@ -177,7 +177,7 @@ def integrate(
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    # environments of few positioners may have larger errors, and use fewer points
+    # environments that few positioners have may have larger errors, and therefore use fewer points
     rare = (np.log2(share.max() / share) / 2).astype(int)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)

@@ -20,12 +20,13 @@ __all__ = ["ProbabilityQuestion"]
 class ProbabilityQuestion:
     """The input of a method: a focal plane, the targets, and the precision of the collision probability.
 
-    Built-in methods and those of other packages are functions of this object. A method returns an array of float, shape
-    (n_positioners,), with the probability that each positioner is in collision, and NaN for positioners that are never
-    counted. The method may also return a dict with any of the fields of `~rfpsurvey.Estimate` except ``method``,
-    ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or ``value``. If the dict does not contain
-    ``low`` and ``high``, they are computed from ``standard_error``. The attribute ``estimand`` of the method names the
-    quantity that the method estimates: "independent", the default, or "allocated".
+    Built-in methods and methods of other packages are functions whose only argument is this object. A method returns an
+    array of float, shape (n_positioners,), with the probability that each positioner is in collision, and NaN for
+    positioners that are never counted. The method may also return a dict with any of the fields of
+    `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or
+    ``value``. If the dict does not contain ``low`` and ``high``, they are computed from ``standard_error``. The
+    attribute ``estimand`` of the method names the quantity that the method estimates: "independent", the default, or
+    "allocated".
 
     Parameters
     ----------
@@ -34,10 +35,11 @@ class ProbabilityQuestion:
     targets : Source, optional
         Source of allocated targets; None for independent targets.
     options : AllocationOptions, optional
-        How targets are allocated, and whether idle equal-arm positioners are obstacles.
+        Options that state how targets are allocated, and whether idle positioners with arms of equal lengths are
+        obstacles.
     precision : Precision, optional
-        When iterations end. ``max_iterations`` is a number; if ``standard_error`` is None, the method does exactly this
-        number of iterations.
+        Options that state when iterations end. Here, ``max_iterations`` is a number; if ``standard_error`` is None, the
+        method does exactly this number of iterations.
     rng : numpy.random.Generator, optional
         Random number generator. Methods must use no other generator, so that estimates are reproducible.
     most_entries : int, optional
@@ -79,7 +81,7 @@ class ProbabilityQuestion:
 
     @property
     def parked_obstacles(self) -> bool:
-        """Whether idle equal-arm positioners are obstacles and are counted."""
+        """Whether idle positioners with arms of equal lengths are obstacles and are counted."""
         return self.options.parked_obstacles
 
     @cached_property
@@ -91,7 +93,7 @@ class ProbabilityQuestion:
 
     @property
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
-        """Function that draws targets with a generator, and returns their allocation by ``options``, with queues.
+        """Function that draws targets with a given generator, and returns their allocation by ``options``, with queues.
 
         The attribute is None for independent targets.
         """

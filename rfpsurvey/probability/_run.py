@@ -21,10 +21,10 @@ FIRST_TASKS = 2
 GROWTH = 8
 """Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
-"""Number of realizations that must have a collision if most realizations have none.
+"""Minimum number of realizations with a collision, if most realizations have no collision.
 
 With fewer such realizations, the scatter of the rates is not known. Conversely, if all positioners collide in most
-realizations, this number of realizations must have a positioner that does not collide.
+realizations, at least this number of realizations must have a positioner that does not collide.
 """
 FLOOR = 4.0
 """Factor in the minimum number of realizations if collisions are rare.
@@ -35,9 +35,7 @@ estimates would be too low.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
-TOO_FEW = (
-    "the focal plane has too few positioners to estimate from one sky how far another patch of such a sky may differ"
-)
+TOO_FEW = "the focal plane has too few positioners to estimate from one sky by how much another patch may differ"
 """The reason why an estimate has no interval."""
 
 
@@ -52,9 +50,10 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Simulate realizations until the precision or their maximum number is reached; return the tally and its summary.
+    """Simulate realizations until the precision or the maximum number is reached; return the tally and its summary.
 
-    The sizes of tasks and steps depend only on the results, so that the number of workers does not change the result.
+    The sizes of tasks and steps depend only on the results. Therefore, the number of workers does not change the
+    result.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
@@ -109,8 +108,8 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
     """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
 
     If the targets are given, or if all realizations have the same rate, the tally is treated as one sky. In this case,
-    the error states how much the value of another patch of the same kind of sky may differ. If the focal plane is too
-    small to estimate this error, there is no interval, and ``no_interval`` states the reason.
+    the error states by how much the value of another patch of the same kind of sky may differ. If the focal plane is
+    too small to estimate this error, there is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
@@ -151,7 +150,8 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
     """Return the standard error, number of trials and quantile for one sky; NaN if the plane is too small.
 
-    Without ``single``, the tally has several skies with equal rates; if the rates are 0 or 1, each sky is one trial.
+    If ``single`` is false, the tally has several skies with equal rates; if the rates are 0 or 1, each sky is one
+    trial.
     """
     variance, degrees = sky_variance(plane, tally.per_positioner)
     n, certain = len(tally.rates()), p in (0.0, 1.0)
@@ -171,8 +171,9 @@ def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence
     """Return the mean probability over positioners and fields, and the two ends of its interval.
 
     The interval includes the differences that are expected between fields of the same kind, which are estimated from
-    the scatter between positioners. Each row of ``probabilities`` is a field, with NaN for positioners that are not
-    counted. The ends of the interval are NaN if the fields have too few positioners for this estimate.
+    the scatter between positioners. Each row of ``probabilities`` contains the values of one field, with NaN for
+    positioners that are not counted. The ends of the interval are NaN if the fields have too few positioners for this
+    estimate.
     """
     counts = np.array([np.count_nonzero(~np.isnan(probability)) for probability in probabilities])
     n = int(counts.sum())

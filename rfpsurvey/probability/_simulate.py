@@ -20,15 +20,15 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Numbers of positioners: counted and in collision, counted, assigned and in collision, assigned (columns)."""
+    """Columns: numbers of positioners: counted and in collision, counted, assigned and in collision, assigned."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return, for each realization, the fraction of counted (``column=2``: assigned) positioners that collide.
+        """Return the fraction of the counted (for ``column=2``, assigned) positioners that collide in each realization.
 
-        Realizations without such positioners are omitted.
+        Realizations without counted (or assigned) positioners are omitted.
         """
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 

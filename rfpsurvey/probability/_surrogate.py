@@ -38,10 +38,10 @@ def surrogate_probability(
 ) -> np.ndarray:
     """Return the collision probability of positioners on a hexagonal lattice without an edge, by interpolation.
 
-    The result approximates that of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a positioner far
-    from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and the segment
-    from elbow to tip can collide. The interpolation is a cubic spline through the probabilities of 3969 designs; the
-    documentation states the errors of the interpolation.
+    The result approximates the result of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a
+    positioner far from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and
+    the segment from elbow to tip can collide. The interpolation is a cubic spline through the probabilities of 3969
+    designs; the documentation states the errors of the interpolation.
 
     Parameters
     ----------
@@ -60,8 +60,9 @@ def surrogate_probability(
     Raises
     ------
     InputError
-        If a design is outside of the limits: central arm 0.2 to 0.6 pitches, eccentric arm 1 to 3 central arms, minimum
-        separation 0.02 to 0.3 pitches. The surrogate does not extrapolate beyond these limits.
+        If a design is outside these limits: central arm 0.2 to 0.6 times the pitch, eccentric arm 1 to 3 times the
+        central arm, minimum separation 0.02 to 0.3 times the pitch. The surrogate does not extrapolate beyond these
+        limits.
 
     Examples
     --------
@@ -93,7 +94,7 @@ def surrogate_probability(
 
 
 def outside_box(name: str, value: np.ndarray) -> np.ndarray:
-    """Return whether each value is outside of the grid of the surrogate, on the axis of `AXES` with this name."""
+    """Return whether each value is outside the grid of the surrogate; ``name`` is the name of an axis of `AXES`."""
     nodes = AXES[name]
     slack = 1e-9 * nodes[-1]
     return ~((value >= nodes[0] - slack) & (value <= nodes[-1] + slack))

@@ -1,4 +1,4 @@
-"""Sources of targets: random targets, given points, or a function of the user."""
+"""Sources of targets: random targets, given points, or a user-defined function."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ Discs that are added at random positions without overlap fill at most a fraction
 adding discs is slow.
 """
 FINEST = 700
-"""Largest ratio of the radius to the minimum separation.
+"""Largest ratio of the radius of the circle of targets to the minimum separation.
 
 Smaller separations have little effect, but require much memory.
 """
@@ -35,7 +35,7 @@ Smaller separations have little effect, but require much memory.
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A source of targets in mm: given points, a function of the user, or random points (``number`` of them)."""
+    """A source of targets in mm: given points, a user-defined function, or ``number`` random points."""
 
     kind: str
     number: float = 0.0
@@ -67,7 +67,7 @@ class Source:
 
     @property
     def grid_cells(self) -> int:
-        """Number of cells of the grid of `scatter_apart`, each so small that it holds at most one target."""
+        """Number of cells in the grid of `scatter_apart`; each cell is so small that it contains at most one target."""
         if self.kind != "poisson_disc":
             return 0
         wide = self.radius + 2 * self.separation
@@ -128,7 +128,8 @@ def _random(plane, instrument, targets):
         if round(number) * separation**2 > 4 * FILLING * radius**2:
             raise InputError(
                 f"{round(number)} targets at least {separation:g} mm apart do not fit into a circle with the radius "
-                f"{radius:g} mm: discs of that diameter must fill at most the fraction {FILLING:g} of its area"
+                f"{radius:g} mm: discs with a diameter of {separation:g} mm must fill at most the fraction {FILLING:g} "
+                "of the circle"
             )
         if separation * FINEST < radius:
             raise InputError(
@@ -139,7 +140,7 @@ def _random(plane, instrument, targets):
 
 
 def _center(plane):
-    """Return the center of random targets in mm: the origin, or the midpoint of a plane that does not contain it."""
+    """Return the center (mm) of random targets: the origin, or the midpoint of a plane without the origin."""
     low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
     return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)

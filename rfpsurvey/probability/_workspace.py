@@ -44,7 +44,7 @@ def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Rea
 
 
 def make_entries(n: int, number: int) -> queues.Entries:
-    """Return arrays for a number of entries in the queues of n positioners, all of weight 1."""
+    """Return arrays for a number of entries in the queues of n positioners; all entries have the weight 1."""
     size = number + n
     return queues.Entries(
         start=np.empty(n, dtype=np.int64),

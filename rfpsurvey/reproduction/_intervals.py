@@ -49,28 +49,29 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         claims.append(
             Claim(
                 "intervals",
-                f"confidence intervals stop more stably than the convergence criterion ({scene})",
+                f"stopping by confidence intervals is more stable than stopping by the convergence criterion ({scene})",
                 "stated",
-                f"ratio of the root mean square error to the requested one: {good['error_ratio']:.2f} by the interval, "
-                f"{early['error_ratio']:.2f} by convergence, with {good['iterations']:.0f} and "
-                f"{early['iterations']:.0f} iterations on average; the first ratio over the second is "
-                f"{good['error_ratio'] / early['error_ratio']:.2f}, and {expected:.2f} follows from the numbers of "
+                f"root-mean-square error divided by the requested error: {good['error_ratio']:.2f} with the interval "
+                f"({good['iterations']:.0f} iterations on average), {early['error_ratio']:.2f} with convergence "
+                f"({early['iterations']:.0f} iterations on average); the ratio of these two numbers is "
+                f"{good['error_ratio'] / early['error_ratio']:.2f}, and {expected:.2f} is expected from the numbers of "
                 "iterations alone",
                 REPRODUCED if good["error_ratio"] < min(1.1, early["error_ratio"]) else NOT_REPRODUCED,
-                "the running mean changes by less than the precision three times in a row",
+                "convergence means that the running mean changes by less than the precision three times in a row",
             )
         )
         naive, single = rows["interval", "wilson_naive"], rows["interval", "wilson_iterations"]
         claims.append(
             Claim(
                 "intervals",
-                f"Wilson's interval of the simulations has the confidence 0.95 ({scene})",
+                f"Wilson's interval of the simulations has a confidence of 0.95 ({scene})",
                 "0.95",
-                f"{naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner as a trial; "
+                f"coverage {naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner as a trial; "
                 f"{single['coverage']:.3f} +- {single['coverage_error']:.3f} with every iteration as a trial; "
                 f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number",
                 REPRODUCED if min(abs(r["coverage"] - CONFIDENCE) for r in (naive, single)) < 0.015 else NOT_REPRODUCED,
-                "n is the number of iterations, or that of positioners times iterations: the text allows either",
+                "the number of trials is the number of iterations, or the number of positioners times iterations; the "
+                "text allows both interpretations",
             )
         )
     return {"intervals": table, "one_sky": one_sky(settings)}, claims
@@ -79,8 +80,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     """Return how often each interval contains the true value, for plain and for conditional simulation.
 
-    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation with one
-    twentieth (in a quick run, one fifth) of the smallest standard error of the repeats.
+    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation whose
+    standard error is one twentieth (in a quick run, one fifth) of the smallest standard error of the repeats.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [

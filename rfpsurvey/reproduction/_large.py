@@ -55,7 +55,7 @@ def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **option
 
 
 def _differences(table, settings):
-    """Compare the normalized results of formula and simulation, as in the paper, with errors from resampled designs."""
+    """Compare normalized results of formula and simulation, as in the paper; errors are from resampled designs."""
     rng = np.random.default_rng([settings.seed, 1])
     samples = rng.integers(0, len(table), (2000, len(table)))
     rows = []
@@ -81,17 +81,17 @@ def _of_differences(table, differences):
         variants = [v for v in np.unique(differences["closed_form"]) if agree[differences["closed_form"] == v].any()]
         readings = f"within two standard errors in {agree.sum()} of {len(agree)} readings"
         if variants:
-            readings += f", those with the closed form {' or '.join(variants)}"
+            readings += f", which use the closed form {' or '.join(variants)}"
         claims.append(
             Claim(
                 "large",
                 f"{what} of simulation minus formula, both normalized",
                 f"{paper:.3f}",
                 f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest reading, {ours.min():.3f} to {ours.max():.3f} in "
-                f"all; {readings}",
+                f"all readings; {readings}",
                 verdict(paper, ours[k], errors[k]),
                 f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error "
-                "includes the draw of the designs",
+                "includes the uncertainty due to the random choice of the designs",
             )
         )
     correlation = np.corrcoef(table["closed_form_corrected"], table["covered"])[0, 1]
@@ -115,14 +115,14 @@ def _of_differences(table, differences):
     claims.append(
         Claim(
             "large",
-            "a short range of targets distorts the simulation",
+            "targets in a circle that does not cover the plane distort the simulation",
             "named as a cause",
-            f"range 200 gives {edge.min():.2f} to {edge.max():.2f} times the value for a covered plane, which "
-            f"differs by more than 3 errors in {clear.sum()} of {len(clear)} designs; but the correlation with the "
-            f"formula is {other:.3f} with range 200 and {correlation:.3f} covered",
+            f"range 200 gives {edge.min():.2f} to {edge.max():.2f} times the probability for a covered plane; the "
+            f"difference is larger than 3 standard errors in {clear.sum()} of {len(clear)} designs; but the "
+            f"correlation with the formula is {other:.3f} for range 200 and {correlation:.3f} for a covered plane",
             REPRODUCED if clear.mean() > 0.5 else NOT_REPRODUCED,
-            "only the distortion is reproduced; whether it causes the discrepancy between formula and simulation is "
-            "not tested; positioners without targets count only if their two arms have equal lengths",
+            "only the distortion is reproduced; whether the distortion causes the discrepancy between formula and "
+            "simulation is not tested; positioners without targets count only if their two arms have equal lengths",
         )
     )
     return claims
@@ -159,13 +159,15 @@ def _of_plain(plain):
                 "large",
                 f"{row['plain_n']} iterations are a proper number ({row['design']})",
                 "6000 are proper",
-                f"{row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, a 95 % interval of "
-                f"+- {100 * width:.1f} %; conditional "
+                f"plain simulation: {row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, with a 95 % "
+                f"interval of +- {100 * width:.1f} %; conditional simulation: "
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "
-                f"{row['conditional_n']} realizations, for which plain simulation needs {gain:.0f}",
+                f"{row['conditional_n']} realizations; for the same error, plain simulation needs {gain:.0f} "
+                "iterations",
                 REPRODUCED if proper else NOT_REPRODUCED,
-                f"targets cover the plane; 'proper' means a 95 % interval within {100 * PROPER:g} % of the value, "
-                "which agrees with the conditional estimate within 3 combined errors; the paper states no precision",
+                f"targets cover the plane; 'proper' means that the 95 % interval is within {100 * PROPER:g} % of the "
+                "value, and that the value agrees with the conditional estimate within 3 combined standard errors; "
+                "the paper states no precision",
             )
         )
     return claims
@@ -192,7 +194,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
                 "0.934",
                 f"{median:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
                 REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED,
-                f"{way.replace('_', ' ')}, a quarter held back",
+                f"{way.replace('_', ' ')}, a quarter of the designs held back",
             )
         )
     names = ["targets", "r2_low", "r2_median", "r2_high", *"abcdefghij"]

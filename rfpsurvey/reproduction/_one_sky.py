@@ -82,7 +82,7 @@ def _row(arms, rings, number, sky, settings):
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))
-    if n < skies / 2:  # a minority of skies that have an interval would be a biased sample
+    if n < skies / 2:  # if few skies have an interval, these skies are a biased sample
         return (arms, len(plane), number, sky, truth, float(values.std()), *[np.nan] * 4, n / len(found), skies)
     held = float(np.mean((low <= truth) & (truth <= high), where=some))
     error, half_width = float(np.sqrt(np.mean(errors[some] ** 2))), float(np.mean((high - low)[some]) / 2)

@@ -40,9 +40,9 @@ DISC_DESIGNS = 24
 DISC_ERROR = 3e-3
 """Relative standard error to reach for a design with Poisson-disc targets, which take a long time to draw."""
 LAMOST_ERROR = 0.4
-"""Standard error for LAMOST's design, which is also compared separately, relative to that for other designs."""
+"""Standard error for LAMOST's design, divided by the standard error for other designs."""
 FEW_ERROR = 5e-3
-"""Standard error of a design for interpretations of the paper in which few positioners reach targets.
+"""Standard error to reach for a design in interpretations of the paper in which few positioners reach targets.
 
 The relative error of the mean over designs is then 0.2 %.
 """
@@ -58,7 +58,7 @@ def poisson(
     The table ``poisson`` has a row for each design; the last row is LAMOST's design. The table ``poisson_disc`` has a
     row for each minimum separation, with several averages of the drop, which is the percentage by which the collision
     probability is larger with uniform targets than with Poisson-disc targets. Most of the computing time is spent on
-    Poisson-disc targets. If ``discs`` is empty, they are omitted, and ``poisson_disc`` has no rows.
+    Poisson-disc targets. If ``discs`` is empty, Poisson-disc targets are omitted, and ``poisson_disc`` has no rows.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]
@@ -117,7 +117,7 @@ def _averages(table, name):
 
 
 def _of_means(part, name):
-    """Return the percentage by which the mean over designs is larger for uniform targets, and its standard error."""
+    """Return the percentage by which the mean probability is larger for uniform targets, and its standard error."""
     means = [np.asarray(part[c]).mean() for c in ("uniform", name)]
     errors = [np.sqrt((np.asarray(part[f"{c} error"]) ** 2).sum()) / len(part) for c in ("uniform", name)]
     ratio = means[0] / means[1]
@@ -127,7 +127,8 @@ def _of_means(part, name):
 def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
     """Return the drop for each minimum separation of Poisson-disc targets.
 
-    The drop is the percentage by which the collision probability is larger with uniform targets.
+    The drop is the percentage by which the collision probability is larger with uniform targets than with Poisson-disc
+    targets.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 
 
 def _of_reading(name, table):
-    """Compare averages over all designs, averages over designs of small ratios, and LAMOST's design with the paper.
+    """Compare the drops of all designs, of designs with small ratios, and of LAMOST's design with the paper.
 
     The paper averages over its designs. The claim is therefore reproduced if an average over all designs agrees with
     the paper. If only some of the designs agree, the text of the paper does not determine the verdict.
@@ -181,9 +182,9 @@ def _of_reading(name, table):
     values = "; ".join(f"{value:+.2f} % +- {e:.2f} % ({way})" for way, (value, e) in ways.items())
     return Claim(
         "poisson",
-        "uniform targets collide 2.6 % more than Poisson ones",
+        "positioners collide 2.6 % more often with uniform than with Poisson targets",
         "2.6 %",
-        f"{values}; lower in {np.count_nonzero(drop > 0)} of {len(part)} designs",
+        f"{values}; Poisson targets have the lower probability in {np.count_nonzero(drop > 0)} of {len(part)} designs",
         result,
         name + (f"; agrees: {', '.join(agree)}" if agree else ""),
     )
@@ -197,7 +198,7 @@ def _mean(values, errors):
 
 
 def _coordinates(scale):
-    """Return a function that draws points, whose coordinates have a Poisson distribution minus its mean of 100.
+    """Return a function that draws points whose coordinates are Poisson-distributed numbers of mean 100, minus 100.
 
     The coordinates are in units of ``scale`` mm.
     """

@@ -59,12 +59,12 @@ def reproduce(
     Parameters
     ----------
     experiment : {"all", "small", "large", "poisson", "fit", "intervals", "speed"}, optional
-        ``small``: scans of arm ratio and pitch with 19 positioners. ``large``: comparison of formula and simulation
-        for 80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets,
-        for every interpretation of the paper. ``fit``: the fit of the polynomial, and the errors of the surrogate for
+        ``small``: scans of arm ratio and pitch with 19 positioners. ``large``: comparison of formula and simulation for
+        80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets, for
+        every interpretation of the paper. ``fit``: the fit of the polynomial, and the errors of the surrogate for
         designs that were not used to make the surrogate. ``intervals``: how often confidence intervals contain the true
-        value, including intervals for given targets. ``speed``: the time that collisions of arms of 64 segments take,
-        compared with that of swept areas. ``all``: all experiments.
+        value, including intervals for given targets. ``speed``: the time for finding the collisions of arms of 64
+        segments, compared with the time for swept areas. ``all``: all experiments.
     folder : str or path, optional
         Folder for the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); it is created if it does
         not exist.
@@ -119,7 +119,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name in ("fit", "poisson") and "large" in made:  # use the results for these designs
+            if name in ("fit", "poisson") and "large" in made:  # these results are for the same designs
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)

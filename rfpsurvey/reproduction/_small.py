@@ -50,8 +50,8 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "figure",
                 f"{part['value'][0]:.4f} to {part['value'][-1]:.4f}, a factor of {high / low:.1f}",
                 REPRODUCED if holds else NOT_REPRODUCED,
-                f"19 positioners, central arm {L1} mm; 'rapidly' means by a factor of {RAPIDLY:g} or more, and in "
-                "one direction only",
+                f"19 positioners, central arm {L1} mm; 'rapidly' means a monotonic change by a factor of {RAPIDLY:g} "
+                "or more",
             )
         )
     for name in scans:
@@ -66,10 +66,10 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "figure, normalized",
                 f"the normalized curves differ by up to {gap:.3f}; in absolute terms the formula is too low by a "
                 f"factor of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}"
-                + (f", and 0 for {n_zero} of {len(part)} designs" if n_zero else ""),
+                + (f", and it is 0 for {n_zero} of {len(part)} designs" if n_zero else ""),
                 REPRODUCED if gap < COMPARABLE else NOT_REPRODUCED,
-                f"both curves scaled to 0 and 1; 'comparable' means within {COMPARABLE:g}"
-                + (", which this scan barely meets" if 0.8 * COMPARABLE < gap < COMPARABLE else ""),
+                f"both curves scaled to the range from 0 to 1; 'comparable' means a difference below {COMPARABLE:g}"
+                + (", a condition that this scan barely meets" if 0.8 * COMPARABLE < gap < COMPARABLE else ""),
             )
         )
     table.meta["n_positioners"] = len(plane_of(L1, 1.0, PITCH, SMALL["rings"]))

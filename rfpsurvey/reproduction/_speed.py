@@ -1,4 +1,4 @@
-"""Computing time of arms of 64 segments, compared with that of swept areas and of exact distances."""
+"""Computing time for arms of 64 segments, compared with the times for swept areas and for exact distances."""
 
 import numpy as np
 from astropy.table import QTable
@@ -14,7 +14,7 @@ FAR_LESS = 1.0
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the times that four methods take to find the collisions of LAMOST, and the claims about the times."""
+    """Return the times of four methods of finding the collisions of LAMOST's arms, and the claims about the times."""
     table = benchmark_collisions(
         "lamost",
         methods=["exact", "sampled", "sweep", "scipy"],
@@ -34,21 +34,22 @@ def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
     claims = [
         Claim(
             "speed",
-            "arms of 64 segments take 0.15 % of the time of swept areas",
+            "arms of 64 segments take 0.15 % of the computing time of swept areas",
             "0.15 %",
             f"{ratio:.2g} %",
             UNDECIDED if ratio <= FAR_LESS else NOT_REPRODUCED,
-            "both methods are those of rfpsurvey on one core, and skip pairs that cannot touch; the paper compares a "
-            "GPU with a machine that it does not describe, so that the agreement of the two numbers proves little",
+            "both methods are implemented in rfpsurvey, run on one core, and skip pairs that cannot touch; the paper "
+            "compares a GPU with a machine that it does not describe; therefore, the agreement of the two numbers "
+            "proves little",
         ),
         Claim(
             "speed",
-            "collisions of 4000 positioners take 0.45 s",
+            "finding the collisions of 4000 positioners takes 0.45 s",
             "0.45 s on an RTX 4090D",
             f"{sampled['time'].to_value('ms'):.2g} ms with 65 points, {exact['time'].to_value('ms'):.2g} ms "
             "with exact distances",
             REPRODUCED if sampled["time"].to_value("s") <= 0.45 else NOT_REPRODUCED,
-            "at most this time, on one core of this machine; pairs that cannot touch are skipped",
+            "interpreted as at most 0.45 s, on one core of this machine; pairs that cannot touch are skipped",
         ),
         Claim(
             "speed",
@@ -56,8 +57,8 @@ def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
             "stated",
             f"{missed} of {count} pairs missed, distances up to {error:.2g} mm too long",
             REPRODUCED if missed == 0 else NOT_REPRODUCED,
-            "LAMOST's arms, compared with rational arithmetic; no pair may be missed, as the paper states no "
-            "requirement",
+            "LAMOST's arms, compared with rational arithmetic; the paper states no requirement; here, no "
+            "pair may be missed",
         ),
     ]
     return {"speed": table}, claims

@@ -303,10 +303,10 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
     [
         ({"central_arm": 8.25}, "central_arm must be a Quantity"),
         ({"central_arm": [8, -1] * MM}, "central_arm must be finite and above 0, got -1"),
-        ({"pitch": [[25, 26]] * MM}, r"pitch must be one value, or values along one axis, got the shape \(1, 2\)"),
+        ({"pitch": [[25, 26]] * MM}, r"pitch must be one value or a one-dimensional array, got the shape \(1, 2\)"),
         ({"clearance": np.nan * MM}, "clearance must be finite and of at least 0, got nan"),
-        ({"ratio": "two"}, "ratio .* must be numbers"),
-        ({"ratio": [1, 1]}, "ratio must have different values"),
+        ({"ratio": "two"}, "ratio .* must be one or several numbers"),
+        ({"ratio": [1, 1]}, "the values of ratio must differ from each other"),
         ({"ratio": [1, 2, 3], "n_designs": 8}, r"ratio must be one value or its limits \(low, high\)"),
         ({"ratio": [2, 1], "n_designs": 8}, "ratio must be one value or its limits"),
         ({"n_designs": 0}, "n_designs must be a whole number from 1"),

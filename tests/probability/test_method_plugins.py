@@ -99,12 +99,12 @@ def test_simulations_take_allocators_of_others(small, hers):
     [
         (
             None,
-            r"must return a probability for each positioner, as numbers of the shape \(37,\), or a dict, got None",
+            r"must return a dict, or an array of the shape \(37,\) with a probability for each positioner, got None",
         ),
         (0.5, r"got float of the shape \(\)"),
         (np.zeros(3), r"got ndarray of the shape \(3,\)"),
-        (["a"] * 37, "must return a probability for each"),
-        ([[1], [1, 2]], "must return a probability for each"),
+        (["a"] * 37, "must return a dict, or an array"),
+        ([[1], [1, 2]], "must return a dict, or an array"),
         (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
         (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
         (np.full(37, np.nan), "the answer must have value, or per_positioner with a number for"),

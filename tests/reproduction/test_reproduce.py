@@ -178,10 +178,10 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
     assert variance.verdict == "not reproduced"
     assert correlated.verdict == "reproduced"
     assert edge.verdict == "reproduced"
-    assert "differs by more than 3 errors in 80 of 80 designs" in edge.ours
+    assert "the difference is larger than 3 standard errors in 80 of 80 designs" in edge.ours
     table["closed_form_corrected"] = ratio**2 / 20
     mean = _of_differences(table, _differences(table, Settings()))[0]
-    assert "those with the closed form corrected" in mean.ours
+    assert "which use the closed form corrected" in mean.ours
     table["range_200"] = table["covered"]
     assert _of_differences(table, _differences(table, Settings()))[3].verdict == "not reproduced"
 
