@@ -195,7 +195,7 @@ class SelectionProbabilities:
         return describe(self._rows(slice(None)), TARGETS)
 
     def _rows(self, rows: slice) -> QTable:
-        """Return rows of the table."""
+        """Return the table for a slice of the targets."""
         n, count = self.n_realizations, self.n_observed[rows]
         values = {
             "target_id": self.target_id[rows],

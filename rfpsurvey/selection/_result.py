@@ -17,15 +17,15 @@ REALIZATIONS = {
 TARGETS = {
     "target_id": "identifier of the target",
     "requested": "number of requested visits",
-    "n_tiles": "number of tiles in which at least one positioner reaches it",
+    "n_tiles": "number of tiles in which at least one positioner reaches the target",
     "BITWEIGHTS": "bit r is 1 if realization r observed the target",
     "n_observed": "number of realizations that observed the target",
     "probability": "n_observed divided by the number of realizations",
     "probability_error": "standard error of probability",
     "weight": "inverse probability (n_realizations+1)/(n_observed+1)",
     "weight_error": "standard error of weight",
-    "unreachable": "whether no positioner reaches it in any tile",
-    "never_observed": "whether no realization observed it",
+    "unreachable": "whether no positioner reaches the target in any tile",
+    "never_observed": "whether no realization observed the target",
 }
 
 

@@ -62,7 +62,7 @@ def balanced(field: Field, chosen: np.ndarray) -> None:
 
 
 def lamost(field: Field, chosen: np.ndarray) -> None:
-    """Assign the targets of one class after the other by nominations of positioners."""
+    """Assign the targets class by class: free positioners nominate their nearest targets."""
     pairs = field.pairs
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
     # If k other positioners reach candidates of a positioner, one of its first k + 1 candidates is always available.

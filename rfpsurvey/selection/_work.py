@@ -35,7 +35,7 @@ class BlockDone(NamedTuple):
     mask: np.ndarray
     """For each target of the field, the mask of the realizations that visit it."""
     counts: np.ndarray
-    """For each realization, the numbers of positioners with a target, and of those that are lost to a collision."""
+    """For each realization, the number of positioners with a target, and the number of targets lost to a collision."""
 
 
 def plan_together(given: BlockJob) -> BlockDone:

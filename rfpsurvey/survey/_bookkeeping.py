@@ -33,9 +33,10 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Count the visits that pass ``number`` makes to the targets ``slot``.
+        """Count visits to the targets ``slot`` in the pass ``number``.
 
-        The targets ``complete`` have received all of their visits; ``last`` is the pass of the last visit of each.
+        ``complete`` lists the targets that now have all of their visits, and ``last`` is the pass of the last visit of
+        each of these targets.
         """
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
@@ -113,7 +114,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return those of the given targets that have no visit that counts, and the outcome of each of them."""
+        """Select the targets without a visit that counts from the given targets, and return their outcomes, too."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED

@@ -87,7 +87,7 @@ def plan_survey(
     order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
-        is planned first, independent of the passes. ``joint`` or `JointOptions`: the tiles are first planned one after
+        is planned first, whatever their passes are. ``joint`` or `JointOptions`: the tiles are first planned one after
         the other in the order ``color``, and then together, such that the number of visits increases. This order
         requires the allocator ``optimal`` without requirements and required targets.
     folder : str or path-like, optional

@@ -23,7 +23,7 @@ from rfpsurvey.tiling import Tiling, conditions_of_tiles
 __all__ = ["Request", "make_request"]
 
 FIELDS_DIFFER = 0.01
-# Factor for the radius of fields under observing conditions, which differ by aberration and dispersion.
+# Under observing conditions, aberration and dispersion change the radius of a field by less than this factor.
 MARGIN = 1.001
 
 
@@ -52,7 +52,7 @@ class Request:
 
     @cached_property
     def radius_rad(self) -> float:
-        """Radius of a field; refraction enlarges that of the lowest field the most."""
+        """Radius of a field; refraction enlarges the field with the lowest altitude the most."""
         if self.conditions is None:
             return field_radius_rad(self.instrument)
         fields = self._fields()

@@ -117,7 +117,7 @@ class InMemory:
 
 
 class Partitioned:
-    """A catalog in partitions, of which the most recently read are kept in memory; slots are rows."""
+    """A catalog in partitions; the partitions that were read last are kept in memory, and slots are rows."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
         self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch

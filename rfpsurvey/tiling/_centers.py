@@ -31,7 +31,7 @@ class Centers:
         uses the identifiers, position angles, passes and further columns.
     declination : tuple of Quantity or Quantity, shape (2,), optional
         Lowest and highest declination of a center. For a site at the latitude b and a maximum zenith distance z on
-        the meridian, these are b - z and b + z.
+        the meridian, the limits are b - z and b + z.
     position_angle : Quantity, optional
         Position angle of +y of all tiles, from north toward east. The default is 0 or, for ``given``, the position
         angle in the list.
@@ -130,7 +130,7 @@ class Declinations:
         return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
 
     def move_inside(self, vectors: np.ndarray) -> np.ndarray:
-        """Return directions, shape (..., 3), where those outside the limits are moved along meridians onto them."""
+        """Return directions, shape (..., 3); those outside the limits are moved along meridians onto the limits."""
         if self.anywhere:
             return vectors
         lon, lat = to_lonlat(vectors)

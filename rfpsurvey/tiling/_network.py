@@ -180,7 +180,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     cost = _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), problem.radius)
     if len(cell) == 0:
         return cell, tile, np.empty(0), UNASSIGNED * cells.supply.sum()
-    # the cost of unassigned targets is a constant, relative to which the cost is minimized
+    # the cost of leaving all targets unassigned is a constant; only the difference from it is minimized
     ones, n = np.ones(len(cell)), np.arange(len(cell))
     limits = csr_array(
         (np.concatenate([ones, ones]), (np.concatenate([cell, len(cells.supply) + tile]), np.concatenate([n, n]))),

@@ -78,8 +78,8 @@ def place_tiles(
         placed where the number of requested visits is largest. ``density_gradient``: each tile in turn climbs the
         smoothed density of targets, starting at the densest target. ``mean_shift``: each tile in turn moves
         repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest priority
-        first. ``sdss``: a number of tiles are placed by network flow; by default it is the number of a hexagonal
-        lattice. ``given``: the tiles in ``centers``, in their order.
+        first. ``sdss``: tiles are placed together by network flow; by default, as many tiles as a hexagonal lattice
+        has. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
         Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left. With
         ``completeness`` or ``n_tiles``, passes are added until this goal is reached, and tiles that serve no target are
@@ -153,7 +153,7 @@ def place_tiles(
     if allocator is not None and model is None:
         raise InputError("an allocator needs the positioners of an instrument, got none")
     if radius is None and model is None:
-        raise InputError("give an instrument, or the radius of a tile")
+        raise InputError("an instrument or the radius of a tile must be given")
     by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
@@ -192,7 +192,7 @@ def place_tiles(
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
     if fibers.number is None and model is None:
-        raise InputError("give an instrument, or the number of fibers of a tile")
+        raise InputError("an instrument or the number of fibers of a tile must be given")
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")

@@ -283,7 +283,7 @@ def test_centers_restrict_coverings():
         ({"radius": 2}, "radius must be a Quantity"),
         ({"radius": 95 * DEG}, "radius must be one finite value above 0 deg and below 90 deg"),
         ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
-        ({"radius": None}, "give an instrument, or the radius of a tile"),
+        ({"radius": None}, "an instrument or the radius of a tile"),
         ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must be at least one"),
         ({"exclude": 5}, "exclude must be a Region"),
         ({"instrument": "lamots"}, "unknown instrument 'lamots'"),

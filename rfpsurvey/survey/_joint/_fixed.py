@@ -36,7 +36,8 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     plane = request.instrument.focal_plane
     digest = survey.provenance["instrument"].get("digest")
     if digest != request.instrument.provenance["digest"]:
-        raise InputError(f"fixed must be a survey with the instrument {request.instrument.name!r}, got another one")
+        name = request.instrument.name
+        raise InputError(f"fixed must be a survey with the instrument {name!r}, got a survey with another instrument")
     if plane.positioner.handedness == "both":
         raise InputError("fixed needs positioners of one handedness, because a survey does not record the elbows")
     side = -1 if plane.positioner.handedness == "left" else 1

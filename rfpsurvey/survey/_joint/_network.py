@@ -117,7 +117,7 @@ def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, c
     indptr = [np.zeros(1, dtype=np.int64), *(t.indptr[1:] + e for t, e in zip(tiles, ends, strict=False))]
     column = [tile.column + o for tile, o in zip(tiles, offset, strict=False)]
     n_cliques = sum(map(len, indptr)) - 1
-    # A set for each target that more tiles can observe than it requires visits.
+    # Make a set for each target that can be observed by more tiles than the number of visits that it requires.
     own_tile = np.repeat(np.arange(len(tiles)), np.diff(offset))
     real = np.flatnonzero(target >= 0)
     real = real[np.lexsort((real, target[real]))]

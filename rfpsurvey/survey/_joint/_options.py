@@ -83,7 +83,7 @@ class JointOptions:
 
     @cached_property
     def _fixed_digest(self) -> str | None:
-        """A digest of the visits of the fixed tiles, so that a plan is only continued with the same tiles."""
+        """A digest of the visits of the fixed tiles; a plan can only be continued with the same fixed tiles."""
         if self.fixed is None:
             return None
         survey = self.fixed if isinstance(self.fixed, Survey) else Survey.read(self.fixed)

@@ -68,7 +68,7 @@ class Patches:
         self._links = np.unique(row[crossing] * self.n + of_entry[crossing])
 
     def colors(self) -> list[list[int]]:
-        """Return groups of patches; patches of the same group share no set."""
+        """Return groups of patches such that no set contains candidates of two patches of the same group."""
         row, patch = np.divmod(self._links, max(self.n, 1))
         neighbors = [set() for _ in range(self.n)]
         starts = np.flatnonzero(np.append(True, np.diff(row) != 0)) if len(row) else np.empty(0, dtype=int)
@@ -98,8 +98,8 @@ class Patches:
     def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
         """Return whether a plan of a patch may be better.
 
-        A better plan visits a target more often that has remaining visits (``unmet``), with a positioner that does not
-        observe a target of the best class in its reach.
+        In a better plan, a positioner that does not yet observe a target of the best class in its reach observes a
+        target that has remaining visits (``unmet``).
         """
         network, members = self.network, self._members[patch]
         rows, ends = self.candidates(patch)

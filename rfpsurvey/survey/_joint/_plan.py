@@ -29,13 +29,13 @@ log = logging.getLogger("rfpsurvey")
 
 @dataclass(frozen=True, eq=False)
 class PlannedRequest(Request):
-    """The request of a survey whose tiles have given plans."""
+    """The request of a survey in which the plan of each tile is already known."""
 
     plans: list[TilePlan] = field(default_factory=list)
     fixed: dict = field(default_factory=dict)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool):
-        """Return the job that makes the tile with its given plan."""
+        """Return the job that makes a tile from its known plan."""
         if tile in self.fixed:  # its targets may be complete by now
             job = super().job(tile, self.open_state().left, as_file=as_file)
             return given_plan(self, job, self.fixed[tile])

@@ -208,7 +208,7 @@ class Search:
         return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
 
     def _improve(self, patches, executor):
-        """Improve the plan patch by patch; patches that share no set are solved at the same time."""
+        """Improve the plan patch by patch; patches that no set of candidates connects are solved at the same time."""
         network = self.network
         load = network.matrix @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         price = self._prices[-1]
