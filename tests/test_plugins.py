@@ -149,7 +149,7 @@ def test_surveys_take_functions_on_threads(small):
     assert mine.provenance["parameters"]["allocator"] == f"{__name__}.begin_optimal"
     with (
         ProcessPoolExecutor(1) as executor,
-        pytest.raises(rs.InputError, match="must be a name, such as that of an entry point"),
+        pytest.raises(rs.InputError, match="must be a name, such as the name of an entry point"),
     ):
         rs.plan_survey(sky, small, tiles, allocator=begin_optimal, executor=executor)
 

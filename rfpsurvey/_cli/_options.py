@@ -295,7 +295,7 @@ CentralArmOption = Annotated[
 RatioOption = Annotated[
     str | None,
     typer.Option(
-        help="Length of the eccentric arm divided by that of the central arm, in one of the forms of "
+        help="Ratio of the length of the eccentric arm to the length of the central arm, in one of the forms of "
         "--central-arm. The default range is 1 to 2."
     ),
 ]

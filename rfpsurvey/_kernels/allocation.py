@@ -232,8 +232,8 @@ def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target
 
     The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
     positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to
-    it. The result is the same as that of assigning the closest pair of the first class, then the closest remaining pair
-    of this class, and so on.
+    it. The result is the same as if the closest pair of the first class were assigned first, then the closest remaining
+    pair of this class, and so on.
     """
     n = indptr.size - 1
     cursor = indptr[:-1].copy()

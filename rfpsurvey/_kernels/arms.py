@@ -48,8 +48,8 @@ def inner_difference(l1, l2):
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
     """Return the elbow relative to the center, and sine and cosine of phi, both multiplied by the same positive factor.
 
-    ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose is
-    that of the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
+    ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose
+    points at the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
     the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result is NaN.
     """
     total = l1 + l2

@@ -43,7 +43,7 @@ SHORT_RUN = 8
 class Limits(NamedTuple):
     """The minimum separation, and limits of rounding errors for segments of limited length near the origin.
 
-    If arms have outlines, the segments are the cores of the arms, and the separation is that of two cores.
+    If arms have outlines, the segments are the cores of the arms, and the separation applies to the cores.
     """
 
     separation: float
@@ -62,8 +62,8 @@ class Limits(NamedTuple):
 def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, polygons=NO_POLYGONS):
     """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
 
-    If arms have outlines, ``separation`` is that of two cores, and ``outline_error`` (mm) is the limit of the rounding
-    errors of `outlines_squared`.
+    If arms have outlines, ``separation`` is the minimum separation of two cores, and ``outline_error`` (mm) is the
+    limit of the rounding errors of `outlines_squared`.
     """
     size = 2.0 * length + separation  # S of a pair at the minimum separation; pairs with a larger S are farther apart
     slack = REJECT_ERROR * (extent + size)

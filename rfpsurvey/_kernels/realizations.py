@@ -32,8 +32,8 @@ def sort_by_distance(indptr, r2, nearest):
 def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, uncertain):
     """Mark the positioners that have a target and collide, in each realization.
 
-    ``segments`` contains the segment that can collide for each pair, and ``idle`` contains those of the idle arms.
-    ``uncertain`` marks realizations in which rounding could change the result.
+    ``segments`` contains the segment that can collide for each pair, and ``idle`` contains the segments of the idle
+    arms. ``uncertain`` marks realizations in which rounding could change the result.
     """
     n = chosen.shape[1]
     hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
@@ -173,8 +173,8 @@ def nearest(indptr, owner, closest, rank, number, seeds, left, chosen):
 
     ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance. Each
     target proposes to its positioners in the order of ``closest``, and a positioner keeps the target with the highest
-    precedence among the targets that have proposed to it. The result is the same as that of assigning one target after
-    the other, but the targets need not be sorted.
+    precedence among the targets that have proposed to it. The result is the same as if the targets were assigned one
+    after the other, but the targets need not be sorted.
     """
     n = indptr.size - 1
     order, cursor = np.empty(n, np.uint64), np.empty(n, np.int64)

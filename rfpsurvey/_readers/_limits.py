@@ -46,7 +46,7 @@ def is_compressed(path: Path) -> bool:
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     """Return the decompressed content of a file, with at most ``most`` bytes; error messages contain ``kind``.
 
-    If ``most`` is None, the size of uncompressed files is not limited, and that of compressed files is limited by
+    If ``most`` is None, the size of uncompressed files is not limited, and the size of compressed files is limited by
     `MOST_RATIO`.
     """
     try:

@@ -29,7 +29,7 @@ FORMATS = {
 
 
 def _read_text(path: Path) -> Table:
-    from rfpsurvey._readers import _text  # the reader is imported on first use, like that of VOTables
+    from rfpsurvey._readers import _text  # the reader is imported on first use, like the reader of VOTables
 
     return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
 

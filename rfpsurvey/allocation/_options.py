@@ -64,9 +64,9 @@ class AllocationOptions:
         arms may collide. ``optimal``: the number of targets is maximized, one class after the other, such that no arm
         with a target collides with a different arm or an obstacle; the optimum is proven. Such an arm also avoids idle
         arms that are obstacles: parked positioners with equal arms (with ``parked_obstacles``), and disabled and stuck
-        positioners. Among plans of equal value, few idle arms collide with each other; collisions of idle arms with
-        obstacles remain. ``repair``: local moves remove the collisions of the plan ``start``. Any other name is that of
-        an allocator of an installed package. A function is called with an
+        positioners. Among plans of equal value, a plan in which few idle arms collide with each other is preferred;
+        idle arms may still collide with obstacles. ``repair``: local moves remove the collisions of the plan ``start``.
+        Any other name refers to an allocator that an installed package provides. A function is called with an
         `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
@@ -91,9 +91,9 @@ class AllocationOptions:
     required : array_like of int or str, optional
         Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
         assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
-        possible; ``repair`` assigns those for which its moves find a positioner; ``balanced`` ignores this option.
-        Required targets without a fiber are reported. `allocate` has a parameter of the same name, with rows in place
-        of identifiers.
+        possible; ``repair`` assigns the required targets for which its moves find a positioner; ``balanced`` ignores
+        this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name, with
+        rows in place of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as those around bright stars. In each
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other

@@ -81,7 +81,7 @@ def place_arms(
     parked_obstacles: bool = True,
     clip: bool = False,
 ) -> Arms:
-    """Return the poses of all positioners; the parameters are those of `find_collisions`.
+    """Return the poses of all positioners; the parameters are the same as in `find_collisions`.
 
     If ``clip`` is true, an arm whose tip is out of reach is stretched toward the tip as far as possible.
     """
@@ -119,7 +119,7 @@ def _solve(columns, points, side):
 
 
 def _with_idle(find_angles, assigned, idle):
-    """Return joint angles; positioners without a target have those of idle arms."""
+    """Return joint angles; positioners without a target have the angles of idle arms."""
     angles = find_angles()
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
         np.copyto(own, other, where=~assigned)
@@ -172,7 +172,7 @@ def check_tips(columns, points, side, *, clip=False):
     if arms.check(points, columns.geometry, bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
-            f"{int(far.sum())} tips are out of reach, the first that of positioner {plane.id[k]}: "
+            f"{int(far.sum())} tips are out of reach; the first is the tip of positioner {plane.id[k]}: "
             f"{np.hypot(*(points[k] - columns.xy[k])):.7g} mm from its center, "
             f"must be {columns.inner_radius[k]:.4f} to {columns.outer_radius[k]:.4f} mm"
         )

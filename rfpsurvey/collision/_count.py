@@ -95,8 +95,8 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    The counts are the same as those of `find_collisions`, but compiled code processes all configurations in one call.
-    In addition to the input and the counts, the function uses memory for a few configurations only.
+    The counts are the same as the counts of `find_collisions`, but compiled code processes all configurations in one
+    call. In addition to the input and the counts, the function uses memory for a few configurations only.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def count_collisions(
     n_configurations : int, optional
         Number of configurations to draw from an allocation.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Handedness of each arm in all configurations, if it differs from that of the positioner.
+        Handedness of each arm in all configurations; by default, the handedness of the positioner.
     fiber_type : array_like of str, shape (n,), optional
         Fiber type in use in all configurations, for arm models that depend on it.
     parked_obstacles : bool, optional

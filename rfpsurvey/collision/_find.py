@@ -57,7 +57,7 @@ def find_collisions(
     theta, phi : Quantity, shape (n,), optional
         Joint angles instead of ``tips``; NaN for positioners without a target. They may exceed the joint limits.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Handedness of each arm, if it differs from that of the positioner; not allowed with ``theta`` and ``phi``.
+        Handedness of each arm; by default, the handedness of the positioner; not allowed with ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber type in use, for arm models that depend on it.
     parked_obstacles : bool, optional

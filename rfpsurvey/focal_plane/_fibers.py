@@ -16,8 +16,8 @@ class Fibers:
     names : tuple of str
         The fiber types of the focal plane, followed by the types of fibers that take no target.
     length : ndarray of float, shape (k, n)
-        Distance from the elbow to the fiber of each type, mm. If a positioner lacks the fiber, the value is that of its
-        first fiber type.
+        Distance from the elbow to the fiber of each type, mm. If a positioner lacks the fiber, the value for its first
+        fiber type is used.
     angle : ndarray of float, shape (k, n)
         Angle from the mechanical axis of the eccentric arm to the direction of the fiber, in radians.
     missing : ndarray of bool, shape (k, n)
@@ -155,7 +155,7 @@ def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, 
         return inner, outer
     kind = 0 if columns.fibers is None else fiber
     low, high = columns.joints.inner[kind, own], columns.joints.outer[kind, own]
-    if side is not None:  # these limits are those of the default elbow
+    if side is not None:  # these limits are for the default elbow
         usual = np.asarray(side) == (-1.0 if columns.plane.positioner.handedness == "left" else 1.0)
         low, high = np.where(usual, low, 0.0), np.where(usual, high, np.inf)
     return np.maximum(inner, low), np.minimum(outer, high)

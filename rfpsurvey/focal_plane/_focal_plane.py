@@ -39,7 +39,7 @@ class FocalPlane:
     fiber_type : array_like of str, shape (n,), optional
         Fiber types of each positioner, joined by ``+``, such as ``"BOSS+APOGEE"``.
     central_arm, eccentric_arm : Quantity, shape (n,), optional
-        Arm lengths of each positioner, if they differ from those of ``positioner``.
+        Arm lengths of each positioner; by default, the arm lengths of ``positioner``.
     disabled : array_like of bool, shape (n,), optional
         Positioners that take no target and are parked.
     stuck : Quantity, shape (n, 2), optional
@@ -55,7 +55,7 @@ class FocalPlane:
         Direction of the central arm at theta = 0, counter-clockwise from +x, and angle from the central arm to the
         mechanical axis of the eccentric arm at phi = 0; 0 by default.
     theta_range, phi_range : Quantity, shape (n, 2), optional
-        Joint limits of each positioner; NaN where those of ``positioner`` apply.
+        Joint limits of each positioner; NaN where the limits of ``positioner`` apply.
     hidden : Quantity, shape (k, 3), optional
         Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
         reach; arms may cover these circles. Collision probabilities do not take them into account.
@@ -222,7 +222,7 @@ class FocalPlane:
         fiber_type : str or array_like of str, shape (n,), optional
             Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
         handedness : {"right", "left"} or array_like of str, shape (n,), optional
-            Handedness of each arm, if it differs from that of the positioner.
+            Handedness of each arm; by default, the handedness of the positioner.
 
         Returns
         -------

@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "make_grid", "sides"]
 
-# Number of targets that are tested together, so that little memory is used besides that of the pairs.
+# Number of targets that are tested together; a small number limits the memory that is used in addition to the pairs.
 BLOCK = 1 << 18
 
 

@@ -39,8 +39,8 @@ class AsBuilt:
     ) -> "Instrument":
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
-        The files contain no optics and no requirements. The optics and the requirements are those of the preset
-        ``desi``. If the files do not contain the clearance, the clearance is also that of the preset. The x axis is
+        The files contain no optics and no requirements. The optics and the requirements are taken from the preset
+        ``desi``. If the files do not contain the clearance, it is also taken from the preset. The x axis is
         reversed, because +x is west in the files and east in this package.
 
         Parameters
@@ -88,7 +88,7 @@ class AsBuilt:
     ) -> "Instrument":
         """Read PFS as built from files of the observatory.
 
-        The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are those of the
+        The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are taken from the
         preset ``pfs``.
 
         Parameters
@@ -113,7 +113,7 @@ class AsBuilt:
         Raises
         ------
         InputError
-            If a file is incomplete, lacks a column, or has values that cannot be those of PFS.
+            If a file is incomplete, lacks a column, or has values that are impossible for PFS.
         """
         return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
 
@@ -123,9 +123,9 @@ class AsBuilt:
     ) -> "Instrument":
         """Read SDSS-V as built: the calibration of the focal plane system at Apache Point or Las Campanas.
 
-        The ids of the positioners are those of their holes, such as R-1C14. The joint angles theta and phi are alpha
-        and beta of the robots, and positions are wok coordinates. Values that the files do not contain are those of the
-        preset of the site, ``sdss_apo`` or ``sdss_lco``.
+        The ids of the positioners are the names of their holes, such as R-1C14. The joint angles theta and phi are
+        alpha and beta of the robots, and positions are wok coordinates. Values that the files do not contain are taken
+        from the preset of the site, ``sdss_apo`` or ``sdss_lco``.
 
         Parameters
         ----------

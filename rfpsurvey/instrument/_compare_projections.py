@@ -110,7 +110,7 @@ def compare_projections(
     From the cheapest to the most complete, the models are ``tangent`` (tangent plane), ``radial`` (radial map),
     ``refraction`` (also refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (also the
     wavelength of each fiber type) and ``full`` (also the mean over the exposure). A model is accurate enough if the
-    positions of all targets differ by at most the tolerance from those of the model ``full``.
+    position of each target differs by at most the tolerance from its position in the model ``full``.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
     title : str, optional
         Full name.
     layout : {"nominal", "as built"}, optional
-        Whether the centers are a nominal lattice or those of the instrument as built.
+        Whether the centers are a nominal lattice or were measured on the instrument as built.
     targets_per_fiber : float, optional
         Usual number of targets per positioner, for synthetic catalogs.
     values : dict, optional
@@ -325,7 +325,7 @@ def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
 
 
 def available_instruments() -> list[str]:
-    """Return the names of all presets: those of this package, and those of other installed packages.
+    """Return the names of all presets of this package and of other installed packages.
 
     Other packages add instruments by the entry-point group ``rfpsurvey.instruments``. Each entry point refers to an
     `Instrument`, a function that returns one, or the path of a TOML file.

@@ -1,6 +1,6 @@
 """PFS as built, from files of the observatory: dots, fiducials, interference limits and calibration of the cobras.
 
-Cobra identifiers are those of the observatory, 1 to 2394.
+Cobras have the identifiers of the observatory, 1 to 2394.
 """
 
 import gzip

@@ -1,6 +1,6 @@
 """SDSS-V as built: the calibration tables of the focal plane system at Apache Point or Las Campanas.
 
-Angles are those of the tables: alpha is theta, beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
+The angle alpha of the tables is theta, and beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
 place (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is tx =
 alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
 coordinates, the position of the fiber is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are
@@ -38,7 +38,7 @@ def recognizes(path: Path) -> bool:
 
 
 def read(preset, folder, *, site: str | None = None, disabled=()):
-    """Return the instrument in a folder; ``preset`` maps a name to the instrument with the values that files lack."""
+    """Read an instrument from a folder; ``preset(name)`` returns the preset with the values that the files lack."""
     folder = to_path(folder)
     if not folder.is_dir():
         what = "this is a file" if folder.exists() else "there is no such folder"
@@ -274,7 +274,7 @@ def _obstacles(folder, site, nominal, ids, notes):
 
 
 def _maps(folder, site, nominal, notes):
-    """Return the radial map of each fiber type; the field angle limit and the factor are those of the preset."""
+    """Return the radial map of each fiber type, with the field angle limit and the factor of the preset."""
     rows = _optional(folder, "focalPlaneModel.csv", site, ("direction", "waveCat", "R", *COEFFICIENTS), notes)
     if rows is None:
         return nominal

@@ -148,7 +148,7 @@ class ObservingConditions:
             is a name or longitude, latitude (deg) and height (m). A table ``wavelength`` has a value for each fiber
             type.
         **changes : object
-            Parameters that replace those of the file.
+            Parameters that replace the parameters of the file.
 
         Returns
         -------
@@ -280,7 +280,7 @@ class ObservingConditions:
             if "tolerance_mm" in record:
                 given["tolerance"] = record["tolerance_mm"] * u.mm
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"record must be that of observing conditions, got {short(record)}: {error}") from None
+            raise InputError(f"record must describe observing conditions, got {short(record)}: {error}") from None
         return cls(**given)
 
     def __repr__(self):

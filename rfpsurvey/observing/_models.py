@@ -35,7 +35,7 @@ def model_of(model: str | None, conditions: ObservingConditions | None) -> str:
 def field_of_model(
     model: str, basis: np.ndarray, focal_length: float, distortion: object, conditions=None, radius: float = 0.0
 ) -> FieldProjection | ObservedField:
-    """Return the projection of a field by a model; the parameters are those of `ObservedField`."""
+    """Return the projection of a field by a model; the parameters are the same as in `ObservedField`."""
     if model in STATIC:
         return FieldProjection(basis, focal_length, None if model == "tangent" else distortion)
     if model != "full":

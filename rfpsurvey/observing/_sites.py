@@ -7,8 +7,8 @@ from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 
 __all__ = ["SITES", "as_site", "location"]
 
-# Longitude (deg, east), latitude (deg), height (m). The values are those of astropy's table of sites, which names as
-# their sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the
+# Longitude (deg, east), latitude (deg), height (m). The values are taken from astropy's table of sites, which names as
+# its sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the
 # VLTI (Paranal), and the website of the Subaru telescope (Mauna Kea).
 SITES = {
     "apache point": (-105.82, 32.78, 2798.0),

@@ -32,10 +32,10 @@ class BlankIds(NamedTuple):
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
     """Return identifiers for blank sky that differ from all identifiers of a catalog, which are in ``parts``.
 
-    If the identifiers of the catalog are integers, the identifiers of blank sky are below -1 and below all of them. If
-    there are too few such integers, the identifiers of blank sky are above all identifiers of the catalog. If the
-    identifiers are text, those of blank sky begin with ``blank-sky-``; if the catalog already has identifiers of this
-    form, those of blank sky begin with more underscores than any of them.
+    If the identifiers of the catalog are integers, the identifiers of blank sky are less than -1 and less than all
+    identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are above all
+    identifiers of the catalog. If the identifiers are text, those of blank sky begin with ``blank-sky-``; if the
+    catalog already has identifiers of this form, those of blank sky begin with more underscores than any of them.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

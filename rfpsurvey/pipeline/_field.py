@@ -25,7 +25,7 @@ from rfpsurvey.projection import FieldProjection
 
 __all__ = ["FieldPlan", "FieldTargets", "field_radius_rad", "plan_field", "project_field"]
 
-# Number of points on a ring near the edge of a field, and its radius as a fraction of that of the field.
+# Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
 
 

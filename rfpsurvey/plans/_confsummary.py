@@ -230,8 +230,8 @@ def _is_nominal(plan: QTable) -> bool:
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the columns of a file and their types.
 
-    If the plan was read from a confSummary file, the columns are those of this file; otherwise, they are the default
-    columns ``STRUCT``.
+    If the plan was read from a confSummary file, the file has the same columns; otherwise, it has the default columns
+    ``STRUCT``.
     """
     if "struct" in plan.meta:
         return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}

@@ -1,6 +1,6 @@
 """Designs of PFS: FITS files pfsDesign-0x*.fits with the extensions DESIGN, PHOTOMETRY and GUIDESTARS.
 
-The data model is that of https://github.com/Subaru-PFS/datamodel, versions 3 and 4.
+The data model is defined by https://github.com/Subaru-PFS/datamodel, versions 3 and 4.
 """
 
 import gzip

@@ -1,8 +1,8 @@
 """The table of a plan, and the formats of files in which plans are stored.
 
 Each format has a module with four functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *,
-overwrite)`` writes one, ``recognizes(path)`` returns whether the first bytes or the names of extensions are those of
-the format, and ``lost(plan)`` describes the data that the format cannot represent.
+overwrite)`` writes one, ``recognizes(path)`` returns whether the first bytes or the names of extensions belong to the
+format, and ``lost(plan)`` describes the data that the format cannot represent.
 """
 
 import os
@@ -287,7 +287,7 @@ def as_plan(plan: object) -> QTable:
 
 
 def is_tile(table: Table) -> bool:
-    """Return whether a table is that of a tile of this package."""
+    """Return whether a table describes a tile of this package."""
     provenance = table.meta.get("provenance")
     return {"status", "in_collision", "target_id"} <= {*table.colnames} and isinstance(provenance, dict)
 

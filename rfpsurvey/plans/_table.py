@@ -15,7 +15,7 @@ def read(path: Path) -> QTable:
     """Return the plan in a table."""
     table = read_table(path)
     if not is_plan(table) and not is_tile(table):
-        raise InputError(f"{path}: the table must be that of a plan that write_plan wrote, or a tile")
+        raise InputError(f"{path}: the table must be a tile, or a plan that write_plan wrote")
     for name in table.colnames:  # ECSV files do not distinguish empty text from missing values
         if isinstance(table[name], MaskedColumn) and table[name].dtype.kind == "U":
             table[name] = table[name].filled("")

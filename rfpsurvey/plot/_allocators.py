@@ -23,7 +23,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     table : QTable
         Table returned by `~rfpsurvey.compare_allocators`.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure, with the legend below the axes.
+        Axes to draw on; by default, a new figure with the legend below the axes is created.
     **kwargs
         Passed to ``barh``, for example ``height``.
 

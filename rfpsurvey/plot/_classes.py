@@ -124,9 +124,9 @@ def draw_layers(
 ) -> Iterator:
     """Draw a dot for each target, and yield legend entries.
 
-    Dots of targets that are not assigned are small and have the zorder ``below``; those of assigned targets are larger
-    and have the zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The dots of a
-    large catalog are smaller. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
+    Targets that are not assigned are small dots with the zorder ``below``; assigned targets are larger dots with the
+    zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The dots of a large catalog
+    are smaller. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
     """
     from matplotlib.lines import Line2D
 

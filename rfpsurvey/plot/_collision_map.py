@@ -50,7 +50,7 @@ def plot_collision_map(
     focal_plane : FocalPlane, Instrument or str, optional
         The positioners; a str is the name of a preset. It is not allowed for a Tile, which has its own.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.
     orientation : {"sky", "focal plane"}, optional
@@ -160,7 +160,7 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     """Color disks by value, from the smallest to the largest value, and draw a color bar."""
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
-    # slightly below the smallest value, whose color would otherwise be that of the background
+    # slightly below the smallest value, which would otherwise have the color of the background
     limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
     small = radius * points_per_unit(ax) < SMALL
     edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}

@@ -27,7 +27,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     survey : Survey
         Survey to plot.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to ``plot`` of the line of all visits, for example ``linewidth``.
 

@@ -42,7 +42,7 @@ def plot_coverage(
     focal_plane : FocalPlane, Instrument or str
         The positioners; a str is the name of a preset. Positioners that are disabled or stuck reach nothing.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure, with the legend below the axes.
+        Axes to draw on; by default, a new figure with the legend below the axes is created.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default. The legend always refers
         to the whole footprint.

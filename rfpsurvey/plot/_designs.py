@@ -49,8 +49,8 @@ def plot_designs(
     table : QTable
         Table returned by `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around`.
     x, y : str, optional
-        Columns to plot; the objectives by default. The front is always that of the objectives; if these are plotted,
-        a line connects its points.
+        Columns to plot; the objectives by default. The front is always computed for the objectives of the table; if
+        these are plotted, a line connects the points of the front.
     color : str, optional
         Column that determines the color; by default ``ratio`` if it varies, otherwise the parameter with the most
         values.
@@ -58,7 +58,7 @@ def plot_designs(
         Designs to mark by name, such as existing instruments: tables of one or a few designs, made by
         `~rfpsurvey.design.explore_designs` with the same targets.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to ``Axes.scatter``.
 
@@ -70,8 +70,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or the loss of designs
-        in ``mark`` has another definition than that in ``table``.
+        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or the loss is defined
+        differently in ``mark`` and in ``table``.
 
     Examples
     --------
@@ -88,7 +88,8 @@ def plot_designs(
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each table in mark, must be a table that explore_designs returned")
         if _question(one) != _question(table):
-            raise InputError(f"the losses in mark must be those of table ({_question(table)}), got {_question(one)}")
+            same = f"the same definition as in table ({_question(table)})"
+            raise InputError(f"the losses in mark must have {same}, got {_question(one)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]

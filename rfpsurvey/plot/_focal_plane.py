@@ -65,7 +65,7 @@ def plot_focal_plane(
         Tile or focal plane to plot; a str is the name of a preset. Without a tile, the only arms are those that
         cannot move.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure. The legend is below the axes; a figure with
+        Axes to draw on; by default, a new figure is created. The legend is below the axes; a figure with
         ``layout="constrained"`` has room for it.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.

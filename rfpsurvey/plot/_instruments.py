@@ -29,7 +29,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     table : QTable
         Table returned by `~rfpsurvey.compare_instruments`.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to the bars, for example ``height``.
 

@@ -44,7 +44,7 @@ def plot_probability(
     by : str, optional
         Column that defines groups; each group has its own lines.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to ``plot`` of each line, for example ``linewidth``.
 
@@ -129,7 +129,7 @@ def plot_residuals(
     x, y : str, optional
         Columns along the axes.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure.
+        Axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to ``scatter``, for example ``s``, ``vmin`` and ``vmax``.
 

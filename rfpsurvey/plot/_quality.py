@@ -46,7 +46,7 @@ def plot_quality(
         Column of numbers in the outcomes of a tile, for the histogram. By default it is the priority or, without
         priorities, the first further column of the catalog that contains numbers.
     axes : tuple of matplotlib.axes.Axes, optional
-        Four axes to draw on; by default those of a new figure.
+        Four axes to draw on; by default, a new figure is created.
     **kwargs
         Passed to the bars of the first panel, for example ``height``.
 

@@ -27,7 +27,7 @@ LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45
 """Opacity of tiles that all have the same color, so that their overlaps are visible.
 
-If tiles have several colors, the tiles are opaque, so that their colors are those of the color bar on every background.
+If tiles have several colors, the tiles are opaque, so that their colors match the color bar on every background.
 """
 
 
@@ -45,7 +45,7 @@ def plot_tiling(
 
     The axes are right ascension and declination or, near a pole, offsets from the mean direction. If tiles are more
     than 60 deg away from their mean direction, the plot is a map of the whole sky. Colors extend from the smallest to
-    the largest value. Tiles of later passes are filled up to a smaller radius, so that those of earlier passes can be
+    the largest value. Tiles of later passes are filled up to a smaller radius, so that tiles of earlier passes can be
     seen; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
 
     Parameters
@@ -55,13 +55,13 @@ def plot_tiling(
     color : str, optional
         Column that determines the color; by default the completeness of a survey, or the pass of a tiling.
     radius : Quantity, optional
-        Radius of a field; by default that of the survey or of the tiling, or 1 deg if it is unknown.
+        Radius of a field; by default, the field radius of the survey or of the tiling, or 1 deg if it is unknown.
     targets : Catalog or SkyCoord, optional
         Targets to draw as dots.
     region : Region, optional
         Region whose border to draw.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure. Axes with the projection ``aitoff`` show the whole sky.
+        Axes to draw on; by default, a new figure is created. Axes with the projection ``aitoff`` show the whole sky.
     **kwargs
         Passed to the collection of fields, for example ``cmap`` or ``alpha``.
 

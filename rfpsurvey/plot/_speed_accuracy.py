@@ -32,7 +32,7 @@ def plot_speed_accuracy(
     table : QTable
         Table returned by `~rfpsurvey.benchmark.benchmark_collisions`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Axes for misclassified pairs and for the largest error of a distance; by default those of a new figure.
+        Axes for misclassified pairs and for the largest error of a distance; by default, a new figure is created.
     **kwargs
         Passed to ``plot`` of each method, for example ``markersize``.
 
@@ -125,7 +125,7 @@ def plot_probability_accuracy(
     table : QTable
         Table returned by `~rfpsurvey.benchmark.benchmark_probability`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Axes to draw on, one for each estimand of the table in alphabetic order; by default those of a new figure.
+        Axes to draw on, one for each estimand of the table in alphabetic order; by default, a new figure is created.
     **kwargs
         Passed to ``errorbar`` of each method, for example ``markersize``.
 

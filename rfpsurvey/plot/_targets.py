@@ -36,8 +36,8 @@ def plot_targets(
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
     The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
-    are smaller dots of the same color. The axes of a tile are offsets from its center. The axes of a survey are those
-    of `plot_tiling`, and circles show its fields, except on a map of the whole sky.
+    are smaller dots of the same color. The axes of a tile are offsets from its center. A survey is drawn on the same
+    axes as by `plot_tiling`, and circles show its fields, except on a map of the whole sky.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def plot_targets(
     color : {"outcome", "kind", "category", "priority"}, optional
         Property of targets that determines the colors.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw on; by default those of a new figure. The legend is below the axes. Axes with the projection
+        Axes to draw on; by default, a new figure is created. The legend is below the axes. Axes with the projection
         ``aitoff`` show the whole sky.
     **kwargs
         Passed to the dots, for example ``s`` or ``alpha``.
@@ -61,7 +61,7 @@ def plot_targets(
     Raises
     ------
     InputError
-        If the tile has no outcomes, the catalog is missing or is not that of the survey, or there is no column
+        If the tile has no outcomes, the catalog is missing or is not the catalog of the survey, or there is no column
         ``color``.
 
     See Also
@@ -129,7 +129,7 @@ def codes_of(outcomes) -> np.ndarray:
 
 def _catalog_of(survey, catalog) -> Catalog:
     if catalog is None:
-        raise InputError("catalog must be that of the survey, which has the positions of its targets, got None")
+        raise InputError("catalog must be the catalog of the survey, which has the positions of the targets, got None")
     catalog = as_catalog(catalog)
     known = survey.outcomes["target_id"]
     if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():

@@ -49,7 +49,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
         ring.reverse()
     parts = None if _crosses(xy, ring) else _triangles(xy, ring)
     if not parts:
-        raise InputError(f"vertices must be those of a polygon whose edges do not cross, got {short(vertices)}")
+        raise InputError(f"vertices must define a polygon whose edges do not cross, got {short(vertices)}")
     return tuple(points[part] * u.mm for part in _merged(xy, parts))
 
 

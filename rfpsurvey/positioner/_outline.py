@@ -19,7 +19,7 @@ MOST = 1e6
 SAME = 1e-9
 """Tolerance (mm): closer vertices become one vertex, and edges that bend inward by less count as straight."""
 PERIMETER = 1e-9
-"""Largest relative difference between the perimeter of a convex polygon and that of its convex hull."""
+"""Largest relative difference between the perimeters of a convex polygon and of its convex hull."""
 FAR = 1e30
 """Half of the side length (mm), with a negative sign, of the rectangle of an outline without parts."""
 ROUNDED_UP = 1.0 + 1e-12

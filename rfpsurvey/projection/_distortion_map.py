@@ -1,4 +1,4 @@
-"""Maps without radial symmetry from the tangent plane to the focal plane, such as those of a dispersion compensator."""
+"""Maps without radial symmetry from the tangent plane to the focal plane, as for dispersion compensators."""
 
 import os
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,8 @@ from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
 __all__ = ["DistortionMap"]
 
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
-# The maximum tangent for which a map is valid is that of the traced directions, multiplied by this factor.
+# The maximum tangent for which a map is valid is the maximum tangent of the traced directions, multiplied by this
+# factor.
 MARGIN = 1.04
 MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 
@@ -98,7 +99,7 @@ class DistortionMap:
         # the third item is the matrix that transforms rows (x, y) of this package into rows (x, y) of the polynomials
         object.__setattr__(self, "_setting", (tables, unit, flip @ turn, center))
         if not np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]) > 0:
-            raise InputError("coefficients must be those of a map that is invertible at the field center")
+            raise InputError("coefficients must define a map that is invertible at the field center")
 
     @classmethod
     def from_ray_trace(cls, path: str | os.PathLike, *, degree: int = 5, harmonics: int = 2) -> "DistortionMap":

@@ -78,8 +78,8 @@ class TangentPlane:
             np.isclose(number, m.plate_scale.to_value(_SCALE), rtol=1e-9) for m in maps
         ):
             raise InputError(
-                f"plate_scale must be that of the distortion ({next(iter(maps)).plate_scale}), or be omitted, "
-                f"got {scale}"
+                f"plate_scale must be the plate scale of the distortion ({next(iter(maps)).plate_scale}), "
+                f"or be omitted, got {scale}"
             )
         object.__setattr__(self, "plate_scale", scale)
         to_scalar(self.rotation, u.deg, "rotation", low=-3600, high=3600)

@@ -78,7 +78,7 @@ def _names(table):
 
 
 def _start(table):
-    """Return the initial design of the calculator: that of the instrument, or the first design of the Pareto front."""
+    """Return the initial design of the calculator: the instrument, or the first design of the Pareto front."""
     named = np.flatnonzero(np.array(_names(table)) != "")
     front = np.flatnonzero(np.asarray(table["pareto"]))
     row = table[next(iter([*named.tolist(), *front.tolist(), 0]))]

@@ -118,7 +118,7 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
     seen = (
         "Bars show the numbers of usable fibers on science targets, of fibers lost to collisions, and of fibers "
         "missing for requirements. The dashed line is the number of science fibers if collisions are ignored. The time "
-        "is that of the allocation."
+        "is the computing time of the allocation."
     )
     picture = Picture("Numbers of fibers for each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]

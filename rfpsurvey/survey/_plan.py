@@ -76,8 +76,9 @@ def plan_survey(
         require the name of an allocator; a function can only be used in threads. A plan whose search ends at the time
         limit may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
-        Requested number of visits of each target, 0 to 255; by default that of the catalog, or one. A tile observes a
-        target at most once. The rows of a `PartitionedCatalog` are those of its method ``read``.
+        Requested number of visits of each target, 0 to 255; by default, the visits of the catalog, or one visit. A tile
+        observes a target at most once. The order of the rows of a `PartitionedCatalog` is the order in which its method
+        ``read`` returns them.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
@@ -171,14 +172,14 @@ def plan_survey(
 def prepare_request(
     catalog, instrument, tiling, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
 ) -> Request:
-    """Return the validated request of a survey; the parameters are those of `plan_survey`."""
+    """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     asked = as_options(allocator)
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
-            f"allocator must be a name, such as that of an entry point, if other processes plan tiles, got "
+            f"allocator must be a name, such as the name of an entry point, if other processes plan tiles, got "
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)

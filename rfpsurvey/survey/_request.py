@@ -192,9 +192,8 @@ def make_request(
     tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
     if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
-        text = (
-            f"the tiles were placed for fields of {made_for:.4g} deg, those of {instrument.name} have {radius:.4g} deg"
-        )
+        fields = f"{instrument.name} has fields of {radius:.4g} deg"
+        text = f"the tiles were placed for fields of {made_for:.4g} deg, but {fields}"
         warn(text)
     wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
     if visits is not None and np.ndim(visits):

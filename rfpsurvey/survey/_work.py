@@ -120,7 +120,7 @@ class Done(NamedTuple):
     visits: np.ndarray | None
     """The visits of the tile as an array; None if a file is requested."""
     target: np.ndarray
-    """For each visit, the index of its target among those of the field; -1 for blank sky."""
+    """For each visit, the index of its target among the targets of the field; -1 for blank sky."""
     observed: np.ndarray
     in_reach: np.ndarray
     """Whether at least one positioner reaches each target of the field."""

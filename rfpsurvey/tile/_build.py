@@ -41,8 +41,7 @@ def build_tile(
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
     target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
-    ``targets`` are all targets of the field. ``software`` lists the packages whose versions the tile records in
-    addition to those of the usual packages.
+    ``targets`` are all targets of the field. ``software`` lists further packages whose versions the tile records.
     """
     plane = instrument.focal_plane
     projection = parameters.get("projection", "radial")

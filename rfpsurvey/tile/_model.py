@@ -10,7 +10,7 @@ __all__ = ["model_sentence"]
 
 TYPES = {
     2: "only arms of adjacent positioners can touch (collision type 2)",
-    3: "arms can also touch those of positioners that are not adjacent (collision type 3)",
+    3: "arms of positioners that are not adjacent can also touch (collision type 3)",
 }
 ARMS = {
     "elbow_to_tip": "segments from elbow to fiber",

@@ -251,7 +251,7 @@ def _objectives(levels: list) -> list:
 
 
 def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
-    """Issue a warning for requirements on categories that no target has, except those of the instrument."""
+    """Issue a warning for requirements on categories that no target has, except requirements of the instrument."""
     if isinstance(options.requirements, str) or not options.requirements:
         return
     category = np.array([""]) if catalog.category is None else catalog.category

@@ -64,7 +64,7 @@ def score_tile(
         Position angle of +y, measured from north in the frame of the center; by default ``position_angle`` or
         ``field_pa`` of the table.
     equinox : str, optional
-        Equinox of north for position angles, such as ``"J2026.0"``; by default north is that of ICRS. It is not
+        Equinox of north for position angles, such as ``"J2026.0"``; by default, north in ICRS. It is not
         allowed with ``center``, whose frame defines north.
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
@@ -239,7 +239,7 @@ def _positioners(find: Finder, instrument: Instrument):
 
 
 def _is_ours(table) -> bool:
-    """Return whether a table is that of a tile made by this package."""
+    """Return whether a table describes a tile made by this package."""
     return {"in_collision", "status"} <= set(table.colnames)
 
 

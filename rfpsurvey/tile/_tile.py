@@ -58,7 +58,7 @@ class Tile:
     Raises
     ------
     InputError
-        If the table is not that of a tile.
+        If the table does not describe a tile.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class Tile:
             raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
         lacking = [name for name in ("summary", "provenance", "geometry") if name not in table.meta]
         if lacking or "in_collision" not in table.colnames:
-            raise InputError("the table is not that of a tile: it lacks " + (", ".join(lacking) or "in_collision"))
+            raise InputError("the table does not describe a tile: it lacks " + (", ".join(lacking) or "in_collision"))
         for path in MUST_HAVE:
             value = table.meta
             for name in path.split("."):

@@ -1,4 +1,4 @@
-"""Observing conditions of tiles: those of the tiling, with a time or hour angle for each tile."""
+"""Observing conditions of tiles: the conditions of the tiling, with a time or hour angle for each tile."""
 
 import warnings
 from dataclasses import replace

@@ -77,7 +77,7 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
     Returns
     -------
     ndarray, shape (n, 3)
-        Centers, including those of circles that do not touch the given circle.
+        Centers, including the centers of circles that do not touch the given circle.
     """
     if reach > np.pi / 2 * (1 + 1e-9):
         raise InputError(
@@ -126,7 +126,7 @@ def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> 
     Returns
     -------
     ndarray, shape (n, 3)
-        Centers, including those of circles that do not touch the given circle.
+        Centers, including the centers of circles that do not touch the given circle.
     """
     check_number(reach, radius)
     wide = min(reach + MARGIN * radius, np.pi)

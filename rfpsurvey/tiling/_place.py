@@ -97,14 +97,15 @@ def place_tiles(
         `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile; circles that no arm may cover are
         obstacles in each tile.
     radius : Quantity, optional
-        Angular radius of a tile, instead of that of the instrument.
+        Angular radius of a tile; by default, the field radius of the instrument.
     centers : Centers, SkyCoord, Tiling or Table, optional
         Constraints on the centers of tiles, such as a list of bright stars or limits of declination, and the position
         angle of tiles; see `~rfpsurvey.tiling.Centers`.
     exclude : Region or list of Region, optional
         Regions whose targets or area are not counted. Tiles may overlap them.
     visits : array_like of int, optional
-        Requested number of visits of each target, shape (n,) or one number; by default that of the catalog, or one.
+        Requested number of visits of each target, shape (n,) or one number; by default, the visits of the catalog, or
+        one visit.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function after each tile: with the number of tiles and
         ``n_tiles`` if that is given, otherwise with the completeness reached and its goal. Methods that try several

@@ -65,7 +65,7 @@ class Tiling:
             raise InputTypeError(f"table must be a QTable, got {type(self.table).__name__}")
         lacking = [name for name in COLUMNS if name not in self.table.colnames]
         if lacking:
-            raise InputError(f"the table is not that of a tiling: it lacks {', '.join(lacking)}")
+            raise InputError(f"the table does not describe a tiling: it lacks {', '.join(lacking)}")
         tile = to_labels(self.table["tile"], "tile")
         angles = {name: to_unit(self.table[name], u.deg, name) for name in ("ra", "dec", "position_angle")}
         for name, low, high in (("ra", -180, 360), ("dec", -90, 90), ("position_angle", -3600, 3600)):

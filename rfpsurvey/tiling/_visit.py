@@ -1,4 +1,4 @@
-"""Observe the tiles of a list, either those with the most remaining targets first, or in the order of the list."""
+"""Observe the tiles of a list, either in the order of the list or with the most remaining targets first."""
 
 import heapq
 

@@ -100,7 +100,7 @@ def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
     tips = np.stack([plane.xy + 3 * MM] * 140)
     tips[130, 2] += 50 * MM
     with pytest.raises(
-        rs.InputError, match="configuration 130: 1 tips are out of reach, the first that of positioner 2"
+        rs.InputError, match="configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
     ):
         rs.count_collisions(plane, tips)
     limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
@@ -142,7 +142,10 @@ def test_nothing_to_count():
         ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
         ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
         ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
-        ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach, the first that of positioner"),
+        (
+            {"tips": np.zeros((2, 7, 2)) * MM},
+            "configuration 0: 6 tips are out of reach; the first is the tip of",
+        ),
         (
             {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
             "n_configurations can be given only with an Allocation",

@@ -157,7 +157,7 @@ def test_columns_that_are_not_valid_are_errors(columns, text):
 def test_conditions_of_another_type_are_errors():
     with pytest.raises(rs.InputError, match="conditions must be ObservingConditions or None"):
         rs.Tiling.from_table(QTable({"ra": CENTERS.ra, "dec": CENTERS.dec})).with_conditions("paranal")
-    with pytest.raises(rs.InputError, match="record must be that of observing conditions"):
+    with pytest.raises(rs.InputError, match="record must describe observing conditions"):
         rs.ObservingConditions.from_record({"wavelength_um": 0.5})
 
 

@@ -217,7 +217,7 @@ def test_what_cannot_be_drawn_is_refused(tile, survey, sky, presets):
         (lambda: rs.plot.plot_targets(tile, sky), "give no catalog"),
         (lambda: rs.plot.plot_targets(scored), "the tile must have outcomes of targets, got none"),
         (lambda: rs.plot.plot_targets(bare, color="priority"), "the catalog must have the column priority"),
-        (lambda: rs.plot.plot_targets(survey), "catalog must be that of the survey"),
+        (lambda: rs.plot.plot_targets(survey), "catalog must be the catalog of the survey"),
         (lambda: rs.plot.plot_targets(survey, sky[:-1]), "catalog must have the 1500 targets of the survey"),
         (lambda: rs.plot.plot_targets(survey, sky[::-1]), "catalog must have the 1500 targets of the survey"),
         (lambda: rs.plot.plot_focal_plane(tile, targets="all"), "unknown targets 'all'"),

@@ -151,7 +151,7 @@ def test_focal_length_is_another_way_to_say_plate_scale():
         ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one finite value above 0 mm / rad, got -5"),
         ({}, "requires plate_scale or distortion"),
         ({"distortion": "no"}, "distortion must be a RadialMap or a DistortionMap"),
-        ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "must be that of the distortion"),
+        ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "must be the plate scale of the distortion"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": [5, 6] * u.deg}, "rotation must be one value, got the shape"),
         ({"plate_scale": 1 * u.mm / u.deg, "rotation": np.nan * u.deg}, "rotation must be one finite value"),

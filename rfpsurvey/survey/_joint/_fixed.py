@@ -1,4 +1,4 @@
-"""Tiles that were already observed: their plans are those of another survey."""
+"""Tiles that were already observed; their plans are taken from another survey."""
 
 from typing import NamedTuple
 
@@ -69,9 +69,9 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
 
 
 def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:
-    """Return the candidates of a fixed tile, one for each positioner; ``slots`` are those of the targets of its field.
+    """Return the candidates of a fixed tile, one for each positioner.
 
-    Visits that do not count are omitted.
+    ``slots`` contains the slots of the targets of the field of the tile. Visits that do not count are omitted.
     """
     n = len(fixed.slot)
     order = np.argsort(slots, kind="stable")
