@@ -59,7 +59,7 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
 
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin with a given name, or make a plugin of a given function."""
+    """Return the plugin with a given name, or make a plugin from a given function."""
     if callable(given):
         return Plugin(what, name_of(given), given)
     plugin = find_plugin(group, given, known, what)

@@ -161,7 +161,7 @@ ExcludeOption = Annotated[
 CentersOption = Annotated[
     Path | None,
     typer.Option(
-        help="Table of permitted centers of tiles, with columns ra, dec, ... With --method given, a tile is "
+        help="Table of permitted centers of tiles, with columns ra, dec, ... With --method=given, a tile is "
         "placed at each of these centers."
     ),
 ]

@@ -278,7 +278,7 @@ def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign ``need`` targets that ``wanted`` marks; each positioner, in the given order, takes the nearest of them.
+    """Assign ``need`` of the targets marked in ``wanted``: each positioner, in the given order, takes the nearest one.
 
     A positioner that takes such a target releases its previous target. Returns the number of targets that are missing
     afterwards.

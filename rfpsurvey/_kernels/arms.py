@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Two arms are treated as equal, so that the fiber reaches the center, if their lengths differ by less than this (mm).
+# If the lengths of two arms differ by less than this (mm), they are treated as equal, and the fiber reaches the center.
 EQUAL_ARMS = 1e-9
 
 # Parts of an arm that can collide.

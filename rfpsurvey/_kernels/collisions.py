@@ -303,7 +303,7 @@ def segment_to_polygon(polygons, k, x0, y0, x1, y1):
 
 @kernel
 def obstacle_distance(limits, obstacles, i, x0, y0, x1, y1, j):
-    """Return the distance from the arm of positioner i to obstacle j: the center of a circle, or else a polygon.
+    """Return the distance from the arm of positioner i to obstacle j: to the center of a circle, or to a polygon.
 
     The distance is negative if the center is inside an outline, or if the arm and the polygon overlap.
     """

@@ -3,7 +3,8 @@
 An outline consists of convex polygons, each inflated by its own radius, which move with the eccentric arm or with the
 central arm. Each polygon is processed in the coordinate frame of its own arm. The x axis of this frame points along the
 arm, and its origin is the elbow (eccentric arm) or the center of the positioner (central arm). The test of a pair of
-polygons requires only the relative position of the two frames, so that no polygon is moved and no memory is allocated.
+polygons requires only the relative position of the two frames. Therefore, no polygon is moved and no memory is
+allocated.
 
 In all limits of rounding errors, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the
 vertices, elbows and centers of a pair of positioners. The proofs are on the accuracy page of the documentation.
@@ -45,7 +46,7 @@ class Outline(NamedTuple):
     n_vertices: int
     """Number of vertices."""
     n_eccentric: int
-    """The first parts move with the eccentric arm, the others with the central arm."""
+    """The first parts move with the eccentric arm, and all other parts with the central arm."""
     offset: float
     """Largest possible difference between the distance of two cores and the gap of the two outlines."""
     inverse_length: float

@@ -1,8 +1,8 @@
 """Prices of cliques of candidates, which give an upper bound of the number of assigned targets.
 
-A clique is a set of candidates of which a plan uses at most one. Each clique has a price of at least 0. The value of a
-candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest value of each
-positioner is an upper bound of the weight of a plan.
+A clique is a set of candidates; a plan uses at most one candidate of each clique. Each clique has a price of at least
+0. The value of a candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest
+value of each positioner is an upper bound of the weight of a plan.
 """
 
 import math

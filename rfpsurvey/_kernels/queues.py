@@ -1,4 +1,4 @@
-"""Collision probabilities of positioners, each of which has a queue of possible poses.
+"""Collision probabilities of positioners that draw their poses from queues.
 
 The poses in a queue are called its entries. One entry of each queue is in use, with a probability proportional to its
 weight, independent of all other queues. For a given entry of a positioner, collisions with different neighbors are

@@ -99,7 +99,7 @@ def reachable_pairs(tx, ty, accepts, annuli, offers, x0, y0, size, nx, ny, start
 
 @kernel
 def take_pairs(indptr, owner, r2, keep, out_indptr, out_owner, out_r2):
-    """Copy the pairs that ``keep`` marks."""
+    """Copy the pairs for which ``keep`` is true."""
     n = 0
     for t in range(indptr.size - 1):
         out_indptr[t] = n

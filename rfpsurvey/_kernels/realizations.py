@@ -119,7 +119,7 @@ def take_left(left, slot, out):
 def record_visits(mask, slot, spends, left, is_open, observed):
     """Subtract the visits of a tile from the remaining visits, and count the visits of each realization.
 
-    Visits of targets that ``spends`` does not mark are ignored. ``is_open`` marks targets with remaining visits in at
+    Visits of targets for which ``spends`` is false are ignored. ``is_open`` marks targets with remaining visits in at
     least one realization.
     """
     n = left.shape[1]

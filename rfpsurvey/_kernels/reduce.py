@@ -41,9 +41,9 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
     candidates that a excludes. If only one candidate of a positioner remains, this candidate is in use, and all
     candidates that it excludes are removed.
 
-    ``queue`` is a ring buffer of the positioners that ``waiting`` marks; ``ends`` contains its beginning and end.
-    ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends after
-    about ``most_work`` comparisons; a further call continues. ``alive`` is valid after each call.
+    ``queue`` is a ring buffer of the positioners for which ``waiting`` is true; ``ends`` contains its beginning and
+    end. ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends
+    after about ``most_work`` comparisons; a further call continues. ``alive`` is valid after each call.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate

@@ -34,7 +34,7 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
             raise InputError(f"{path}: the file must have at least {number + 1} tables, got {len(found)}")
         table, n_rows = _read(file, found[number or 0])
         if number is None and len(found) > 1 and META_KEY not in table.meta:
-            text = f"{path}: the file has {len(found)} tables, of which the first was read"
+            text = f"{path}: the file has {len(found)} tables; only the first one was read"
             warn(text)
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")

@@ -52,7 +52,7 @@ class Allocation:
         Name, value and bound of each objective, in strict order of precedence. The bound is an upper limit for all
         plans with the same values of the earlier objectives; it is NaN if no upper limit is known.
     unmet : tuple of Shortfall
-        Requirements that are not met; ``str`` converts each of them to a sentence.
+        Requirements that are not met; ``str`` converts a requirement to a sentence.
     meta : dict
         Information on how the solution was found.
 

@@ -39,7 +39,7 @@ class Candidates:
         return len(self.side)
 
     def where(self, keep: np.ndarray) -> "Candidates":
-        """Return the candidates that ``keep`` marks."""
+        """Return the candidates for which ``keep`` is true."""
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = _pairs_where(self.pairs, keep, new)
@@ -118,7 +118,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def list_candidates(problem, reach, both):
-    """Return columns of all candidates: each target in reach with each possible elbow, and the idle arms."""
+    """Return columns of all candidates: each target in reach with each possible elbow position, and the idle arms."""
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))

@@ -9,7 +9,7 @@ from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
 
-# Successive objectives are combined into one while the product of their sizes is below this, so that rounding has no
+# Successive objectives are combined into one as long as the product of their sizes is below this. Rounding then has no
 # effect.
 LARGEST = 1e6
 # Ratio of successive weights, and number of proven objectives that are added to the goal of the next objective.

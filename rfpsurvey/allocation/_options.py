@@ -82,7 +82,7 @@ class AllocationOptions:
         science targets first, then of one class after the other. Only ``sdss`` and ``optimal`` use this option.
     time_limit : Quantity, optional
         Time after which ``sdss`` and ``optimal`` return the best plan that they have found, with its gap; 60 s by
-        default. The limit also applies if one of them makes the plan ``start``.
+        default. The limit also applies if ``sdss`` or ``optimal`` makes the plan ``start``.
     start : Allocation or str, optional
         Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
         other packages can also use this plan.
@@ -262,7 +262,7 @@ class AllocationOptions:
             separation = (separation * instrument.plate_scale).to(u.mm)
         built_in = self.name in ALLOCATORS
         unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` can call the others
+        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` can call the other allocators
             unused["time_limit"] = 60 * u.s
         if built_in and self.allocator != "repair":
             unused["start"] = AllocationOptions.start

@@ -70,9 +70,9 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
     """Mark the kept candidates that can replace omitted candidates in every plan.
 
     An omitted target is no better than the kept targets of its positioner and code. At most ``n_rivals`` other
-    positioners share targets with the positioner, so that one of its last ``n_rivals + 1`` kept targets is always free.
-    Suppose that arms at these last targets, and at all targets of the same or a later class, cannot collide. Replacing
-    any omitted target in a plan by one of these kept targets then gives a plan that is at least as good.
+    positioners share targets with the positioner. Therefore, one of its last ``n_rivals + 1`` kept targets is always
+    free. Suppose that arms at these last targets, and at all targets of the same or a later class, cannot collide.
+    Replacing any omitted target in a plan by one of these kept targets then gives a plan that is at least as good.
 
     Parameters
     ----------

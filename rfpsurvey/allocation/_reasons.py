@@ -51,9 +51,10 @@ class IdleReasons(NamedTuple):
     positioner : ndarray of int, shape (n_idle,)
         Rows of the positioners without a target.
     reason : ndarray of int, shape (n_idle,)
-        Index of ``IDLE_REASONS`` for each of them.
+        Index of ``IDLE_REASONS`` for each idle positioner.
     n_in_reach : ndarray of int, shape (n_idle,)
-        Number of targets that each of them can observe, regardless of all other positioners; 0 if it cannot move.
+        Number of targets that each idle positioner can observe, regardless of all other positioners; 0 if it cannot
+        move.
     n_free : ndarray of int, shape (n_idle,)
         Number of these targets that have no positioner.
     owner : ndarray of int, shape (n_attempts,)

@@ -1,4 +1,4 @@
-"""Subpriorities: reproducible random numbers that give the order of the targets of each priority class."""
+"""Subpriorities: reproducible random numbers that order the targets within each priority class."""
 
 import numpy as np
 

@@ -163,7 +163,7 @@ class RowPrices(Prices):
     most : ndarray of float
         Largest number of candidates of each set that a plan uses.
     free : ndarray of bool, shape (n_positioners,)
-        Positioners some of whose candidates were omitted; the bound counts a weight of 1 for each of them.
+        Positioners of which some candidates were omitted; in the bound, each of these positioners has a weight of 1.
     """
 
     def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray):

@@ -75,7 +75,7 @@ def _plain(column, name):
         values, missing = _of_objects(values, missing, name)
     if values.ndim != 1 or values.dtype.kind not in KINDS:
         raise InputError(
-            f"column {name!r} in keep must contain one number, text or truth value per target, got the type "
+            f"column {name!r} in keep must contain one number, text or boolean per target, got the type "
             f"{values.dtype} and the shape {values.shape}"
         )
     kind = KINDS[values.dtype.kind]

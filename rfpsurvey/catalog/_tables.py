@@ -94,7 +94,7 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     if mixed and not {"ra", "dec", "lon", "lat"} & set(find.columns):
         if len(mixed) > 1:
             raise InputError(
-                f"the table must have a single column of coordinates, got {', '.join(mixed)}; remove the others"
+                f"the table must have a single column of coordinates, got {', '.join(mixed)}; remove all but one"
             )
         return find.table[mixed[0]]
     if not isinstance(frame, str):

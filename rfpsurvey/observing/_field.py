@@ -32,7 +32,7 @@ class ObservedField:
     conditions : ObservingConditions
         The conditions.
     radius : float, optional
-        Radius of the field (rad), all of which must be above the horizon.
+        Radius of the field (rad); the whole field must be above the horizon.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ class ObservedPlane(TangentPlane):
     conditions : ObservingConditions
         The conditions.
     field_radius : Quantity, optional
-        Radius of the field, all of which must be above the horizon.
+        Radius of the field; the whole field must be above the horizon.
 
     Raises
     ------

@@ -34,8 +34,9 @@ def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
 
     If the identifiers of the catalog are integers, the identifiers of blank sky are less than -1 and less than all
     identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are above all
-    identifiers of the catalog. If the identifiers are text, those of blank sky begin with ``blank-sky-``; if the
-    catalog already has identifiers of this form, those of blank sky begin with more underscores than any of them.
+    identifiers of the catalog. If the identifiers are text, the identifiers of blank sky begin with ``blank-sky-``. If
+    the catalog already has identifiers of this form, the identifiers of blank sky begin with more underscores than all
+    identifiers of the catalog.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

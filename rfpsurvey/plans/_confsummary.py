@@ -190,7 +190,7 @@ def _parse(path: Path):
         raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
     widths = sum(map(int, re.findall(r"\[(\d{1,12})\]", text.partition("FIBERMAP;")[0])))
     if 4 * widths * n > max(MOST_BYTES, 64 * len(text)):
-        raise InputError(f"{path}: text columns must be short, got {widths} characters in each row")
+        raise InputError(f"{path}: {n} rows of text must fit into memory, got {widths} characters in each row")
     with _yanny() as module, tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy.par"
         copy.write_text(text, encoding="utf-8", newline="")

@@ -226,7 +226,7 @@ def is_plan(table: object) -> bool:
 
 
 def as_plan(plan: object) -> QTable:
-    """Return the plan of a tile, or a plan unchanged.
+    """Return the plan of a tile; a plan is returned unchanged.
 
     Parameters
     ----------

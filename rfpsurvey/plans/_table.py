@@ -12,7 +12,7 @@ __all__ = ["lost", "read", "recognizes", "write"]
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a table."""
+    """Return the plan that a table contains."""
     table = read_table(path)
     if not is_plan(table) and not is_tile(table):
         raise InputError(f"{path}: the table must be a tile, or a plan that write_plan wrote")

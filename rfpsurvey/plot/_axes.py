@@ -172,7 +172,7 @@ def values_of(table: QTable, name: str) -> np.ndarray:
     try:
         return to_plain(table[name]).astype(float)
     except ValueError:
-        raise InputError(f"{name} must be a column of numbers, got {table[name][0]!r} and others") from None
+        raise InputError(f"{name} must be a column of numbers, got values such as {table[name][0]!r}") from None
 
 
 def labeled(table: QTable, name: str) -> str:

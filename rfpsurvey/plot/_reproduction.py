@@ -129,7 +129,7 @@ def _one_sky(tables):
         part = table[rows & np.isfinite(table["coverage"])]
         style = {"color": SERIES[k % 8], "marker": MARKERS[(k + k // 8) % 8], "linestyle": ":", "capsize": 2}
         label = f"{group[0]}, {group[1]:g} target{'' if group[1] == 1 else 's'} per positioner, {group[2]}"
-        # draw groups beside each other, because many of them have the same value
+        # draw groups beside each other, because many groups have the same value
         beside = np.asarray(part["positioners"]) * BESIDE ** (k - (len(groups) - 1) / 2)
         ax.errorbar(beside, part["coverage"], yerr=_within_one(part), label=label, **style)
     ax.axhline(0.95, color="0.4", lw=0.8)

@@ -56,7 +56,7 @@ def _draw_visits(ax, survey, kwargs):
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = class_rows(survey)
     wanted, observed = (np.asarray(rows[name], float) for name in ("n_requested", "n_observed"))
-    # if there are many passes, the last color stands for several of them
+    # if there are many passes, the last color stands for several passes
     ends = [*range(min(len(passes), MOST_PASSES) - 1), len(passes) - 1]
     colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
     pieces, before = [], np.zeros(len(rows))

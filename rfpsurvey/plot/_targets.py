@@ -133,7 +133,9 @@ def _catalog_of(survey, catalog) -> Catalog:
     catalog = as_catalog(catalog)
     known = survey.outcomes["target_id"]
     if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():
-        raise InputError(f"catalog must have the {len(known)} targets of the survey in the same order, got others")
+        raise InputError(
+            f"catalog must have the {len(known)} targets of the survey in the same order, got a different one"
+        )
     return catalog
 
 

@@ -79,7 +79,7 @@ class RadialMap:
             ) from None
         c = np.array(self.coefficients)
         if c.size == 0 or not np.isfinite(c).all():
-            raise InputError(f"coefficients must be at least one number, all of them finite, got {self.coefficients}")
+            raise InputError(f"coefficients must be one or more finite numbers, got {self.coefficients}")
         limit = to_scalar(self.max_angle, u.rad, "max_angle", low=0, high=np.pi / 2)
         to_scalar(self.unit_angle, u.rad, "unit_angle", low=0)
         for name in ("unit_tangent", "factor"):

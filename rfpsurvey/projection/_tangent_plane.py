@@ -64,7 +64,7 @@ class TangentPlane:
         maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
         if self.distortion is not None and not (maps and all(isinstance(m, RadialMap | DistortionMap) for m in maps)):
             raise refusal(
-                "distortion must be a RadialMap or a DistortionMap, or a dict of them by fiber type",
+                "distortion must be a RadialMap, a DistortionMap, or a dict from fiber types to such maps",
                 self.distortion,
                 dict,
             )

@@ -117,7 +117,7 @@ class Region:
     def polygon(cls, vertices: SkyCoord) -> "Region":
         """Make a polygon with great-circle edges, which may be convex or not.
 
-        The edges divide the sky into two parts, of which the smaller part is the region.
+        The edges divide the sky into two parts; the smaller part is the region.
 
         Parameters
         ----------

@@ -15,8 +15,8 @@ def pack(values: object, decimals: int | None = None) -> dict:
     """Return a column of numbers or text as a dict.
 
     The key ``v`` contains the values or, if there is a key ``d``, integers to be divided by 10 to the power ``d``; NaN
-    becomes None. The key ``c`` contains the only value of a constant column. Text with few different values has the
-    keys ``names`` and ``v``; in this case, ``v`` contains indices of ``names``.
+    becomes None. The key ``c`` contains the only value of a constant column. A text column with few distinct values has
+    the keys ``names`` and ``v``, where ``v`` contains indices into ``names``.
     """
     mask = np.ma.getmaskarray(values) if np.ma.isMaskedArray(values) else None
     plain = np.asarray(np.ma.getdata(values) if mask is not None else getattr(values, "value", values))

@@ -17,7 +17,7 @@ def inverse_probability(count: np.ndarray, n: int) -> np.ndarray:
 def probability_error(count: np.ndarray, n: int) -> np.ndarray:
     """Return the standard error of the probability ``count / n``.
 
-    It is the standard deviation of the probability for a uniform prior, which is never 0.
+    It is the standard deviation of the posterior distribution of the probability for a uniform prior, and is never 0.
     """
     a, b = np.asarray(count) + 1.0, n - np.asarray(count) + 1.0
     return np.sqrt(a * b / (a + b + 1.0)) / (a + b)

@@ -79,7 +79,7 @@ def potential_assignments(
     Returns
     -------
     PotentialAssignments
-        An object that computes the assignments tile by tile when they are read, so that the memory is limited.
+        An object that computes the assignments tile by tile when they are read, which limits the memory.
 
     Raises
     ------

@@ -160,9 +160,9 @@ class SelectionProbabilities:
     def summary(self) -> dict:
         """Numbers of realizations, tiles, fibers, visits and targets.
 
-        ``n_targets`` is the number of targets with requested visits. Of these, ``n_unreachable`` are reached in no
-        tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` in all of them, and
-        ``n_sometimes_observed`` in some of them.
+        ``n_targets`` is the number of targets with requested visits. Of these targets, ``n_unreachable`` are reached in
+        no tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` in all realizations, and
+        ``n_sometimes_observed`` in some realizations.
         """
         asked = self.requested > 0
         never, always = self.never_observed & asked, (self.n_observed == self.n_realizations) & asked

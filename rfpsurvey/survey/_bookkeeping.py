@@ -52,7 +52,7 @@ class Bookkeeping:
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Which of the standards and sky positions are used; None if none of them is used.
+        Whether each standard and sky position is used; None if no standards and sky positions are used.
     in_turn : bool
         Whether the passes are planned one after the other.
     """

@@ -65,7 +65,7 @@ class Request:
         return conditions_of_tiles(self.tiling)
 
     def _fields(self) -> list:
-        """Return the projections of all tiles, or raise an error if one of them is not above the horizon."""
+        """Return the projections of all tiles, or raise an error if a field is not above the horizon."""
         fields = []
         for name, *place, conditions in zip(*self._places, self.conditions, strict=True):
             try:

@@ -229,7 +229,7 @@ def _stack(parts: tuple) -> np.ndarray | None:
 
 
 def digest(*columns: np.ndarray | None) -> str:
-    """Return a short digest of columns, some of which can be None."""
+    """Return a short digest of columns; columns can be None."""
     found = hashlib.sha256()
     for column in columns:
         found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))

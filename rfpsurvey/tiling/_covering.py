@@ -16,7 +16,8 @@ HEXAGON = 1.5 * np.sqrt(3)
 # The plastic number. Its inverse powers define shifts of passes that are as different as possible (Roberts 2018).
 PLASTIC = 1.32471795724474602596
 MOST = 500_000
-# Centers extend by this number of radii beyond the circle, so that its border is covered like its inside.
+# Centers extend by this number of radii beyond the circle, so that the border of the circle is covered like its
+# interior.
 MARGIN = 4.0
 
 

@@ -275,7 +275,7 @@ def _regions(exclude) -> tuple[Region, ...]:
     """Return a tuple of regions from one region, several, or None."""
     regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
-        raise InputTypeError(f"exclude must be a Region or a list of them, got {short(exclude)}")
+        raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
     return tuple(regions)
 
 

@@ -173,7 +173,7 @@ BAD = {
     "no site": (lambda text: text.replace("observatory APO\n", ""), "observatory must be APO or LCO, got ''"),
     "angle": (lambda text: text.replace("pa 60.0", "pa north"), "pa in the header must be a number, got 'north'"),
     "twice": (lambda text: text.replace(" R-1C14 ", " R-1C13 "), "each fiber must have one row, got several"),
-    "wide": (lambda text: text.replace("category[40]", "category[99999999]"), "text columns must be short"),
+    "wide": (lambda text: text.replace("category[40]", "category[99999999]"), "rows of text must fit into memory"),
     "other text": (lambda text: "stars\n", "complete definition"),
     "empty": (lambda text: "", "the last line must end with a line break"),
 }

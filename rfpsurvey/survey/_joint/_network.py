@@ -22,11 +22,11 @@ class Network:
     """Index of the target of each candidate; -1 for idle arms."""
     side: np.ndarray
     rank: np.ndarray
-    """Class of the target of each candidate; the number of classes for idle arms."""
+    """Class of the target of each candidate; idle arms have the number of classes as their class."""
     first: np.ndarray
     """First positioner of each tile, followed by the number of positioners."""
     free: np.ndarray
-    """Positioners some of whose candidates were omitted."""
+    """Positioners of which some candidates were omitted."""
     matrix: csr_array
     """Sets of candidates: cliques of each tile, and the candidates of each target."""
     most: np.ndarray
