@@ -250,7 +250,7 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs of segments closer than the minimum separation, and borderline pairs, which rounding could change.
+    """List pairs of segments closer than the minimum separation, and borderline pairs within the rounding errors.
 
     Returns the number of listed pairs, and the number of borderline pairs among them.
     """
@@ -268,7 +268,7 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def colliding_outlines(segments, halves, runs, limits, first, second, squared):
-    """List pairs as `colliding_pairs` does, for arms with outlines, whose code takes long to compile."""
+    """Do the same as `colliding_pairs` for arms with outlines; this separate function takes longer to compile."""
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
     for k in range(near_pairs(halves, runs, limits, first, second)):

@@ -104,7 +104,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 @kernel
 def keep_outlined(n, own, segments, limits, first, second, borderline):
-    """Keep those of the first n candidate pairs whose outlines collide, in place, and return their number."""
+    """Keep the pairs whose outlines collide among the first n candidate pairs, in place; return their number."""
     m = 0
     limit, band = limits.separation**2, limits.band
     for k in range(n):
@@ -210,7 +210,7 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 def distinct_values(values):
     """Return the distinct integers of an array in increasing order, and the index of each element in this list.
 
-    The range of the integers must be short. `numpy.unique` does the same, but takes seconds to compile.
+    The memory is proportional to the range of the integers. `numpy.unique` does the same, but takes seconds to compile.
     """
     least = most = values[0]
     for value in values:

@@ -172,9 +172,9 @@ def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other
 def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
     """Return the smallest gap between the outlines of two positioners, or infinity if it certainly exceeds ``limit``.
 
-    ``near`` states which groups of parts can be near to each other: the eccentric parts, the eccentric parts of the
-    first and the central parts of the second positioner, and vice versa. The points a and b are the elbows and the ends
-    of the cores, and c and d are the centers.
+    ``near`` states for three groups of pairs whether parts can be near to each other: two eccentric parts; an eccentric
+    part of the first and a central part of the second positioner; a central part of the first and an eccentric part of
+    the second positioner. The points a and b are the elbows and the ends of the cores, and c and d are the centers.
     """
     # The table v has m columns of vertices and n columns of parts. This is one long function because numba counts
     # references to arrays that are passed between functions.

@@ -60,7 +60,8 @@ def is_free(c, links, chosen, load):
 def last_step(t, level, replace, links, chosen, load):
     """Return a candidate of target t that ends a path, or -1.
 
-    Its positioner has no target, or, with ``replace``, one that is less important than the class ``level``.
+    The positioner of this candidate has no target or, with ``replace``, a target that is less important than the class
+    ``level``.
     """
     for k in range(links.t_indptr[t], links.t_indptr[t + 1]):
         c = links.t_candidate[k]

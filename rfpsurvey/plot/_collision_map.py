@@ -48,7 +48,7 @@ def plot_collision_map(
         Result to plot. An array contains a probability (NaN if the positioner is not counted) or a boolean for each
         positioner.
     focal_plane : FocalPlane, Instrument or str, optional
-        The positioners; a str is the name of a preset. It is not allowed for a Tile, which has its own.
+        The positioners; a str is the name of a preset. It must be None for a Tile, which has its own positioners.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     region : Quantity, shape (2, 2), optional

@@ -35,7 +35,7 @@ def plot_coverage(
 
     The dashed line is the footprint; no positioner reaches the white points inside it. The legend shows the fractions
     of the footprint, as computed by `~rfpsurvey.FocalPlane.coverage`. The colors extend from white to dark blue,
-    independent of the largest number.
+    whatever the largest number is.
 
     Parameters
     ----------

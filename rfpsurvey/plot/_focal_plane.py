@@ -62,8 +62,8 @@ def plot_focal_plane(
     Parameters
     ----------
     thing : Tile, FocalPlane, Instrument or str
-        Tile or focal plane to plot; a str is the name of a preset. Without a tile, the only arms are those that
-        cannot move.
+        Tile or focal plane to plot; a str is the name of a preset. Without a tile, only arms that cannot move are
+        drawn.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created. The legend is below the axes; a figure with
         ``layout="constrained"`` has room for it.

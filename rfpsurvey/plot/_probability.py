@@ -125,7 +125,7 @@ def plot_residuals(
     table : QTable
         Table with a row for each design.
     value, reference : str, optional
-        Columns whose difference, ``value`` minus ``reference``, is plotted; rows in which it is NaN are omitted.
+        Columns whose difference, ``value`` minus ``reference``, is plotted; rows whose difference is NaN are omitted.
     x, y : str, optional
         Columns along the axes.
     ax : matplotlib.axes.Axes, optional

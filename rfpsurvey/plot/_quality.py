@@ -43,8 +43,8 @@ def plot_quality(
     result : Tile or Survey
         Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     column : str, optional
-        Column of numbers in the outcomes of a tile, for the histogram. By default it is the priority or, without
-        priorities, the first further column of the catalog that contains numbers.
+        Column of numbers in the outcomes of a tile, for the histogram. By default, the histogram shows the priority or,
+        without priorities, the first further column of the catalog that contains numbers.
     axes : tuple of matplotlib.axes.Axes, optional
         Four axes to draw on; by default, a new figure is created.
     **kwargs
@@ -61,7 +61,7 @@ def plot_quality(
         sky and on standard stars in each spectrograph. If the tile has requirements, the panel shows the number of
         fibers that each requirement counts, and its minimum as a dashed line. If there are neither fibers on sky or
         standard stars nor requirements, the panel shows the number of fibers on science targets. The third panel is a
-        histogram of ``column`` for all science targets and for those that are assigned; it is empty if there is no
+        histogram of ``column`` for all science targets and for assigned science targets; it is empty if there is no
         column of numbers. The fourth panel shows the fractions of science targets that are in reach and that are
         assigned, in rings of equal area around the center of the focal plane, with 68 % intervals.
 
@@ -205,7 +205,7 @@ def _series_of(tile) -> list[Series]:
     """Return the positioners that each requirement counts.
 
     If there are no requirements, return the positioners on sky and on standard stars or, if there are no such
-    positioners, those on science targets.
+    positioners, the positioners on science targets.
     """
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
@@ -273,7 +273,7 @@ def _draw_fibers(ax, tile):
 
 
 def _draw_histogram(ax, table, name, assigned):
-    """Draw the distribution of a column for all science targets and for those that are assigned."""
+    """Draw the distribution of a column for all science targets and for assigned science targets."""
     from matplotlib.ticker import MaxNLocator
 
     if name is None:

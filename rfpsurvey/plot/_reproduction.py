@@ -162,7 +162,7 @@ def _poisson_disc(tables):
     ax.axhline(2.6, color="0.4", lw=0.8, ls="--")
     ax.text(0.99, 2.6, "paper: 2.6 %", transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize="small")
     ax.axhline(0, color="0.6", lw=0.8)
-    ax.set(xlabel="eccentric over central arm", ylabel="uniform targets collide more often by [%]")
+    ax.set(xlabel="eccentric over central arm", ylabel="excess of collisions with uniform targets [%]")
     ax.legend(title="minimum separation", fontsize="small")
     return figure
 

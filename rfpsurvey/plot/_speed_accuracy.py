@@ -174,7 +174,10 @@ def plot_probability_accuracy(
         ax.set(xlabel="time [ms]", ylabel="root mean square error of the probability")
         ax.legend(fontsize="small")
     repeats = table.meta.get("repeats", "?")
-    words = f"{repeats} runs per point", "labels: iterations, realizations or points; gray: standard error of the truth"
+    words = (
+        f"{repeats} runs per point",
+        "labels: iterations, realizations or points; gray: standard error of the reference",
+    )
     _state(axes[0], table, *words, figure=True)
     for ax, estimand in zip(axes, estimands, strict=True):
         rows = table[table["estimand"] == estimand]

@@ -44,7 +44,7 @@ def plot_targets(
     result : Tile or Survey
         Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     catalog : Catalog or PartitionedCatalog, optional
-        The catalog of the survey, which contains the positions of its targets. It is not allowed for a tile.
+        The catalog of the survey, which contains the positions of its targets. It must be None for a tile.
     color : {"outcome", "kind", "category", "priority"}, optional
         Property of targets that determines the colors.
     ax : matplotlib.axes.Axes, optional
@@ -84,7 +84,7 @@ def plot_targets(
     check_choice(color, COLORINGS, "color")
     if isinstance(result, Tile):
         if catalog is not None:
-            raise InputError("a Tile has the positions of its targets: give no catalog")
+            raise InputError("catalog must be None for a Tile, which has the positions of its targets")
         table = outcomes_of(result)
         coord, outcome = SkyCoord(table["ra"], table["dec"]), codes_of(table)
         columns = {name: table[name] for name in COLORINGS[1:] if name in table.colnames}
