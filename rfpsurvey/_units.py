@@ -189,13 +189,13 @@ def _plain_object(value: object, name: str, what: str) -> object:
 
 def to_flags(value: object, name: str) -> np.ndarray:
     """Convert booleans, numbers, or the words true and false to booleans; masked values become False."""
-    values = to_plain(value, name, "truth values")
+    values = to_plain(value, name, "booleans")
     if values.dtype.kind == "U":
         words = np.char.lower(np.char.strip(values))
         yes, no = np.isin(words, ("true", "t", "yes", "1")), np.isin(words, ("false", "f", "no", "0", ""))
         if not (yes | no).all():
             strange = str(words[~(yes | no)].flat[0])
-            raise InputError(f"{name} must hold truth values or numbers, got text such as {strange!r}")
+            raise InputError(f"{name} must hold booleans or numbers, got text such as {strange!r}")
         return yes
     return np.nan_to_num(values.astype(float)) != 0
 

@@ -101,7 +101,7 @@ CALLS = {
     "an Allocation or Arms already determine the poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
     "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
-    "required must contain ids of targets (integers or text), got truth values": lambda: rs.AllocationOptions(
+    "required must contain ids of targets (integers or text), got booleans": lambda: rs.AllocationOptions(
         required=[True, False]
     ),
     "required must be a one-dimensional list of target ids, got the shape (1, 2)": lambda: rs.AllocationOptions(

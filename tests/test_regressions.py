@@ -280,7 +280,7 @@ def test_text_flags_are_read():
     unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [30, 0]] * MM, unit, disabled=["False", "true"])
     assert plane.disabled.tolist() == [False, True]
-    with pytest.raises(rs.InputError, match="disabled must hold truth values or numbers, got text such as 'maybe'"):
+    with pytest.raises(rs.InputError, match="disabled must hold booleans or numbers, got text such as 'maybe'"):
         rs.FocalPlane([[0, 0]] * MM, unit, disabled=["maybe"])
 
 

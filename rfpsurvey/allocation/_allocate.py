@@ -254,7 +254,7 @@ def _marked(required, n):
     if rows.dtype.kind not in "iu" or rows.ndim != 1:
         raise InputTypeError(
             f"required must be row numbers of targets (whole numbers), got {rows.dtype.name} of the shape {rows.shape}"
-            "; np.flatnonzero converts truth values to row numbers"
+            "; np.flatnonzero converts booleans to row numbers"
         )
     if rows.min() < 0 or rows.max() >= n:
         raise InputError(f"required must be row numbers of targets, 0 to {n - 1}, got {rows.min()} to {rows.max()}")

@@ -20,7 +20,7 @@ def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
         return ()
     names = to_labels(np.atleast_1d(required), "required")
     if np.asarray(required).dtype.kind == "b":
-        raise InputTypeError("required must contain ids of targets (integers or text), got truth values")
+        raise InputTypeError("required must contain ids of targets (integers or text), got booleans")
     if names.ndim != 1:
         raise InputError(f"required must be a one-dimensional list of target ids, got the shape {names.shape}")
     return tuple(dict.fromkeys(names.tolist()))

@@ -64,7 +64,7 @@ def result_name(name: str) -> str:
 def _plain(column, name):
     if isinstance(column, ShapedLikeNDArray) and not isinstance(column, Masked):  # such as Time and SkyCoord
         raise InputError(
-            f"column {name!r} in keep must contain numbers, text or truth values, got a {type(column).__name__}"
+            f"column {name!r} in keep must contain numbers, text or booleans, got a {type(column).__name__}"
         )
     unit = getattr(column, "unit", None)
     values, missing = getattr(column, "value", column), np.ma.getmaskarray(np.ma.asarray(column))

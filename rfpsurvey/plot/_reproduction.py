@@ -43,7 +43,7 @@ def _small(tables):
         for ax in (above, below):
             ax.set_ylabel("")
     axes[0, 0].set_ylabel("collision probability")
-    axes[1, 0].set_ylabel("scaled to 0 and 1")
+    axes[1, 0].set_ylabel("scaled to the range 0 to 1")
     return figure
 
 
@@ -65,7 +65,9 @@ def _large(tables):
     axes[0].legend()
     scaled = table["ratio", "pitch"]
     scaled["formula"], scaled["simulation"] = _scaled(table["closed_form_corrected"]), _scaled(table["covered"])
-    plot_residuals(scaled, "formula", "simulation", ax=axes[1]).set_title("both scaled to 0 and 1", fontsize="medium")
+    plot_residuals(scaled, "formula", "simulation", ax=axes[1]).set_title(
+        "both scaled to the range 0 to 1", fontsize="medium"
+    )
     return figure
 
 

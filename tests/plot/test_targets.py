@@ -214,7 +214,7 @@ def test_what_cannot_be_drawn_is_refused(tile, survey, sky, presets):
     for call, message in (
         (lambda: rs.plot.plot_targets("lamost"), "result must be a Tile or a Survey, got str"),
         (lambda: rs.plot.plot_targets(tile, color="outcomes"), "unknown color 'outcomes'.* Did you mean 'outcome'"),
-        (lambda: rs.plot.plot_targets(tile, sky), "give no catalog"),
+        (lambda: rs.plot.plot_targets(tile, sky), "catalog must be None for a Tile"),
         (lambda: rs.plot.plot_targets(scored), "the tile must have outcomes of targets, got none"),
         (lambda: rs.plot.plot_targets(bare, color="priority"), "the catalog must have the column priority"),
         (lambda: rs.plot.plot_targets(survey), "catalog must be the catalog of the survey"),
