@@ -217,7 +217,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
         ),
         (
             lambda s: rs.find_collisions(s.focal_plane, s.focal_plane.xy, theta=np.zeros(37) * u.deg),
-            "give either tips or both",
+            "either tips, or both",
         ),
         (
             lambda s: rs.find_collisions(

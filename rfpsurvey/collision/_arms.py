@@ -89,7 +89,7 @@ def place_arms(
     n, columns = len(focal_plane), to_columns(focal_plane, fiber_type)
     idle = columns.idle(check_switch(parked_obstacles, "parked_obstacles"))
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
-        raise InputError("give either tips or both theta and phi")
+        raise InputError("either tips, or both theta and phi, must be given")
     if tips is None:
         if handedness is not None:
             raise InputError("handedness can be given only with tips; theta and phi already determine the elbow")

@@ -153,7 +153,7 @@ def count_collisions(
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
-            raise InputError("an Allocation has its own poses; give no handedness or fiber_type")
+            raise InputError("handedness and fiber_type must be None for an Allocation, which has its own poses")
         score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
     else:
         if n_configurations is not None:

@@ -43,10 +43,11 @@ class ObservingConditions:
     wavelength : Quantity or dict of str to Quantity, optional
         Wavelength in vacuum at which the fibers are placed, or one for each fiber type.
     guide_wavelength : Quantity, optional
-        Wavelength at which the telescope follows the field. By default, that of the fibers; with a dict, of its first
-        fiber type.
+        Wavelength at which the telescope follows the field. By default, the wavelength of the fibers or, if
+        ``wavelength`` is a dict, of its first fiber type.
     pressure : Quantity, optional
-        Pressure at the site; 0 means no refraction. By default, that of the standard atmosphere at its height.
+        Pressure at the site; 0 means no refraction. By default, the pressure of the standard atmosphere at the height
+        of the site.
     temperature : Quantity, optional
         Temperature at the site.
     humidity : float, optional
@@ -55,8 +56,8 @@ class ObservingConditions:
         Duration of the exposure. Fibers are placed at the mean positions of their targets during the exposure.
 
     tolerance : Quantity, optional
-        Largest displacement on the focal plane that is negligible, by which the sufficient model of the projection is
-        chosen. By default, a tenth of the diameter of the instrument's fibers.
+        Largest negligible displacement on the focal plane, which determines the model of the projection that is
+        accurate enough. By default, a tenth of the diameter of the instrument's fibers.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Models of the projection, from the cheapest to the most complete, and the displacements that each model neglects."""
+"""Models of the projection, from the fastest to the most complete, and the displacements that each model neglects."""
 
 from collections.abc import Iterable
 

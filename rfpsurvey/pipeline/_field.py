@@ -71,8 +71,7 @@ class FieldPlan(NamedTuple):
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
     """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding.
 
-    Refraction and dispersion shift the edge of the field. If ``projection`` is None, the radius is that without
-    refraction.
+    Refraction and dispersion shift the edge of the field. If ``projection`` is None, refraction is neglected.
     """
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if not isinstance(projection, ObservedField):

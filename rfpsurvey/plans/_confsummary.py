@@ -320,7 +320,7 @@ def _check_text(values: np.ndarray, name: str, path: Path) -> None:
 
 
 def _native_header(plan: QTable, path: Path) -> dict[str, str]:
-    """Return the keywords of a confSummary file: those of the file from which the plan was read, or new ones."""
+    """Return the keywords of a confSummary file: the keywords of the file that was read, or new keywords."""
     meta = plan.meta
     if meta["format"] == "confsummary":
         header = dict(meta["header"])

@@ -126,8 +126,8 @@ def write_plan(
     path : str or path-like
         Path of the new file.
     format : str, optional
-        Name of the format, as in `read_plan`; by default it is that of the plan if files of this format have the
-        ending of ``path``, otherwise the one format with this ending.
+        Name of the format, as in `read_plan`; by default, the format of the plan if files of this format have the
+        ending of ``path``, and otherwise the only format with this ending.
     overwrite : bool, optional
         Whether to replace an existing file.
 

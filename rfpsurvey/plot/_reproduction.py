@@ -65,9 +65,7 @@ def _large(tables):
     axes[0].legend()
     scaled = table["ratio", "pitch"]
     scaled["formula"], scaled["simulation"] = _scaled(table["closed_form_corrected"]), _scaled(table["covered"])
-    plot_residuals(scaled, "formula", "simulation", ax=axes[1]).set_title(
-        "both scaled to the range 0 to 1", fontsize="medium"
-    )
+    plot_residuals(scaled, "formula", "simulation", ax=axes[1]).set_title("both scaled to 0 to 1", fontsize="medium")
     return figure
 
 

@@ -261,8 +261,8 @@ def test_the_fold_bound_is_sharp():
         ({"tips": [[30, 0], [30, 0]] * MM}, "1 tips are out of reach; the first is the tip of positioner 0: 30 mm"),
         ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
         ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
-        ({}, "give either tips or both theta and phi"),
-        ({"theta": [1, 2] * u.deg}, "give either tips or both theta and phi"),
+        ({}, "either tips, or both theta and phi, must be given"),
+        ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
         ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
         (
             {"tips": [[3, 0], [30, 0]] * MM, "method": "guess"},
