@@ -25,7 +25,7 @@ def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
 def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
     """Return the positions and proper motions of stars after some years.
 
-    The motion is computed with unit vectors, so that the poles need no special treatment. A star that does not move
+    The motion is computed with unit vectors, so the poles need no special treatment. A star that does not move
     keeps its position.
 
     Parameters

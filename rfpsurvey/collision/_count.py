@@ -116,7 +116,7 @@ def count_collisions(
     method : {"exact", "cuda"}, optional
         ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
-        Executor that processes chunks of configurations. The compiled code releases the GIL, so that threads run in
+        Executor that processes chunks of configurations. The compiled code releases the GIL, so threads run in
         parallel. With None, chunks are processed one after the other.
     rng : int, Generator or None, optional
         Seed or generator of the random draws, which do not depend on the executor.

@@ -40,7 +40,7 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
     """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
 
-    All numbers are converted to a common denominator. The test needs no division after this conversion, so that all
+    All numbers are converted to a common denominator. The test needs no division after this conversion, so all
     arithmetic uses integers.
     """
     ratios = [Fraction(v).as_integer_ratio() for v in (*first, *second, separation)]

@@ -60,8 +60,8 @@ class FocalPlane:
         Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
         reach; arms may cover these circles. Collision probabilities do not take them into account.
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
-        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides other
-        polygons.
+        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
+        polygon that is not convex into convex polygons.
 
     Raises
     ------

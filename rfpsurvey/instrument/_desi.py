@@ -33,7 +33,7 @@ LEFT_OUT = (
     "x is the negative x of CS5, because +x is east here and west in CS5. A segment with a clearance replaces the "
     "polygons of a positioner and leaves out the wider elbow and the central bodies; with_arm_model('outline') "
     "includes them. Guide cameras, fiducials and petal edges are not treated as obstacles. The arms move in the plane "
-    "of the centers, not in planes tangent to the focal surface. The radial map is that of the preset desi."
+    "of the centers, not in planes tangent to the focal surface. The radial map is the map of the preset desi."
 )
 
 

@@ -171,13 +171,14 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> "Instrument":
-        """Read an instrument from a TOML file with the layout of the included presets, or as built.
+        """Read an instrument from a TOML file, or from a file or folder that describes an instrument as built.
 
         Parameters
         ----------
         path : str or path-like
-            Path of a TOML file, or of a file or folder that `~rfpsurvey.Instrument.from_sdssv`,
-            `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs` reads.
+            Path of a TOML file with the layout of the included presets, or of a file or folder that
+            `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs`
+            reads.
 
         Returns
         -------

@@ -32,7 +32,7 @@ class ArmOutline:
     """The shape of both arms of a positioner, as convex polygons and capsules.
 
     Each part is a convex polygon: all points within ``radius`` of the polygon belong to the part. A polygon of two
-    vertices is a segment, and a polygon of one vertex is a point, so that parts with a radius can be capsules and
+    vertices is a segment, and a polygon of one vertex is a point, so parts with a radius can be capsules and
     discs. Shapes that are not convex consist of several parts, which can overlap; `divide_polygon` divides polygons.
 
     Two positioners collide if the gap between an eccentric part of one positioner and any part of the other

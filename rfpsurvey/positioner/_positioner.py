@@ -50,7 +50,7 @@ class Positioner:
         is ignored.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip", "outline"}, optional
         Part of the positioner that can collide. ``elbow_to_tip``: the segment from the elbow to the fiber. ``capsule``:
-        a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so that two
+        a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so two
         positioners collide only if their targets are closer than the minimum separation. ``outline``: the polygons of
         ``outline``, which must remain at least the minimum separation apart.
     arm_length : Quantity, optional
@@ -150,7 +150,7 @@ class Positioner:
 
     @property
     def equal_arms(self) -> bool:
-        """Whether both arms have the same length (to 1e-9 mm), so that the fiber reaches the center."""
+        """Whether both arms have the same length (to 1e-9 mm); the fiber then reaches the center."""
         return abs(self.numbers.central_arm - self.numbers.eccentric_arm) < arms.EQUAL_ARMS
 
     @property

@@ -1,4 +1,4 @@
-"""Independent targets whose density is that of the targets in the queues of allocations."""
+"""Independent targets with the same density as the targets in the queues of allocations."""
 
 import numpy as np
 

@@ -73,10 +73,10 @@ def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
 
 
 def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
-    """Return values for positioners with a target; other values are NaN, empty text, False or masked integers."""
+    """Return the values of positioners with a target; the others become NaN, empty text, False or masked."""
     kind = values.dtype.kind
     if kind == "i":
-        # the fill value differs from all values of targets, so that files preserve the latter
+        # the fill value differs from all values of targets, so that files preserve the values of targets
         spare = np.iinfo(np.int64).min if np.any(values[has_target] == -1) else -1
         return MaskedColumn(np.where(has_target, values, np.int64(spare)), mask=~has_target, fill_value=spare)
     if kind == "U":
