@@ -281,7 +281,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
-    """Return the primary HDU and the header of a table; values of a fixed length do not change the number of bytes."""
+    """Return the primary HDU and the header of a table; its length does not depend on the values of ``cards``."""
     primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
     for name, card in cards.items():

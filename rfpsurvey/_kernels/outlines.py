@@ -110,7 +110,7 @@ def frame(x, y, toward_x, toward_y):
 
 @kernel
 def frames_apart(first, second):
-    """Return the origin and rotation (cosine, sine) of the second frame in the first frame, and a size of the pair."""
+    """Return the origin and rotation (cosine, sine) of the second frame in the first frame, and the distance."""
     x, y, c, s = first
     dx, dy = second[0] - x, second[1] - y
     tx, ty = c * dx + s * dy, c * dy - s * dx

@@ -326,7 +326,7 @@ def _entries(plane, nominal, maps, folder) -> dict:
     jaeger = "https://github.com/sdss/jaeger src/jaeger/etc/jaeger_APO.yml"
     found = {
         "positioner.central_arm": entry(arm, "derived", f"{TABLE}, median of alphaArmLen", "mm"),
-        "positioner.fiber_xy": entry(places, "derived", f"{TABLE}, medians of the places of the fibers", "mm"),
+        "positioner.fiber_xy": entry(places, "derived", f"{TABLE}, medians of the positions of the fibers", "mm"),
         "positioner.theta_range": {"value": [0.0, 360.0], "unit": "deg", "status": "published", "source": jaeger},
         "positioner.phi_range": {"value": [0.0, 180.0], "unit": "deg", "status": "published", "source": jaeger},
         "layout.robots": entry(len(plane), "published", f"{TABLE}; positions from wokCoords.csv"),

@@ -176,7 +176,7 @@ def plot_probability_accuracy(
     repeats = table.meta.get("repeats", "?")
     words = (
         f"{repeats} runs per point",
-        "labels: iterations, realizations or points; gray: standard error of the reference",
+        "labels: iterations, realizations or points\ngray line: standard error of the reference",
     )
     _state(axes[0], table, *words, figure=True)
     for ax, estimand in zip(axes, estimands, strict=True):

@@ -157,8 +157,8 @@ def _of_plain(plain):
         claims.append(
             Claim(
                 "large",
-                f"{row['plain_n']} iterations are a proper number ({row['design']})",
-                "6000 are proper",
+                f"{row['plain_n']} iterations suffice ({row['design']})",
+                "6000 iterations are a proper number",
                 f"plain simulation: {row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, with a 95 % "
                 f"interval of +- {100 * width:.1f} %; conditional simulation: "
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "

@@ -184,5 +184,5 @@ def test_bad_draws_are_named():
             rs.count_collisions(wrong, xy)
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.find_collisions(wrong, xy)
-    with pytest.raises(rs.InputError, match="an Allocation has its own poses"):
+    with pytest.raises(rs.InputError, match="handedness and fiber_type must be None for an Allocation"):
         rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, handedness="left")

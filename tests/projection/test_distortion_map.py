@@ -201,5 +201,5 @@ def test_ray_traces_that_are_not_valid_are_errors(traced, tmp_path, change, text
 
 
 def test_other_types_of_distortion_are_errors():
-    with pytest.raises(rs.InputError, match="distortion must be a RadialMap or a DistortionMap"):
+    with pytest.raises(rs.InputError, match="distortion must be a RadialMap, a DistortionMap, or a dict"):
         rs.TangentPlane(CENTER, distortion="far")

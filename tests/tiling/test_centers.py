@@ -143,7 +143,10 @@ def test_progress_is_told_after_each_tile(capsys):
             lambda: rs.place_tiles(sky(), centers=Centers(declination=(-80, -70) * DEG), **FEW),
             "at least one target must be within reach of centers from -80 to -70 deg declination, got none",
         ),
-        (lambda: rs.place_tiles(sky(), exclude=[3], **FEW), r"exclude must be a Region or a list of them, got \[3\]"),
+        (
+            lambda: rs.place_tiles(sky(), exclude=[3], **FEW),
+            r"exclude must be a Region or a list of Regions, got \[3\]",
+        ),
         (lambda: rs.place_tiles(sky(), centers=[1], **FEW), "centers must be a SkyCoord, a Tiling or a Table"),
     ],
 )
