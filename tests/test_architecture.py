@@ -89,9 +89,9 @@ def test_folders_of_tests_are_those_of_the_package():
 
 
 def test_paths_in_the_configuration_of_tox_exist():
-    """Tests that are excluded under an old name would run."""
+    """A test or script under an old name would be missing from an environment."""
     paths = re.findall(r"(?<![\w/])(?:tests|docs|rfpsurvey)/[\w./*-]*[\w*]", (ROOT / "tox.ini").read_text())
-    assert len(paths) > 30
+    assert len(paths) > 15
     assert not [path for path in paths if not list(ROOT.glob(path))]
 
 
