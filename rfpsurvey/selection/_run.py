@@ -98,7 +98,7 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
 
 
 def count_type(n: int) -> type:
-    """Return the type of numbers up to n."""
+    """Return the smaller of two integer types that can hold numbers up to n."""
     return np.uint16 if n < 1 << 16 else np.uint32
 
 
