@@ -254,7 +254,7 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def to_seed(rng: object) -> int:
-    """Return the given seed or a new one, which results can record."""
+    """Return the given seed, or a new seed, so that results can record it."""
     generator = to_generator(rng)
     return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 

@@ -172,7 +172,7 @@ def nominate(
     Every free positioner nominates its nearest unassigned target of the class. If several positioners nominate a
     target, it is assigned to the positioner with the fewest unassigned targets in reach; ties are decided by the
     distance, then by the index of the positioner. ``free_reach`` must be the number of targets in reach of each
-    positioner, also if the list of candidates does not contain all of these targets.
+    positioner, even if the list of candidates does not contain all of these targets.
     """
     n = indptr.size - 1
     for i in range(n):  # numba takes seconds to compile the assignment of one array to a part of another

@@ -9,7 +9,7 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of a circle (radius ``r``) in a second circle whose center is ``d`` away."""
+    """Return half the angle of the arc of a circle of radius ``r`` inside a second circle at the distance ``d``."""
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -58,7 +58,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
 
 @kernel
 def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
-    """Compute the fraction that `covered` returns for all positioners."""
+    """Compute the result of `covered` for each positioner."""
     size = 1
     for i in range(out.size):
         size = max(size, 4 * (indptr[i + 1] - indptr[i]))

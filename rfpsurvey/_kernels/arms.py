@@ -46,7 +46,7 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow relative to the center, and sine and cosine of phi, both multiplied by the same positive factor.
+    """Return the elbow relative to the center, and the sine and cosine of phi, each times the same positive factor.
 
     ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose
     points at the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
@@ -110,7 +110,7 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """Return the end of a segment from the elbow, rotated counter-clockwise from the direction elbow to tip."""
+    """Return the end of a segment that starts at the elbow, rotated counter-clockwise from the arm (elbow to tip)."""
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -130,7 +130,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Mark positioners with a tip in ``assigned`` and with a tip out of reach in ``far``; return the sum of ``far``."""
+    """Set ``assigned`` where there is a tip, and ``far`` where the tip is out of reach; return the sum of ``far``."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):
@@ -150,7 +150,7 @@ def check(tips, geometry, bounds, assigned, far):
 
 @kernel
 def fill_idle(assigned, idle, segments):
-    """Copy the segments of idle arms to the positioners without a tip, in place.
+    """Set the segments of positioners without a tip to the segments of their idle arms, in place.
 
     The segment of an idle arm that is not an obstacle is NaN.
     """

@@ -17,7 +17,7 @@ UNIT = 2.0**-53
 
 @kernel
 def mix(number):
-    """Return the output function of SplitMix64, each bit of which depends on all bits of ``number``."""
+    """Return the output of SplitMix64 for ``number``; each bit of the output depends on all bits of ``number``."""
     z = number + GOLDEN
     z = (z ^ (z >> np.uint64(30))) * FIRST
     z = (z ^ (z >> np.uint64(27))) * SECOND

@@ -37,7 +37,7 @@ class Outline(NamedTuple):
     """The outline that all positioners have, in mm; if it has no parts, the arms are capsules."""
 
     table: np.ndarray
-    """Table with a column for each vertex, followed by a column for each part; X to RADIUS are the names of rows.
+    """Table with a column for each vertex, followed by a column for each part; the rows are numbered by X to RADIUS.
 
     All data are in one array, because numba counts references to each array that is passed to a function.
     """
@@ -220,8 +220,7 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 
     A negative sum gap + offset is replaced by 0. The sum is infinity if it certainly exceeds ``separation``, which is
     the minimum separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines
-    overlap. The cores of the arms i and j are the last arguments; their length is the length of the core of the
-    outline.
+    overlap. The last arguments are the cores of the arms i and j, which are as long as the core of the outline.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]

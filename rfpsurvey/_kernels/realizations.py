@@ -242,8 +242,7 @@ def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen)
     """Assign targets by nominations; each positioner nominates its target with the largest subpriority.
 
     ``start`` contains the index at which the list of targets of each positioner begins. A list may omit targets in
-    reach, as long as one of its targets remains after each of the other positioners that share targets with the list
-    has taken one.
+    reach if it still contains a target after every other positioner in reach of its targets has taken one of them.
     """
     n, m = indptr.size - 1, chosen.shape[1]
     order, t_indptr, t_owner = np.empty(n, np.uint64), np.empty(n + 1, np.int64), np.empty(owner.size, np.int64)

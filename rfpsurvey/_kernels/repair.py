@@ -75,7 +75,7 @@ def sole_blocker(c, i, options, chosen, holder):
 
 @kernel
 def displace(i, floor, better, options, chosen, blocked, holder):
-    """Assign a candidate that exactly one other positioner blocks to positioner i, and move the blocking positioner.
+    """Give positioner i a candidate that exactly one other positioner blocks, and move the blocking positioner.
 
     The new candidate of i must be at least as good as the candidate ``floor``; with ``better=1``, it must also be of a
     more important class. The blocking positioner receives a candidate that is at least as good as its present

@@ -106,7 +106,7 @@ def _keep_leading_zeros(table: Table, marked: Table) -> None:
 
 
 def _checked_content(path: Path) -> bytes:
-    """Return the content of a text file, with lines that end with a line feed, optionally after a carriage return."""
+    """Return the content of a text file, in which every line ends with LF or CR LF."""
     content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the byte-order mark that spreadsheets write
     if b"\r" in content and content.count(b"\r") != content.count(b"\r\n"):
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")

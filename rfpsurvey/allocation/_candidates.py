@@ -29,7 +29,7 @@ class Candidates:
     pairs: np.ndarray
     """Pairs of candidates that collide, shape (2, m)."""
     held: np.ndarray
-    """Whether each requirement counts each candidate, shape (n_groups, n)."""
+    """Whether each candidate counts toward each requirement, shape (n_groups, n)."""
     preselection: Preselection
     """Reachable pairs from which the candidates were made; some pairs may have been omitted."""
     idle_pairs: np.ndarray | None = None
@@ -181,7 +181,7 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
 
 
 def _keys(problem, target, held):
-    """Group candidates that the same requirements count, and find which groups are at least as good as other groups."""
+    """Group candidates that count toward the same requirements, and find which groups can replace other groups."""
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)

@@ -1,4 +1,4 @@
-"""Cover the collisions of candidates with cliques, of which a plan uses at most one candidate."""
+"""Cover the collisions of candidates with cliques; a plan uses at most one candidate of each clique."""
 
 import numpy as np
 

@@ -123,7 +123,7 @@ class Program:
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
     def _targets(self):
-        """Add the constraints that no target is observed twice."""
+        """Add the constraints that each target is observed at most once."""
         real = np.flatnonzero(self.target >= 0)
         _, row, count = np.unique(self.target[real], return_inverse=True, return_counts=True)
         shared = count[row] > 1

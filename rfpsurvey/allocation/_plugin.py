@@ -53,7 +53,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Raise an error if the levels disagree with the plan, or if queues contain targets that are out of reach."""
+    """Raise an error if the levels contradict the plan, or if queues contain targets that are out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}

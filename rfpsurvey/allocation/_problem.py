@@ -292,7 +292,7 @@ class AllocationProblem:
         return levels
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return the number of fibers of a plan that each group (targets and fibers of a requirement) counts."""
+        """Return the number of fibers of a plan that count toward each group of `groups`."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]

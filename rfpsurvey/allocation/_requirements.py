@@ -192,10 +192,10 @@ class Group:
     requirement: Requirement
     spectrograph: int | None
     targets: np.ndarray
-    """Whether the requirement counts each target, shape (n_targets,)."""
+    """Whether each target counts toward the requirement, shape (n_targets,)."""
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return whether the requirement counts each pair of a target (-1: no target) and a spectrograph."""
+        """Return whether each pair of a target (-1: no target) and a spectrograph counts toward the requirement."""
         inside = np.append(self.targets, False)[target]
         return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 

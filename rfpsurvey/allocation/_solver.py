@@ -60,7 +60,8 @@ def maximize(
     first : ndarray of float, shape (n,), optional
         Variables that satisfy the constraints, from which the search starts.
     nodes : int, optional
-        Largest number of nodes of the search tree. A search that this number ends does not depend on the computer.
+        Largest number of nodes of the search tree. If this number ends the search, the result does not depend on the
+        computer.
     """
     if left(deadline) == 0:
         return None, np.inf

@@ -67,7 +67,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
     """
     ids = to_plain(ids, "ids")
     if ids.ndim != 1 or ids.dtype.kind not in "iuUS":
-        raise InputError(f"ids must be integers or text, shape (n,), got {ids.dtype.name} of the shape {ids.shape}")
+        raise InputError(f"ids must be integers or text, shape (n,), got {ids.dtype.name} of shape {ids.shape}")
     if ids.dtype.kind == "S":
         ids = np.char.decode(ids, "utf-8")
     return _of_numbers(id_numbers(ids), check_seed(seed))

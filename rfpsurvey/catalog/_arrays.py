@@ -28,7 +28,7 @@ class CatalogArrays:
     vectors : ndarray of float, shape (n, 3)
         ICRS unit vectors.
     repeated_ids : bool
-        Whether two targets have the same identifier.
+        Whether any two targets have the same identifier.
     extra : dict
         Values of the columns ``extra``, without their units, by their names in results; for example, a column ``ra``
         becomes ``target_ra``.

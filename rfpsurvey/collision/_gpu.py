@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return (first, second, squared distance) of pairs closer than the minimum separation plus a limit of rounding."""
+    """Return (first, second, squared distance) of pairs closer than the minimum separation, within rounding."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)

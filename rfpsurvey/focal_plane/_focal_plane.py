@@ -47,7 +47,7 @@ class FocalPlane:
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
     fiber_xy : Quantity, shape (n, 2), or dict of str to Quantity, optional
-        Place of each fiber on the eccentric arm, in place of ``eccentric_arm``; a dict has one entry for each fiber
+        Position of each fiber on the eccentric arm, instead of ``eccentric_arm``; a dict has one entry for each fiber
         type. The origin is the elbow, +x points along the mechanical axis of the arm, and +y to its left. NaN stands
         for a fiber that a positioner lacks. Names that no positioner lists in ``fiber_type``, such as those of
         metrology fibers, are allowed: these fibers take no targets, and `forward` computes their positions.

@@ -84,7 +84,7 @@ def _from_metrology(preset, table, path):
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL_LOC"),
         "positioner.phi_range": {**preset.values["positioner.phi_range"], "value": _limits(plane.positioner.phi_range)},
     }
-    notes = f"The centers are those of the {len(plane)} positioners in {path.name}; the arms are nominal.{others}"
+    notes = f"The centers of the {len(plane)} positioners are taken from {path.name}; the arms are nominal.{others}"
     return _built(preset, plane, entries, notes)
 
 
@@ -93,7 +93,7 @@ def _from_model(preset, table, path, state, exclusions, moment):
     ids = whole(table, "LOCATION", path)
     r1, r2 = (numbers(table, name, u.mm, path) for name in ("LENGTH_R1", "LENGTH_R2"))
     angles = {name: numbers(table, name, u.deg, path) for name in ANGLES}
-    notes, columns, polygons = [f"The {len(ids)} positioners are those in {path.name}.{others}"], {}, None
+    notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{others}"], {}, None
     if state is None:
         notes.append("No state was given; therefore, all positioners count as working.")
     else:

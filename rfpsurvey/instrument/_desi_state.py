@@ -62,7 +62,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
 
-    The table is a log of events. The state of a positioner is that after its last event at or before the time.
+    The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
     table = read_table(path)
     check_columns(table, STATE, path)
@@ -105,7 +105,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     }
     parts = ", ".join(f"{np.count_nonzero(mask)} {what}" for what, mask in counts.items() if mask.any())
     text = (
-        f"The state is that of {path.name} after the event of {max(when[text] for text in past).isoformat()}: "
+        f"The state is taken from {path.name}, after the event of {max(when[text] for text in past).isoformat()}: "
         f"{parts or 'all positioners work'}."
     )
     others = len(set(location.tolist()) - set(ids.tolist()))

@@ -33,7 +33,7 @@ FOLDED = 185.9
 def find_pfs_files(path: Path) -> dict | None:
     """Return the files of PFS in a folder, or a file of dots, as arguments of `read_pfs`; None for any other path.
 
-    The files can also be in the folders ``dot`` and ``fiducials`` of the folder, as in the observatory's repository. If
+    The files can also be in its subfolders ``dot`` and ``fiducials``, as in the observatory's repository. If
     there are several files of one kind, the last one in alphabetical order is used, because its name contains the
     latest date.
     """
@@ -91,7 +91,7 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
         values.pop("positioner.theta_range", None)
         for name in ("centers", "arms", "zero_points", "joint_limits"):
             values[f"layout.{name}"] = _entry("by cobra", "published", names)
-        notes.append(f"Centers, arms and joint limits are those of {names}. {defects}")
+        notes.append(f"Centers, arms and joint limits are taken from {names}. {defects}")
     if fiducials is not None:
         path = to_path(fiducials)
         columns["obstacles"], text = read_fiducials(path)

@@ -1,7 +1,7 @@
 """SDSS-V as built: the calibration tables of the focal plane system at Apache Point or Las Campanas.
 
 The angle alpha of the tables is theta, and beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
-place (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is tx =
+position (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is tx =
 alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
 coordinates, the position of the fiber is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are
 (0, -1) and (1, 0).
@@ -155,7 +155,7 @@ def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes:
     """Return the rows of a site from a file, or None if the folder does not contain the file."""
     path = folder / file
     if not path.is_file():
-        notes.append(f"There is no {file}; its values are those of the preset.")
+        notes.append(f"There is no {file}; its values are taken from the preset.")
         return None
     rows = _Rows(path, ("site", *names))
     rows.keep_site(site)
@@ -193,7 +193,7 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     if not path.is_file():
         wok = _Rows(folder / "wokCoords.csv", ("holeID", "holeType"))
         kind = np.char.lower(wok.text("holeType")[wok.rows_of(holes)])
-        notes.append("There is no fiberAssignments.csv; the fibers of a robot are those of holeType in wokCoords.csv.")
+        notes.append("There is no fiberAssignments.csv; holeType in wokCoords.csv states the fibers of each robot.")
         return np.column_stack([np.char.find(kind, word) >= 0 for word in ("boss", "apogee")])
     rows = _Rows(path, ("site", "holeID", "Device", "BOSSFiber", "APOGEEFiber"))
     rows.keep_site(site)

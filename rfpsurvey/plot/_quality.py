@@ -59,9 +59,9 @@ def plot_quality(
         <rfpsurvey.Tile.completeness>`). The bar shows the fraction of the targets of the class with each outcome; the
         numbers of observed targets and of all targets are on the right. The second panel shows the number of fibers on
         sky and on standard stars in each spectrograph. If the tile has requirements, the panel shows the number of
-        fibers that each requirement counts, and its minimum as a dashed line. If there are neither fibers on sky or
-        standard stars nor requirements, the panel shows the number of fibers on science targets. The third panel is a
-        histogram of ``column`` for all science targets and for assigned science targets; it is empty if there is no
+        fibers that count toward each requirement, and its minimum as a dashed line. If there are neither fibers on sky
+        or standard stars nor requirements, the panel shows the number of fibers on science targets. The third panel is
+        a histogram of ``column`` for all science targets and for assigned science targets; it is empty if there is no
         column of numbers. The fourth panel shows the fractions of science targets that are in reach and that are
         assigned, in rings of equal area around the center of the focal plane, with 68 % intervals.
 
@@ -202,7 +202,7 @@ class Series(NamedTuple):
 
 
 def _series_of(tile) -> list[Series]:
-    """Return the positioners that each requirement counts.
+    """Return the positioners that count toward each requirement.
 
     If there are no requirements, return the positioners on sky and on standard stars or, if there are no such
     positioners, the positioners on science targets.

@@ -20,7 +20,7 @@ CORRELATION = 0.2
 The correlation is 0.13 to 0.28 for LAMOST, SDSS-V and MOONS. Only the degrees of freedom depend on this value.
 """
 BEYOND = -0.03
-"""Typical correlation of neighbors beyond the nearest ring, which compete for targets but rarely collide.
+"""Typical correlation of two neighbors beyond the nearest ring; they compete for targets but rarely collide.
 
 This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS, this correlation is
 -0.03 to -0.05 with four targets per positioner, and 0 to -0.01 with one target per positioner.

@@ -20,7 +20,7 @@ class Tally:
     """Numbers of collisions in each realization, and sums over realizations for each positioner."""
 
     colliding: np.ndarray
-    """Columns: numbers of positioners: counted and in collision, counted, assigned and in collision, assigned."""
+    """Numbers of positioners in four columns: counted and colliding; counted; assigned and colliding; assigned."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray

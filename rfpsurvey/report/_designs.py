@@ -22,9 +22,10 @@ WORDS = (
     "mark its design."
 )
 ABOUT = (
-    "The calculator evaluates the surrogate, a cubic spline through the collision probabilities of 3969 designs. They "
-    "apply to positioners on a hexagonal lattice without an edge, and to independent targets that are uniform over "
-    "each patrol area. The segment from elbow to tip can collide. A click on a design sets the sliders to that design."
+    "The calculator evaluates the surrogate, a cubic spline through the collision probabilities of 3969 designs. These "
+    "probabilities apply to positioners on a hexagonal lattice without an edge, and to independent targets that are "
+    "uniform over each patrol area. The segment from elbow to tip can collide. A click on a design sets the sliders "
+    "to that design."
 )
 LARGEST_ERROR = 0.0016
 """Largest error of the surrogate for designs that were not used to make the surrogate (see docs/probability.rst)."""

@@ -79,16 +79,16 @@ def _of_differences(table, differences):
         row = differences[k]
         agree = np.abs(ours - paper) <= 2 * errors
         variants = [v for v in np.unique(differences["closed_form"]) if agree[differences["closed_form"] == v].any()]
-        readings = f"within two standard errors in {agree.sum()} of {len(agree)} readings"
+        readings = f"within two standard errors in {agree.sum()} of {len(agree)} interpretations"
         if variants:
-            readings += f", which use the closed form {' or '.join(variants)}"
+            readings += f", all of which use the {' or '.join(variants)} closed form"
         claims.append(
             Claim(
                 "large",
                 f"{what} of simulation minus formula, both normalized",
                 f"{paper:.3f}",
-                f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest reading, {ours.min():.3f} to {ours.max():.3f} in "
-                f"all readings; {readings}",
+                f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest interpretation, "
+                f"{ours.min():.3f} to {ours.max():.3f} in all interpretations; {readings}",
                 verdict(paper, ours[k], errors[k]),
                 f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error "
                 "includes the uncertainty due to the random choice of the designs",
@@ -194,7 +194,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
                 "0.934",
                 f"{median:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
                 REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED,
-                f"{way.replace('_', ' ')}, a quarter of the designs held back",
+                f"{way.replace('_', ' ')}; a random quarter of the designs is not used for the fit",
             )
         )
     names = ["targets", "r2_low", "r2_median", "r2_high", *"abcdefghij"]

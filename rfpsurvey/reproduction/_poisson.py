@@ -170,15 +170,15 @@ def _of_reading(name, table):
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]
-    ways = {"means": _of_means(part, name), "mean of the drops": _mean(drop, error)}
+    ways = {"mean probability": _of_means(part, name), "mean over the designs": _mean(drop, error)}
     if near.any():
-        ways[f"mean of the drops for ratios below {RATIOS[1]:g}"] = _mean(drop[near], error[near])
+        ways[f"mean over the designs with ratios below {RATIOS[1]:g}"] = _mean(drop[near], error[near])
     if np.isfinite(table[name][-1]):
         _, ((own,), (own_error,)) = _averages(table[-1:], name)
         ways["LAMOST's design"] = own, own_error
     agree = [way for way, (value, e) in ways.items() if abs(value - PAPER) <= max(2 * e, MARGIN)]
     partly = UNDECIDED if agree else NOT_REPRODUCED
-    result = REPRODUCED if {"means", "mean of the drops"} & set(agree) else partly
+    result = REPRODUCED if {"mean probability", "mean over the designs"} & set(agree) else partly
     values = "; ".join(f"{value:+.2f} % +- {e:.2f} % ({way})" for way, (value, e) in ways.items())
     return Claim(
         "poisson",

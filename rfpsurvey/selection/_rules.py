@@ -17,7 +17,7 @@ __all__ = ["RULES", "Field"]
 
 
 class Field(NamedTuple):
-    """The targets of a field and the pairs that may be assigned to each other."""
+    """The targets of a field, and the pairs of a target and a positioner that may be assigned."""
 
     pairs: Reach
     rank: np.ndarray

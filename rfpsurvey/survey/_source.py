@@ -69,7 +69,7 @@ class InMemory:
         return None if column is None else self.to_slots(column)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Convert an array with a value for each row to the order of slots."""
+        """Return an array with a value for each row in the order of slots."""
         return values[self._index.order]
 
     @property
@@ -95,7 +95,7 @@ class InMemory:
         return self._catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Convert an array with a value for each slot to the order of rows."""
+        """Return an array with a value for each slot in the order of rows."""
         out = np.empty_like(values)
         out[self._index.order] = values
         return out

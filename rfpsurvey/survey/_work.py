@@ -26,7 +26,7 @@ COUNTS = {
     "NSTANDAR": ("n_standard", "positioners with a standard star"),
     "NSKY": ("n_sky", "positioners with a sky position"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
-    "NCOUNTED": ("n_counted", "positioners in the collision rate"),
+    "NCOUNTED": ("n_counted", "positioners counted in the collision rate"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
     "NUNMET": ("n_unmet", "requirements not met"),

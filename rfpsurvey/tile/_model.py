@@ -40,7 +40,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     plane = instrument.focal_plane
     kind = plane.collision_type
     if kind == 1:
-        collisions = "No two arms can touch (collision type 1), so that no pair was tested"
+        collisions = "No two arms can touch (collision type 1), and no pair was tested"
     else:
         n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms that are {ARMS[plane.positioner.arm_model]}"
         if posed is None:

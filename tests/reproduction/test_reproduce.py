@@ -118,17 +118,17 @@ def test_a_reading_is_judged_by_each_average():
     table = disc_designs()
     claim = _of_reading("disc", table)
     assert claim.verdict == "reproduced"
-    assert claim.reading == "disc; agrees: means"
+    assert claim.reading == "disc; agrees: mean probability"
     assert "+6.00 % +- 0.20 % (LAMOST's design)" in claim.ours
-    assert "+2.50 % +- 0.02 % (means)" in claim.ours
-    assert "+10.00 % +- 0.10 % (mean of the drops for ratios below 1.25)" in claim.ours
+    assert "+2.50 % +- 0.02 % (mean probability)" in claim.ours
+    assert "+10.00 % +- 0.10 % (mean over the designs with ratios below 1.25)" in claim.ours
     table["uniform"] = table["disc"]
     assert _of_reading("disc", table).verdict == "not reproduced"
     table["uniform"][2], table["uniform error"][2] = 0.0512, 2e-4  # 2.4 +- 0.4 %
     assert _of_reading("disc", table).reading == "disc; agrees: LAMOST's design"
     assert _of_reading("disc", table).verdict == "cannot be decided from the text"
     table["disc"][0] = 0.0  # without collisions, the ratio is undefined
-    assert "; +0.00 % +- 0.02 % (mean of the drops); +nan" in _of_reading("disc", table).ours
+    assert "; +0.00 % +- 0.02 % (mean over the designs); +nan" in _of_reading("disc", table).ours
     table["disc"][2] = np.nan
     assert "LAMOST" not in _of_reading("disc", table).ours
 
@@ -174,7 +174,7 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
     table["closed_form_corrected"], table["closed_form_pitch"] = ratio / 20, ratio**3 / 40 + rng.normal(0, 1e-3, 80)
     mean, variance, correlated, edge = _of_differences(table, _differences(table, Settings()))
     assert mean.verdict == "not reproduced"  # simulation - formula: -0.1 for the first formula, 0 for the second
-    assert "in 0 of 8 readings" in mean.ours
+    assert "in 0 of 8 interpretations" in mean.ours
     assert variance.verdict == "not reproduced"
     assert correlated.verdict == "reproduced"
     assert edge.verdict == "reproduced"

@@ -136,7 +136,7 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
     apart = rs.Instrument("apart", far, plate_scale=300 * u.mm / u.deg)
     survey = rs.plan_survey(sky, apart, center)
-    assert "No two arms can touch (collision type 1), so that no pair was tested" in survey.summary["model"]
+    assert "No two arms can touch (collision type 1), and no pair was tested" in survey.summary["model"]
 
 
 def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):

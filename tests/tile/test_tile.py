@@ -351,7 +351,7 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
     lonely = rs.Instrument("lonely", far, plate_scale=300 * u.mm / u.deg)
     tile = rs.plan_tile(rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1), lonely, CENTER)
-    assert "No two arms can touch (collision type 1), so that no pair was tested" in tile.summary["model"]
+    assert "No two arms can touch (collision type 1), and no pair was tested" in tile.summary["model"]
 
 
 def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):

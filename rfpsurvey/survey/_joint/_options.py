@@ -25,8 +25,8 @@ class JointOptions:
     Parameters
     ----------
     gap : float, optional
-        The search ends when, for each priority, the visits to targets with at least this priority are fewer than their
-        upper bound by at most this fraction.
+        The search ends when, for each priority, the number of visits to targets with at least this priority is at most
+        this fraction below its upper bound.
     iterations : int, optional
         Largest number of iterations. With 0, visits are only moved between tiles along augmenting paths, and the first
         bounds are computed.
@@ -40,8 +40,8 @@ class JointOptions:
     inform : callable, optional
         Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
         of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting
-        paths, and ``bound`` is the upper bound so far. Each is a list with a value for each priority, which includes
-        all higher priorities.
+        paths, and ``bound`` is the upper bound so far. Each is a list of numbers, one for each priority; a number
+        includes all higher priorities.
     patch_size : int, optional
         Number of pairs of a positioner and a target that one integer program contains at first, 10 to 100000. Larger
         programs give better plans and bounds, and take longer.
