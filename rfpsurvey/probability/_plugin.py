@@ -62,8 +62,8 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
         raise InputError(
-            "the answer must have value, or per_positioner with a number for at least one positioner that can have a "
-            "target"
+            "the answer must have value, or per_positioner with a probability of at least one positioner that can "
+            "have a target"
         )
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}

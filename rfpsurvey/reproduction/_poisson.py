@@ -163,7 +163,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 
 
 def _of_reading(name, table):
-    """Compare the drops of all designs, of designs with small ratios, and of LAMOST's design with the paper.
+    """Compare the drops for all designs, for small arm ratios and for LAMOST's design with the claim of the paper.
 
     The paper averages over its designs. The claim is therefore reproduced if an average over all designs agrees with
     the paper. If only some of the designs agree, the text of the paper does not determine the verdict.

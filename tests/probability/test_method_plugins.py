@@ -107,7 +107,7 @@ def test_simulations_take_allocators_of_others(small, hers):
         ([[1], [1, 2]], "must return a dict, or an array"),
         (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
         (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
-        (np.full(37, np.nan), "the answer must have value, or per_positioner with a number for"),
+        (np.full(37, np.nan), "the answer must have value, or per_positioner with a probability of"),
         ({}, "the answer must have value, or per_positioner"),
         ({"n": 3}, "the answer must have value, or per_positioner"),
         (

@@ -181,7 +181,7 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
     assert "the difference is larger than 3 standard errors in 80 of 80 designs" in edge.ours
     table["closed_form_corrected"] = ratio**2 / 20
     mean = _of_differences(table, _differences(table, Settings()))[0]
-    assert "which use the closed form corrected" in mean.ours
+    assert "all of which use the corrected closed form" in mean.ours
     table["range_200"] = table["covered"]
     assert _of_differences(table, _differences(table, Settings()))[3].verdict == "not reproduced"
 
