@@ -12,7 +12,8 @@ MOST = 2**62
 def balanced(indptr, owner, r2, count, positioner_of_target):
     """Add each target, in catalog order, to the shortest queue among the positioners that reach it.
 
-    If several queues are equally short, the nearest of their positioners is used, and in a tie, the lowest index.
+    If several queues are equally short, the target is added to the queue of the nearest of these positioners or, in a
+    tie, of the positioner with the lowest index.
     """
     count[:] = 0
     for t in range(indptr.size - 1):

@@ -250,7 +250,7 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List pairs of segments closer than the minimum separation, and borderline pairs within the rounding errors.
+    """List the pairs of segments closer than the minimum separation, and the pairs that rounding leaves undecided.
 
     Returns the number of listed pairs, and the number of borderline pairs among them.
     """
@@ -322,9 +322,9 @@ def obstacle_distance(limits, obstacles, i, x0, y0, x1, y1, j):
 def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, slack, out, distance):
     """List pairs (arm, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
 
-    Returns the number of pairs. ``obstacles`` are circles, which are followed by the polygons of the limits. The result
-    of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each arm; this array is used
-    only if arms have outlines.
+    Returns the number of pairs. The numbers of the obstacles count the circles ``obstacles`` first, then the polygons
+    of the limits. The result of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of
+    each arm; this array is used only if arms have outlines.
     """
     n = 0
     for k in range(pairs.shape[0]):

@@ -154,7 +154,7 @@ def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
 
 @kernel
 def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other_wide, other_high, limit):
-    """Return whether the distance of two rectangles along each of their sides is at most ``limit``.
+    """Return whether the gap of two rectangles along the direction of each of their sides is at most ``limit``.
 
     The center, the direction and half the lengths of the sides of both rectangles are given.
     """

@@ -76,8 +76,9 @@ def last_step(t, level, replace, links, chosen, load):
 def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
     """Add a visit to the target ``begin`` along a path, and return whether one was found.
 
-    The search goes along one path as far as ``stack`` has rows, changes the plan, and undoes these changes when it goes
-    back. Targets in ``seen`` are not tried again. ``left`` is the remaining number of visits of each target.
+    The search extends a path to at most as many positioners as ``stack`` has rows. The plan is changed along the path;
+    if the path cannot be extended, the last change is undone, and another positioner is tried. Targets in ``seen`` are
+    not tried again. ``left`` is the remaining number of visits of each target.
     """
     seen[begin] = True
     depth = 0

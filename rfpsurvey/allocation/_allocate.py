@@ -42,7 +42,7 @@ def allocate(
     subpriority: np.ndarray | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> Allocation:
-    """Assign targets to positioners: at most one target per positioner, and one positioner per target.
+    """Assign targets to positioners: at most one target per positioner, and at most one positioner per target.
 
     The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
     requirements; ``sdss``, ``optimal`` and ``repair`` also assign standards and sky positions to positioners that would

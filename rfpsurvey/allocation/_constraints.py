@@ -48,7 +48,7 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return text that results record for identifiers or circles: the complete list, or its length and a digest."""
+    """Return identifiers or circles as results record them: the complete list, or its length and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]

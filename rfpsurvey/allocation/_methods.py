@@ -118,7 +118,7 @@ def _with_cost(problem):
 
 
 def _bounded(problem, target_of, blind):
-    """Return the objectives of a plan, with the values of a second plan, which ignores collisions, as upper bounds."""
+    """Return the objectives of a plan; their upper bounds are the values of a second plan, which ignores collisions."""
     reached, most = problem.values(target_of), problem.values(blind)
     levels, known = [], True
     for name, value in reached.items():

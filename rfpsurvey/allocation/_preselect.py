@@ -23,7 +23,7 @@ class Preselection(NamedTuple):
 
     reach: Reach
     code: np.ndarray
-    """Code of each target; targets have the same code if the same requirements count them."""
+    """Code of each target; targets that count toward the same requirements have the same code."""
     shortened: np.ndarray
     """Whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)."""
     n_left_out: int

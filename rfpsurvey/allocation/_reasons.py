@@ -43,8 +43,8 @@ IDLE_REASONS = (
 class IdleReasons(NamedTuple):
     """Reasons why positioners have no target, and the attempts to move each of these positioners to a free target.
 
-    An attempt moves one arm, with one of its elbows, to a target that no positioner observes; all other arms remain as
-    in the plan.
+    An attempt moves one arm, with the elbow on one of two sides, to a target that no positioner observes; all other
+    arms remain as in the plan.
 
     Parameters
     ----------

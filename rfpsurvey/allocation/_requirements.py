@@ -129,9 +129,9 @@ class Shortfall:
     requested : int
         Required number of targets; the maximum if the plan contains too many targets.
     found : int
-        Number of targets in the plan that the requirement counts.
+        Number of targets in the plan that count toward the requirement.
     possible : int
-        Number of targets that the requirement counts and that are in reach of positioners that can observe them.
+        Number of targets that count toward the requirement and are in reach of positioners that can observe them.
     hint : str, optional
         A similar name that the user may have intended, or the reason why there are no targets.
     """
@@ -187,7 +187,7 @@ def _few(n):
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """The targets and fibers that one requirement counts, in all spectrographs or in one spectrograph."""
+    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph."""
 
     requirement: Requirement
     spectrograph: int | None

@@ -302,7 +302,7 @@ def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
 
 
 def _turned(segments, first, used):
-    """Return idle arms that have the capsules for the first fibers after the rotation for the fibers in use."""
+    """Rotate the capsules of idle arms: their angles refer to the fibers in use instead of the first fibers."""
     (c, s), (used_c, used_s) = first, used
     x, y = segments[2:] - segments[:2]
     x, y = c * x - s * y, s * x + c * y

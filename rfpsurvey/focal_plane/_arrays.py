@@ -69,7 +69,7 @@ class FocalPlaneArrays:
     neighbors : ndarray of int, shape (k, 2)
         Pairs of positioners to test for collisions, including those that can collide only because of rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
-        Pairs of rows (positioner, obstacle) that can touch; polygons follow the circles.
+        Pairs of rows (positioner, obstacle) that can touch; circles are numbered first, then polygons.
     n_sharing : ndarray of int, shape (n,)
         Largest number of other positioners that can share a target with each positioner.
     separation, clearance, length : float

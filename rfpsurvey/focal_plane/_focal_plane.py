@@ -273,7 +273,7 @@ class FocalPlane:
         Parameters
         ----------
         n_points : int, optional
-            Number of points in the rectangle around the footprint; there is a random one in each cell of a square grid.
+            Number of points in the rectangle around the footprint; one random point lies in each cell of a square grid.
             With 2**20 points the standard error is below 0.0005.
         rng : int or Generator, optional
             Seed or generator of the points.

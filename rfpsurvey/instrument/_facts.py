@@ -172,7 +172,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the mean difference between radii, whose mean is 1, and a regular shape in its best orientation."""
+    """Return the mean difference between radii (of mean 1) and the radii of a regular shape in its best orientation."""
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

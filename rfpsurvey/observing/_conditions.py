@@ -246,7 +246,7 @@ class ObservingConditions:
 
     @classmethod
     def from_record(cls, record: dict) -> "ObservingConditions":
-        """Return conditions with the values that the attribute ``record`` of other conditions contains.
+        """Make conditions from the attribute ``record`` of earlier conditions.
 
         Parameters
         ----------

@@ -279,8 +279,8 @@ def _locations(plan) -> np.ndarray:
         wrong = (ids < 0) | (ids // 1000 >= N_PETALS) | (ids % 1000 > MOST_DEVICE)
     if wrong.any():
         raise InputError(
-            f"positioner must be a LOCATION of DESI, 1000 petals + device, got {ids[wrong][0]}; plan with "
-            "Instrument.from_desi, whose ids are locations"
+            f"positioner must be a LOCATION of DESI (1000 times the petal plus the device), got {ids[wrong][0]}; plan "
+            "with Instrument.from_desi, whose ids are locations"
         )
     return ids.astype(np.int64)
 

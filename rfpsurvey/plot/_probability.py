@@ -1,4 +1,4 @@
-"""Plots of probabilities along a scan with their intervals, and of differences as a function of two parameters."""
+"""Plots of probabilities and their intervals along a scan, and of differences as a function of two parameters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING

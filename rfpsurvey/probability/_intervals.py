@@ -48,7 +48,7 @@ INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstr
 
 
 def quantile(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's t distribution; for infinite freedom, of the normal distribution.
+    """Return the two-sided quantile of Student's t distribution or, for infinite freedom, of the normal distribution.
 
     ``freedom`` is the number of degrees of freedom.
     """

@@ -93,10 +93,10 @@ def _required(summary: dict) -> dict:
 
 
 def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
-    """Return the name and the number of fibers of each class of targets, and the limit of this number as text.
+    """Return, for each class of targets, its name, its number of fibers, and text with a bound of this number.
 
-    The limit is "" if the number is known to be optimal, or if no limit is known. There are at most ``most`` lines; if
-    there are more classes, the last line contains the sum of the others.
+    The text is empty if the number is known to be optimal, or if no bound is known. There are at most ``most`` lines;
+    if there are more classes, the last line contains the sum of the others.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:

@@ -125,7 +125,7 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Return nested dicts as a dict of separate dicts by name, in which numbers are texts with all digits."""
+    """Convert nested dicts to a dict of dicts without nesting; numbers are converted to text with all digits."""
     groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):

@@ -46,7 +46,7 @@ class RequestFolder:
     request_name = REQUEST
     """Name of the file of the request."""
     work, parts = "survey", "tiles"
-    """What the folder holds, and the parts of this work, for error messages."""
+    """Name of the work in the folder, and name of its parts, for error messages."""
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
@@ -224,7 +224,7 @@ def read_index(path: Path) -> dict[str, tuple[int, str]]:
 
 
 def _read_index(path: Path):
-    """Return the entries of the index, and the number of invalid lines before the last one."""
+    """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
     try:
         text = (path / INDEX).read_text(encoding="ascii", errors="replace")
     except OSError:

@@ -111,7 +111,7 @@ class InMemory:
         return self._catalog.arrays.extra_units
 
     def text_columns(self) -> dict:
-        """Return the text columns of visits, by a description of their content."""
+        """Return the text columns of visits; the keys describe the content of the columns."""
         columns = {"category": self._catalog.category, **self._catalog.arrays.extra}
         return {f"values of {k!r}": v for k, v in columns.items() if v is not None and v.dtype.kind == "U"}
 

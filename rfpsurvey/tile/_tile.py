@@ -298,7 +298,7 @@ class Tile:
         Raises
         ------
         InputError
-            If a plan has other positioners, or the height is not a positive integer.
+            If a plan has different positioners, or the height is not a positive integer.
 
         Examples
         --------

@@ -55,7 +55,7 @@ def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
 
 
 def _times(column, tile) -> np.ndarray:
-    """Return the times of a column of times or text as text (UTC)."""
+    """Return the times in a column (of times or text) as text in UTC."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)  # an error follows for times far in the future
         if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):

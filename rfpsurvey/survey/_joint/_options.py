@@ -34,9 +34,9 @@ class JointOptions:
         Time after which the search ends, without the time for planning the tiles one after the other. By default, the
         time is not limited. A plan whose search ends at the time limit may not be reproducible.
     fixed : Survey, str or path-like, optional
-        A survey, or its folder, whose tiles were already observed. The plans of those tiles of the new survey that have
-        the same identifier are not changed. The instrument must be the same, and the catalog must contain its targets
-        in the same rows. Positioners of either handedness are not supported.
+        A survey, or its folder, whose tiles were already observed. Tiles of the new survey that have the same
+        identifiers keep the plans of these tiles. The instrument must be the same, and the catalog must contain its
+        targets in the same rows. Positioners with the handedness ``both`` are not supported.
     inform : callable, optional
         Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
         of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting

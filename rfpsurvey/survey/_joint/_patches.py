@@ -96,7 +96,7 @@ class Patches:
         return np.repeat(start[members] - ends[:-1], size) + np.arange(ends[-1]), ends
 
     def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
-        """Return whether a plan of a patch may be better.
+        """Return whether a better plan of a patch may exist.
 
         In a better plan, a positioner that does not yet observe a target of the best class in its reach observes a
         target that has remaining visits (``unmet``).

@@ -43,7 +43,7 @@ class Step(NamedTuple):
     iteration: int
     seconds: float
     visits: np.ndarray
-    """Visits of each class and all classes before it, for the levels with bounds."""
+    """Visits of each level (a class together with all classes before it)."""
     bound: np.ndarray
 
 
@@ -234,7 +234,7 @@ class Search:
                     self._take(patches.members(k), rows[chosen], load)
 
     def _take(self, members, new, load):
-        """Use the new candidates of a patch if its plan is as good as before."""
+        """Use the new candidates of a patch if the resulting plan is at least as good as before."""
         network, old = self.network, self.chosen[members]
         if tuple(network.counts(new)) < tuple(network.counts(old)) or np.array_equal(new, old):
             return

@@ -138,7 +138,7 @@ def _model(request, options) -> Model:
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return the index of each wanted slot among the slots of a field; -1 for -1."""
+    """Return the index of each wanted slot among the slots of a field; a wanted slot of -1 gives -1."""
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
     return np.where(wanted >= 0, index, -1)
