@@ -61,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner of the axes (as fractions) with the fewest points nearby; without points, the upper left one."""
+    """Return the corner of the axes (as fractions) with the fewest points nearby; without points, the upper left."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]
