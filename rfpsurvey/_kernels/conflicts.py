@@ -1,7 +1,7 @@
 """Candidates (the possible poses of each arm), and the pairs of candidates that exclude each other.
 
-Candidates are sorted by positioner: those of positioner i have the indices from ``start[i]`` up to, but not including,
-``start[i + 1]``. A plan uses exactly one candidate of each positioner.
+Candidates are sorted by positioner: the candidates of positioner i have the indices from ``start[i]`` up to, but not
+including, ``start[i + 1]``. A plan uses exactly one candidate of each positioner.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Count and list the collisions of configurations on a GPU. This module is imported only if a GPU is requested.
 
 The scalar functions for the poses and for the test of a pair are the same as on the CPU, compiled for the GPU. Each
-thread tests one positioner of one configuration against all its neighbors, including those with lower indices. It
+thread tests one positioner of one configuration against all its neighbors, including neighbors with lower indices. It
 therefore does not wait for the results of other threads.
 """
 

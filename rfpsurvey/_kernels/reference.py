@@ -48,7 +48,7 @@ def swept(poses, moving, first, second, squared):
     """Compute the smallest squared distance between any two poses on the paths of two arms.
 
     The poses of the two arms need not occur at the same time. The shape of ``poses`` is (steps, 4, n), and the last
-    pose is at the target. An arm that does not move has only one pose, the last one.
+    pose is at the target. An arm that does not move has only one pose, which is its last pose.
     """
     last = poses.shape[0] - 1
     for k in range(first.size):

@@ -230,7 +230,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Renumber the classes that contain science targets; all other targets form one further class, the last one."""
+    """Renumber the classes that contain science targets; all other targets form a single class, which is the last."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)

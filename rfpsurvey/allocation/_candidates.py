@@ -68,7 +68,7 @@ def find_candidates(
     seconds: float = np.inf,
     most_pairs: float = np.inf,
 ) -> Candidates:
-    """Return the candidates of a problem: all candidates, or only those that `preselect` keeps.
+    """Return the candidates of a problem: all candidates, or only the candidates that `preselect` keeps.
 
     If ``collide`` is false, collisions are ignored, and each pair of a target and a positioner has only one elbow.
     ``keep_target`` contains one target for each positioner; this target is always kept. If it takes longer than

@@ -33,9 +33,9 @@ class Objective(NamedTuple):
 class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are candidates in use of positioners outside the program; the requirements also count these candidates.
-    ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a candidate is 1 if
-    the candidate is in use. The variable of a requirement is its number of missing fibers.
+    ``others`` are candidates in use of positioners outside the program; these candidates also count toward the
+    requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a
+    candidate is 1 if the candidate is in use. The variable of a requirement is its number of missing fibers.
     """
 
     def __init__(

@@ -157,8 +157,8 @@ def _values(candidates, chosen):
 def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
-    The limit of a class is for the number of targets of this class and of all earlier classes. The limits are computed
-    for the candidates ``bounding``, unless it is None.
+    The limit of a class applies to the number of targets of this class and of all earlier classes. The limits are
+    computed for the candidates ``bounding``, unless it is None.
     """
     problem = used.problem
 
@@ -206,8 +206,8 @@ def _offset(problem, names):
 def _matching_limits(problem, everything, names):
     """Return upper limits of the objectives from the best matching, in which arms may collide.
 
-    The limit of a class is for the number of targets of this class and of all earlier classes; no plan has more of
-    these targets than the matching. If there are no candidates, the limits are the numbers of targets in reach.
+    The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
+    more of these targets than the matching. If there are no candidates, the limits are the numbers of targets in reach.
     """
     n, n_classes = problem.pairs.n_positioners, len(problem.classes)
     if everything is None or problem.any_required:  # the matching did not assign targets by their class alone

@@ -29,7 +29,7 @@ class CollisionCounts:
     Parameters
     ----------
     n_pairs, n_obstacle_pairs : ndarray of int, shape (m,)
-        Number of colliding pairs of positioners, and of pairs of a positioner and an obstacle.
+        Number of colliding pairs of two positioners, and number of colliding pairs of a positioner and an obstacle.
     n_in_collision, n_in_collision_assigned : ndarray of int, shape (m,)
         Number of counted positioners in collision, and of assigned positioners in collision.
     n_counted, n_assigned : ndarray of int, shape (m,)

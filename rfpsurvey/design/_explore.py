@@ -88,7 +88,8 @@ def explore_designs(
     path : str or path-like, optional
         File (.ecsv or .fits) to which finished designs are written every ten seconds and at the end.
     resume : bool, optional
-        Whether to continue an unfinished scan in ``path``. The objectives may differ from those of the unfinished scan.
+        Whether to continue an unfinished scan in ``path``. The objectives may differ from the objectives of the
+        unfinished scan.
     overwrite : bool, optional
         Whether to replace an existing file.
 

@@ -65,9 +65,9 @@ class FocalPlaneArrays:
     first_index : ndarray of int, shape (n,)
         Index of ``first_type`` in ``fiber_types``.
     fiber_index : ndarray of int, shape (n,)
-        Index of the fiber type in use in ``fiber_types``: ``first_index``, unless `using` sets others.
+        Index of the fiber type in use in ``fiber_types``: ``first_index``, unless `using` sets other indices.
     neighbors : ndarray of int, shape (k, 2)
-        Pairs of positioners to test for collisions, including those that can collide only because of rounding.
+        Pairs of positioners to test for collisions, including pairs that can collide only because of rounding.
     obstacle_pairs : ndarray of int, shape (k, 2)
         Pairs of rows (positioner, obstacle) that can touch; circles are numbered first, then polygons.
     n_sharing : ndarray of int, shape (n,)

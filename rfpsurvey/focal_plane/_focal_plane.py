@@ -43,13 +43,13 @@ class FocalPlane:
     disabled : array_like of bool, shape (n,), optional
         Positioners that take no target and are parked.
     stuck : Quantity, shape (n, 2), optional
-        theta and phi of positioners that cannot move; NaN for the others.
+        theta and phi of positioners that cannot move; NaN for all other positioners.
     obstacles : Quantity, shape (m, 3), optional
         Circles (x, y, radius) that no arm may touch, such as fiducials.
     fiber_xy : Quantity, shape (n, 2), or dict of str to Quantity, optional
         Position of each fiber on the eccentric arm, instead of ``eccentric_arm``; a dict has one entry for each fiber
         type. The origin is the elbow, +x points along the mechanical axis of the arm, and +y to its left. NaN stands
-        for a fiber that a positioner lacks. Names that no positioner lists in ``fiber_type``, such as those of
+        for a fiber that a positioner lacks. Names that no positioner lists in ``fiber_type``, such as the names of
         metrology fibers, are allowed: these fibers take no targets, and `forward` computes their positions.
     zero_points : Quantity, shape (n, 2), optional
         Direction of the central arm at theta = 0, counter-clockwise from +x, and angle from the central arm to the
@@ -57,7 +57,7 @@ class FocalPlane:
     theta_range, phi_range : Quantity, shape (n, 2), optional
         Joint limits of each positioner; NaN where the limits of ``positioner`` apply.
     hidden : Quantity, shape (k, 3), optional
-        Circles (x, y, radius) where fibers receive no light, such as those behind dots. Targets inside are out of
+        Circles (x, y, radius) where fibers receive no light, such as the circles behind dots. Targets inside are out of
         reach; arms may cover these circles. Collision probabilities do not take them into account.
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
         Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
@@ -325,7 +325,8 @@ class FocalPlane:
         rings : int, optional
             Number of rings around the central cell: 3 rings (rings + 1) + 1 cells.
         count : int, optional
-            Number of cells; those nearest the origin are used (ties by angle from +x, counter-clockwise).
+            Number of cells; the cells nearest the origin are used. Ties are decided by the angle from +x,
+            counter-clockwise.
         radius : Quantity, optional
             Keep centers at most this far from the origin.
         inner_radius : Quantity, optional

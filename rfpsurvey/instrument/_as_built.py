@@ -95,7 +95,7 @@ class AsBuilt:
         ----------
         dots : str or path-like
             File of the dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a folder
-            with this file and, optionally, the others. Targets behind a dot are out of reach.
+            with this file and, optionally, the other files. Targets behind a dot are out of reach.
         fiducials : str or path-like, optional
             File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
         interference : str or path-like, optional

@@ -41,8 +41,8 @@ class ProjectionComparison:
     table : QTable
         Table with a row for each model, from the cheapest to the most complete. Columns: ``model``, ``neglects`` (the
         effect of the next model), ``median``, ``p95`` and ``max`` (displacements of targets relative to the full model
-        on the focal plane), ``max_on_sky`` (the largest one as an angle), and ``sufficient`` (whether ``max`` is at
-        most the tolerance).
+        on the focal plane), ``max_on_sky`` (the largest displacement as an angle), and ``sufficient`` (whether ``max``
+        is at most the tolerance).
     tolerance : Quantity or None
         Largest displacement that is negligible; None if it is unknown.
     drift : Quantity

@@ -218,8 +218,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
         dict
             Facts by name, as numbers, text, quantities, dicts or tuples:
 
-            - ``positioners`` and ``usable_positioners``: numbers of all positioners, and of those that are neither
-              disabled nor stuck.
+            - ``positioners`` and ``usable_positioners``: numbers of all positioners, and of positioners that are
+              neither disabled nor stuck.
             - ``fibers``: dict of fiber type to the number of positioners that have it. The type is ``""`` if fiber
               types are not distinguished.
             - ``spectrographs`` and ``obstacles``: numbers of spectrographs and of obstacles.

@@ -160,7 +160,7 @@ def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
 
 
 def _cards(header) -> dict:
-    """Return the cards of a header by keyword, except for those that describe the structure of the file."""
+    """Return the cards of a header by keyword, except for the cards that describe the structure of the file."""
     return {card.keyword: card for card in header.cards if not STRUCTURE.fullmatch(card.keyword)}
 
 

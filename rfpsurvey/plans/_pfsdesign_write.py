@@ -207,7 +207,7 @@ def _header(plan: QTable, path: Path) -> dict:
 
 
 def _identifier(plan: QTable, rows: dict) -> int:
-    """Return the identifier of the file that was read if fibers and coordinates are unchanged, otherwise a new one."""
+    """Return the identifier in the file that was read, or a new one if fibers or coordinates have changed."""
     number = design_id(*(np.asarray(rows[name][0]) for name in ("fiberId", "ra", "dec")))
     if plan.meta["format"] == "pfsdesign" and number == plan.meta["rows_id"]:
         return int(plan.meta["header"].get("W_PFDSGN", number))

@@ -14,8 +14,7 @@ from rfpsurvey.survey import Survey
 __all__ = ["class_rows", "draw_survey_quality"]
 
 MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
-"""Largest number of bars of classes, largest number of bars of categories, and largest number of passes with separate
-colors."""
+"""Largest numbers of bars for classes, of bars for categories, and of passes with separate colors."""
 MOST_DOTS = 3000
 KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
 

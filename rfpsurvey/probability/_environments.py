@@ -58,7 +58,7 @@ def _codes(values):
 
 
 def _hash(n, i, away, what, angle):
-    """Return the sum of hashes of the offsets and kinds of all neighbors of each positioner."""
+    """Return, for each positioner, the sum of the hashes of its neighbors; a hash is made from an offset and a kind."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
     # with this offset, multiples of the resolution are far from the edges of cells

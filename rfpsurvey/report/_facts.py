@@ -96,7 +96,7 @@ def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
     """Return, for each class of targets, its name, its number of fibers, and text with a bound of this number.
 
     The text is empty if the number is known to be optimal, or if no bound is known. There are at most ``most`` lines;
-    if there are more classes, the last line contains the sum of the others.
+    if there are more classes, the last line contains the sum of the remaining classes.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:

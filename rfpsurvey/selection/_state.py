@@ -30,7 +30,7 @@ class State:
         self.n_rounds = 0
         """Number of rounds that are finished."""
         self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
-        """For each realization: positioners with a target, those lost to a collision, and visits that count."""
+        """Numbers per realization: positioners with a target, targets lost to a collision, and visits that count."""
 
     def take(self, slot: np.ndarray) -> np.ndarray:
         """Return the remaining visits of some targets, shape (k, n_realizations)."""

@@ -86,8 +86,9 @@ class Survey:
     def summary(self) -> dict:
         """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
 
-        ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of those with a visit that
-        counts; ``unmet`` is a list of sentences on the other required targets, one sentence for each outcome.
+        ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of required targets with a
+        visit that counts; ``unmet`` is a list of sentences on the other required targets, one sentence for each
+        outcome.
         """
         return self.tiles.meta["summary"]
 

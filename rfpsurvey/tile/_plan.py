@@ -91,7 +91,7 @@ def plan_tile(
         under ``projection`` how far targets move if a simpler model of the projection neglects an effect, and which
         model suffices.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
-        Model of the projection, as in `compare_projections`; ``auto`` is the cheapest one that suffices. By default,
+        Model of the projection, as in `compare_projections`; ``auto`` is the cheapest model that suffices. By default,
         ``radial`` without conditions and ``full`` with them.
     progress : bool or callable, optional
         Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
@@ -242,7 +242,7 @@ def _outside(required: tuple, ids: np.ndarray) -> list[str]:
 
 
 def _objectives(levels: list) -> list:
-    """Return name, value and bound of each objective; if there are many, the last item is the sum of the rest."""
+    """Return name, value and bound of each objective; many objectives are shortened by a sum in the last item."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows

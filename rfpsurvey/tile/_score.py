@@ -69,12 +69,12 @@ def score_tile(
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
-        Positions to use; by default those on the focal plane, if there are any.
+        Positions to use; by default the positions on the focal plane, if there are any.
     conditions : ObservingConditions, optional
         Conditions under which positions on the sky are projected; without them, refraction is neglected.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
-        columns of a DataFrame are in mm and deg unless ``units`` specifies others.
+        columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
         Whether idle positioners whose arms have equal lengths are obstacles.
 
@@ -244,7 +244,7 @@ def _is_ours(table) -> bool:
 
 
 def _assigned(table) -> np.ndarray:
-    """Return which rows assign a fiber: those marked in the column ``assigned`` if it exists, otherwise all rows."""
+    """Return which rows assign a fiber: the rows marked in the column ``assigned`` if it exists, otherwise all rows."""
     if _is_ours(table):
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:

@@ -43,15 +43,15 @@ class Tile:
     table : QTable
         Table with a row for each positioner. Columns: ``id``, ``spectrograph`` (if there are several), ``x``, ``y``
         (center), ``status`` (``assigned``; ``out_of_reach``: the arm cannot reach its target; ``parked``: without a
-        target, and an obstacle for others; ``idle``: without a target, and not an obstacle; ``disabled``; ``stuck``),
-        ``target_id`` (masked without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are several),
-        ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``, ``colliding_with``
-        (identifiers, such as ``obstacle-3`` for a circle, separated by spaces), ``clearance`` (distance to the
-        nearest other arm minus the minimum separation), ``arm_x``, ``arm_y`` (end of the colliding segment, which
-        begins at the elbow). Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck
-        positioners can also observe sky), and ``category``, ``priority`` and the further columns of the catalog, if
-        it has them. Numbers that do not apply are NaN; integers are masked. The ``meta`` contains ``summary``,
-        ``provenance`` and ``geometry``.
+        target, and an obstacle for other positioners; ``idle``: without a target, and not an obstacle; ``disabled``;
+        ``stuck``), ``target_id`` (masked without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are
+        several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``,
+        ``colliding_with`` (identifiers, such as ``obstacle-3`` for a circle, separated by spaces), ``clearance``
+        (distance to the nearest other arm minus the minimum separation), ``arm_x``, ``arm_y`` (end of the colliding
+        segment, which begins at the elbow). Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or
+        empty; stuck positioners can also observe sky), and ``category``, ``priority`` and the further columns of the
+        catalog, if it has them. Numbers that do not apply are NaN; integers are masked. The ``meta`` contains
+        ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -116,7 +116,7 @@ class Tile:
         """Numbers and rates, a description of the model, and the computing time of each stage in seconds.
 
         For planned tiles, ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of
-        those that are assigned and not in collision.
+        required targets that are assigned and not in collision.
         """
         return self._made_from.meta["summary"]
 
@@ -181,10 +181,10 @@ class Tile:
         """Table of the positioners without a target, and why each has none; None for tiles that were scored or read.
 
         Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
-        given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free``
-        (number of these that no positioner observes), ``n_possible`` (number of free targets at which its arm would
-        not collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the
-        arm would collide at free targets, as in the table of the tile).
+        given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free`` (number
+        of these targets that no positioner observes), ``n_possible`` (number of free targets at which its arm would not
+        collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the arm
+        would collide at free targets, as in the table of the tile).
         """
         return None if self._idle is None else self._idle[0]
 

@@ -39,7 +39,7 @@ class Centers:
     Raises
     ------
     InputError
-        If a direction, an angle or a unit is wrong, if the lower limit exceeds the upper one, or if no center is
+        If a direction, an angle or a unit is wrong, if the lower limit exceeds the upper limit, or if no center is
         inside the limits.
 
     Examples
@@ -130,7 +130,7 @@ class Declinations:
         return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
 
     def move_inside(self, vectors: np.ndarray) -> np.ndarray:
-        """Return directions, shape (..., 3); those outside the limits are moved along meridians onto the limits."""
+        """Return directions, shape (..., 3); each one outside the limits is moved along its meridian onto a limit."""
         if self.anywhere:
             return vectors
         lon, lat = to_lonlat(vectors)

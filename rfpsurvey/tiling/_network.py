@@ -200,7 +200,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
 
 
 def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:
-    """Search by decreasing steps for a center with a smaller cost of the assigned cells, and return the best one."""
+    """Search by decreasing steps for a center with a smaller cost of the assigned cells, and return the best center."""
 
     def price(places):
         chord = np.linalg.norm(vectors[None] - places[:, None], axis=2)

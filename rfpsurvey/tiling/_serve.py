@@ -85,7 +85,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the targets that a tile observes; ``near`` lists those in its field that still require a visit."""
+        """Return the targets that a tile observes; ``near`` lists the targets that require a visit in its field."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -165,7 +165,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the targets that a tile observes; ``near`` lists those in its field that still require a visit."""
+        """Return the targets that a tile observes; ``near`` lists the targets that require a visit in its field."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(

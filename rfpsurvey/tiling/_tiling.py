@@ -168,7 +168,7 @@ class Tiling:
             These columns are optional: the identifier (``tile``, ``tileid``, ``field``, ...; the row number by
             default), ``pass`` (1 by default) and the position angle (``position_angle``, ``pa``, ``field_pa``,
             ``posang``; 0 by default). Other columns are kept. A DataFrame of pandas or Polars and an Arrow table
-            are accepted; their angles are in degrees unless ``units`` specifies others.
+            are accepted; their angles are in degrees unless ``units`` specifies other units.
         columns : dict, optional
             Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns with other
             names.

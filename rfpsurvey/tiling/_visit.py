@@ -13,8 +13,8 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
     """Observe the tiles of one pass until no more are needed; return the number of tiles placed.
 
     Tiles that observe no target are omitted; if ``every`` is true, only tiles without any requested visit are omitted.
-    The number of remaining targets of a tile can only decrease. The numbers are therefore computed again only for the
-    tile with the largest known number: if its number does not change, this tile is the next one.
+    The number of remaining targets of a tile can only decrease. Therefore, only the number of the tile with the largest
+    known number is computed again; if this number does not change, the tile is observed next.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))
