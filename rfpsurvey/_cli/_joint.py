@@ -50,7 +50,7 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
 
 
 def _print_gain(state: dict) -> None:
-    """Print how many visits the tiles one after the other make, and how many a search can add at most."""
+    """Print the number of visits of tiles planned one after the other, and an upper limit of the gain by a search."""
     before, visits, bound = state["visits_before"][-1], state["visits"][-1], int(state["bound"][-1])
     more = max(bound - visits, 0)
     part = more / max(visits, 1)

@@ -279,10 +279,10 @@ def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign ``need`` of the targets marked in ``wanted``: each positioner, in the given order, takes the nearest one.
+    """Assign ``need`` of the targets marked in ``wanted``.
 
-    A positioner that takes such a target releases its previous target. Returns the number of targets that are missing
-    afterwards.
+    Each positioner, in the given order, takes its nearest marked target, and its previous target is no longer assigned.
+    Returns the number of targets that are missing afterwards.
     """
     for i in order:
         if need <= 0:

@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
 
 @kernel
 def inner_difference(l1, l2):
-    """Return the signed difference of the arm lengths, or 0 if the two arms are considered equal."""
+    """Return the signed difference of the arm lengths, or 0 if they differ by less than ``EQUAL_ARMS``."""
     difference = l1 - l2
     return 0.0 if abs(difference) < EQUAL_ARMS else difference
 
@@ -130,7 +130,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Set ``assigned`` where there is a tip, and ``far`` where the tip is out of reach; return the sum of ``far``."""
+    """Mark positioners that have a tip, and tips out of reach; return the number of tips out of reach."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):

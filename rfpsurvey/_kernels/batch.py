@@ -119,7 +119,7 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
 
 @kernel
 def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
-    """Count the collisions of m random configurations; each draws one pose from the queue of each positioner.
+    """Count the collisions of m random configurations; each configuration has one random pose from each queue.
 
     ``uniform`` contains the random numbers of the draws, in [0, 1), with the shape (m, n). ``entries`` contains the
     segments of all poses, one queue after the other. ``idle`` contains the segments of the positioners that have no

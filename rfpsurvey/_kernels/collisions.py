@@ -87,7 +87,7 @@ def point_segment_squared(px, py, ax, ay, bx, by):
 
 @kernel
 def orientation(ax, ay, bx, by, px, py):
-    """Return the side of the line from a to b on which p is: 1 is left, -1 is right, and 0 is uncertain."""
+    """Return on which side of the line from a to b the point p is: 1 for left, -1 for right, 0 if uncertain."""
     left = (bx - ax) * (py - ay)
     right = (by - ay) * (px - ax)
     slack = ORIENTATION_ERROR * (abs(left) + abs(right))
@@ -283,7 +283,7 @@ def colliding_outlines(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def find_colliding(segments, halves, runs, limits, first, second, squared):
-    """List pairs by `colliding_outlines` if the arms have outlines, else by `colliding_pairs`."""
+    """List pairs by `colliding_outlines` if the arms have outlines, otherwise by `colliding_pairs`."""
     if limits.outline.start.size > 1:
         return colliding_outlines(segments, halves, runs, limits, first, second, squared)
     return colliding_pairs(segments, halves, runs, limits, first, second, squared)

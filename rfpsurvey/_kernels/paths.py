@@ -58,7 +58,7 @@ def is_free(c, links, chosen, load):
 
 @kernel
 def last_step(t, level, replace, links, chosen, load):
-    """Return a candidate of target t that ends a path, or -1.
+    """Return a candidate of target t with which a path can end, or -1.
 
     The positioner of this candidate has no target or, with ``replace``, a target that is less important than the class
     ``level``.

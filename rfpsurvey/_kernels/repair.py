@@ -59,7 +59,7 @@ def best_free(i, least, options, chosen, blocked, holder):
 
 @kernel
 def sole_blocker(c, i, options, chosen, holder):
-    """Return the positioner that blocks candidate c of positioner i: -1 if there is none, -2 if there are several."""
+    """Return the only positioner that blocks candidate c of positioner i; -1 for none, -2 for several."""
     blocker = -1
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
         blocker = holder[options.target[c]]

@@ -129,7 +129,7 @@ def realize(rng, number, sky, positioners, realization):
 
 @kernel
 def thin(rng, most, indptr, queue):
-    """Reduce each queue in place to at most ``most`` entries, which are drawn with equal probabilities."""
+    """Reduce each queue in place to at most ``most`` entries, which are selected at random."""
     n = begin = 0
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]

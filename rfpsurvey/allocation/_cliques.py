@@ -13,7 +13,7 @@ BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
-    """Return cliques of the candidates ``rows`` that cover the collisions and the shared targets of two positioners.
+    """Return cliques of ``rows`` such that each two candidates with a collision or the same target are in a clique.
 
     Parameters
     ----------

@@ -118,12 +118,12 @@ class Program:
         self._high.append(np.broadcast_to(high, n))
 
     def _positioners(self):
-        """Add the constraints that exactly one candidate of each positioner is in use."""
+        """Add constraints: exactly one candidate of each positioner is used."""
         _, row = np.unique(self.own, return_inverse=True)
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
     def _targets(self):
-        """Add the constraints that each target is observed at most once."""
+        """Add constraints: each target is observed at most once."""
         real = np.flatnonzero(self.target >= 0)
         _, row, count = np.unique(self.target[real], return_inverse=True, return_counts=True)
         shared = count[row] > 1
@@ -131,7 +131,7 @@ class Program:
         self._add(row, real[shared], -np.inf, np.ones(int(row.max(initial=-1)) + 1))
 
     def _cliques(self, edges, deadline):
-        """Add the constraints that no two arms collide and that no two positioners have the same target."""
+        """Add constraints: no two arms collide, and no two positioners have the same target."""
         indptr, column = cover_by_pairs(self.candidates.options, self.candidate, edges, deadline)
         if self.n > EXTENDED:
             alive = self.index >= 0

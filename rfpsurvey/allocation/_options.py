@@ -82,7 +82,7 @@ class AllocationOptions:
         science targets first, then of one class after the other. Only ``sdss`` and ``optimal`` use this option.
     time_limit : Quantity, optional
         Time after which ``sdss`` and ``optimal`` return the best plan that they have found, with its gap; 60 s by
-        default. The limit also applies if ``sdss`` or ``optimal`` makes the plan ``start``.
+        default. The limit also applies if ``start`` is ``sdss`` or ``optimal``.
     start : Allocation or str, optional
         Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
         other packages can also use this plan.

@@ -107,7 +107,10 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 
 
 def _codes(problem):
-    """Return a code for each target, and the number of codes; a code stands for a set of requirements."""
+    """Return the code of each target, and the number of codes.
+
+    Targets that count toward the same requirements have the same code.
+    """
     columns, seen = [], set()
     for group in problem.groups:
         if group.requirement not in seen:

@@ -142,7 +142,7 @@ def _best_pairs(problem, most):
 
 
 def _chosen_in(everything, used, chosen):
-    """Return the indices of the candidates in use, counted among all candidates."""
+    """Return the candidates that are used, as indices in the list of all candidates."""
     if used is everything:
         return chosen
     found = pick(everything, used.options.target[chosen], used.side[chosen])
@@ -339,7 +339,7 @@ def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
 
 
 def _parts(candidates, rows):
-    """Split undecided candidates into independent parts, and return the candidates and the collisions of each part."""
+    """Divide undecided candidates into independent parts, and return the candidates and collisions of each part."""
     options, problem = candidates.options, candidates.problem
     if len(rows) == 0:
         return

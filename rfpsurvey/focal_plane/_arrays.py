@@ -193,7 +193,7 @@ class FocalPlaneArrays:
         return locked(np.array([self.plane.fiber_types.index(name) for name in self.first_type.tolist()]))
 
     def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Return the indices of fiber types; empty text means the first fiber type of the positioner in this row."""
+        """Return the indices of fiber types; empty text stands for the first fiber type of the positioner."""
         found = self.first_index.copy() if own is None else self.first_index[own]
         for k, name in enumerate(self.plane.fiber_types):
             found[fiber_type == name] = k
@@ -332,7 +332,7 @@ class FocalPlaneArrays:
         return self.angles_of(np.arange(len(self.plane)), self.fiber_index)
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the angle between fiber and capsule, for rows of positioners and fiber types."""
+        """Return cosine and sine of the angle at the elbow between fiber and capsule, for the listed positioners."""
         angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
         if self.fibers is not None:
             angle = angle - self.fibers.angle[fiber, own]
@@ -377,7 +377,10 @@ class FocalPlaneArrays:
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return rows of positioners and indices of fiber types; None means all rows and the fiber types in use."""
+        """Return the rows of positioners and the indices of fiber types.
+
+        None stands for all rows, or for the fiber types in use.
+        """
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 

@@ -79,7 +79,7 @@ class Joints:
             self.free[side] |= self._cut(l1, l2, side)
 
     def zeros(self, own, fiber):
-        """Return the kernel angles minus the joint angles, for theta and phi, for rows of positioners."""
+        """Return, for theta and phi, the differences between the angles of the kernels and the joint angles."""
         phi = self.phi_zero[own]
         return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
 
@@ -97,7 +97,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return the joint angles of positioners (rows), at most 360 deg above the low limit (-180 deg if none)."""
+        """Return joint angles in the range of 360 deg above the lower limit, or above -180 deg if there is no limit."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -118,10 +118,11 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance between fiber and center; return where this is possible.
+        """Replace limits of phi by limits of the distance between fiber and center, where this is possible.
 
-        If theta is free, the limits allow a ring, because the distance of the fiber from the center depends on phi
-        alone. The replacement is possible only if the allowed part of phi is one interval.
+        Returns for which positioners it is possible. If theta is free, the limits allow a ring, because the distance of
+        the fiber from the center depends on phi alone. The replacement is possible only if the allowed part of phi is
+        one interval.
         """
         low, high, phi_low, phi_high = self.limits
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)

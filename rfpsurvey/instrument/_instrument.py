@@ -126,7 +126,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
     @property
     def target_density(self) -> u.Quantity:
-        """Number of targets per solid angle with which a field has ``targets_per_fiber`` targets per positioner."""
+        """Target density (per solid angle) for which a field has ``targets_per_fiber`` targets per positioner."""
         area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
@@ -308,7 +308,7 @@ def as_instrument(instrument: Instrument | str) -> Instrument:
 
 
 def _is_path(text: str) -> bool:
-    """Return whether a text is a path, and not the name of a preset."""
+    """Return whether the text is a path; otherwise, it is the name of a preset."""
     if text.endswith(".toml"):
         return True
     return text not in _shipped() and (os.sep in text or os.path.exists(text)) and text not in plugin_names(GROUP)

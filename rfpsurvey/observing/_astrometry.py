@@ -73,7 +73,7 @@ class Instant:
 
 
 def instants_of(conditions: ObservingConditions, ra_rad: float) -> list[tuple[float, Instant]]:
-    """Return pairs of a weight and an instant; weighted means over the instants are means over the exposure."""
+    """Return pairs (weight, instant); a weighted mean over the instants approximates the mean over the exposure."""
     half = conditions.exposure_time.to_value(u.s) / 2
     if half == 0:
         return [(1.0, Instant(conditions, ra_rad, 0.0))]

@@ -76,11 +76,11 @@ class ObservedField:
         self.frames = [self._frame(instant, radius) for _, instant in self._instants]
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the points (n, 2) in mm of unit vectors (n, 3) on the focal plane; NaN if there is no image."""
+        """Project unit vectors (n, 3) to points (n, 2) on the focal plane in mm; NaN where there is no image."""
         return self._optics.project(self._observe(vectors, fiber_type), fiber_type)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the unit vectors (n, 3) of points (n, 2) in mm; NaN for points outside the radial map."""
+        """Convert points (n, 2) on the focal plane in mm to unit vectors (n, 3); NaN outside the radial map."""
         seen = self._optics.unproject(points, fiber_type)
         vectors = seen @ self.basis
         last = np.inf

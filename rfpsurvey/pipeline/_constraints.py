@@ -74,7 +74,10 @@ def image_of_circle(
 
 
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return whether each target of a catalog is required, or None if none is required; ``parts`` contains all ids."""
+    """Return whether each target of a catalog is required, or None if no targets are required.
+
+    ``parts`` contains the identifiers of all targets.
+    """
     if not required:
         return None
     marked, known = [], np.zeros(len(required), dtype=bool)

@@ -52,7 +52,10 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target and the names of the classes; the smallest of many categories share one class."""
+    """Return the class of each target, and the names of the classes.
+
+    If there are many categories, the smallest categories are combined into one class.
+    """
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
     values, place = np.unique(category, return_inverse=True)

@@ -116,7 +116,10 @@ def _colors(most):
 
 
 def _parts(plane, top):
-    """Return the fractions of the footprint that 0, 1, 2 and so on, and at least ``top`` positioners reach."""
+    """Return the fractions of the footprint that exactly 0, 1, 2, ... positioners reach.
+
+    The last fraction is for ``top`` or more positioners.
+    """
     try:
         parts = plane.coverage(n_points=N_POINTS)
     except InputError:

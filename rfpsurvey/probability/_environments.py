@@ -58,7 +58,10 @@ def _codes(values):
 
 
 def _hash(n, i, away, what, angle):
-    """Return, for each positioner, the sum of the hashes of its neighbors; a hash is made from an offset and a kind."""
+    """Return, for each positioner, the sum of the hashes of its neighbors.
+
+    The hash of a neighbor depends on its offset and its kind.
+    """
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
     # with this offset, multiples of the resolution are far from the edges of cells

@@ -80,7 +80,7 @@ class Estimate:
 
 
 def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
-    """Return the estimate if each positioner also fails independently, for dynamic reasons, at the given rate."""
+    """Return an estimate that includes independent dynamic failures of each positioner at the given rate."""
     if rate == 0:
         return estimate
 

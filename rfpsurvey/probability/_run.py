@@ -105,7 +105,7 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return the value, interval and error of a tally, and the half width that more iterations can reduce.
+    """Return the value, interval and error of a tally, and the part of the half width due to the number of iterations.
 
     If the targets are given, or if all realizations have the same rate, the tally is treated as one sky. In this case,
     the error states by how much the value of another patch of the same kind of sky may differ. If the focal plane is

@@ -46,11 +46,11 @@ class FieldProjection:
         self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the points (n, 2) in mm on the focal plane for unit vectors (n, 3); NaN if there is no image."""
+        """Project unit vectors (n, 3) to points (n, 2) on the focal plane in mm; NaN where there is no image."""
         return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Return the unit vectors (n, 3) for points (n, 2) in mm; NaN for points outside the range of the map."""
+        """Convert points (n, 2) on the focal plane in mm to unit vectors (n, 3); NaN outside the range of the map."""
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):

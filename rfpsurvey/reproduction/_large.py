@@ -55,7 +55,7 @@ def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **option
 
 
 def _differences(table, settings):
-    """Compare normalized results of formula and simulation, as in the paper; errors are from resampled designs."""
+    """Compare normalized results of formula and simulation, as in the paper; the errors are estimated by bootstrap."""
     rng = np.random.default_rng([settings.seed, 1])
     samples = rng.integers(0, len(table), (2000, len(table)))
     rows = []

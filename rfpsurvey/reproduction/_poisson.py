@@ -32,7 +32,10 @@ With separations above 2.09 mm, 20,000 random targets would not fit into the cir
 """
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
-POINT_PROCESS, COORDINATES = "point process", ("coordinates with mean 100 mm", "coordinates, 3 deviations are 200 mm")
+POINT_PROCESS, COORDINATES = (
+    "point process",
+    ("Poisson coordinates with mean 100 mm", "Poisson coordinates with 3 deviations = 200 mm"),
+)
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
 """Number that identifies each interpretation of the paper in the random seeds, by the name of the interpretation."""
 DISC_DESIGNS = 24

@@ -82,7 +82,7 @@ def lamost(field: Field, chosen: np.ndarray) -> None:
 
 
 def nearest(field: Field, chosen: np.ndarray) -> None:
-    """Serve targets by class, then by subpriority; each is assigned to its closest free positioner."""
+    """Assign each target, sorted by class, then by subpriority, to its closest free positioner."""
     pairs = field.pairs
     order = np.arange(len(pairs.owner))
     kernels.sort_by_distance(pairs.indptr, pairs.r2, order)

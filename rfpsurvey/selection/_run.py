@@ -75,7 +75,7 @@ def run(
 
 
 def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
-    """Return in how many tiles at least one positioner reaches each target, by slot."""
+    """Return, for each target (by slot), the number of tiles in which at least one positioner reaches it."""
     found = None if folder is None else folder.load("reach")
     if found is not None:
         tell(len(request.tiling), new=False)
@@ -87,7 +87,7 @@ def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
 
 
 def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
-    """Return in how many tiles at least one positioner reaches each target, by slot."""
+    """Return, for each target (by slot), the number of tiles in which at least one positioner reaches it."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))
@@ -127,7 +127,7 @@ def _job(request, tile: int, state: State, seeds) -> BlockJob:
 
 
 def in_order(executor: Executor | None, function: Callable, jobs: Iterable, job_of: Callable) -> Iterator:
-    """Yield each job and its result, in the order of the jobs; jobs are made when they are submitted."""
+    """Yield each job and its result, in the order of the jobs; each job is created only when it is submitted."""
     waiting = deque()
     try:
         for job in jobs:

@@ -132,7 +132,7 @@ class Poses:
             lost[r] = self._lost_exactly(chosen[r])
 
     def _lost_exactly(self, pair: np.ndarray) -> np.ndarray:
-        """Return which positioners lose their target, decided in exact arithmetic where rounding could matter."""
+        """Return which positioners lose their target; exact arithmetic is used if rounding could change the result."""
         used = np.flatnonzero(pair >= 0)
         tips, side = np.full((len(pair), 2), np.nan), np.ones(len(pair))
         tips[used], side[used] = self._points[pair[used]], self._side[pair[used]]

@@ -114,7 +114,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which of the given targets have no visit that counts, and the outcomes of these targets."""
+        """Return the targets in ``slot`` that have no visit that counts, and the outcomes of these targets."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED

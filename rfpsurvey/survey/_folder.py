@@ -169,7 +169,7 @@ class Folder(RequestFolder):
             return None
 
     def distrust(self, tile: int, reason: str) -> None:
-        """Issue a warning that the part of a tile cannot be used."""
+        """Issue a warning that the stored part of a tile is not used."""
         text = f"tile {tile} (by row) is planned again: {reason}"
         warn(text)
 

@@ -9,7 +9,7 @@ __all__ = ["ORDERS", "make_rounds"]
 
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
-    """Return a number for each tile; tiles of a group that are close to each other receive distinct numbers."""
+    """Return a number for each tile; neighboring tiles of the same group have different numbers."""
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
         index.vectors,

@@ -113,7 +113,7 @@ def _take(waiting: deque):
 
 @contextmanager
 def told(job):
-    """Add the name of the tile to errors, and a remedy if a worker ended abruptly."""
+    """Add the name of the tile to error messages, and a remedy if a worker process ended abruptly."""
     try:
         yield
     except BrokenExecutor as error:

@@ -41,9 +41,9 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets in a circle that have remaining visits (``left``, by slot or row).
+        """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot or row), is not 0.
 
-        With ``rest``, complete targets are also returned.
+        With ``rest``, targets without remaining visits are also returned.
         """
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
@@ -148,9 +148,9 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets in a circle that have remaining visits (``left``, by slot).
+        """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot), is not 0.
 
-        With ``rest``, complete targets are also returned.
+        With ``rest``, targets without remaining visits are also returned.
         """
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
@@ -168,7 +168,10 @@ class Partitioned:
         return Field(_stack(slot), _stack(row), targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
-        """Return the sum of values (by slot) inside circles; each partition is read once at most."""
+        """Return the sum of the values of the targets inside each circle.
+
+        ``values`` has one element per slot. Each partition is read at most once.
+        """
         circles = [self._parts.near(center, radius_rad + self._margin_rad) for center in centers]
         total = np.zeros(len(centers))
         part_of, circle_of = np.concatenate([[], *circles]), np.repeat(np.arange(len(centers)), list(map(len, circles)))

@@ -242,7 +242,10 @@ def _outside(required: tuple, ids: np.ndarray) -> list[str]:
 
 
 def _objectives(levels: list) -> list:
-    """Return name, value and bound of each objective; many objectives are shortened by a sum in the last item."""
+    """Return name, value and bound of each objective.
+
+    If there are many objectives, the last item is the sum of the remaining ones.
+    """
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows

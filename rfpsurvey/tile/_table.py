@@ -15,7 +15,7 @@ __all__ = ["TableOfTile", "status_of"]
 
 @dataclass(frozen=True, eq=False)
 class TableOfTile:
-    """All that the table of a tile is made from.
+    """The data from which the table of a tile is made.
 
     ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
     target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner.

@@ -130,7 +130,7 @@ class Declinations:
         return np.maximum(np.maximum(self.low - lat, lat - self.high), 0.0)
 
     def move_inside(self, vectors: np.ndarray) -> np.ndarray:
-        """Return directions, shape (..., 3); each one outside the limits is moved along its meridian onto a limit."""
+        """Move directions outside the limits along their meridian to the nearest limit; shape (..., 3)."""
         if self.anywhere:
             return vectors
         lon, lat = to_lonlat(vectors)

@@ -141,7 +141,7 @@ def _needed(index, centers, radius, margin):
 
 
 def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Move centers to the nearest allowed centers, and add allowed centers as long as these cover further points."""
+    """Move centers to the nearest allowed centers, and add allowed centers while these cover additional points."""
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
@@ -149,7 +149,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the chosen allowed centers, and further allowed centers as long as these cover further points."""
+    """Return the chosen allowed centers, and additional allowed centers while these cover additional points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

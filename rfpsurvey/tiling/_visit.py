@@ -10,7 +10,7 @@ __all__ = ["visit_all", "visit_given"]
 
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
-    """Observe the tiles of one pass until no more are needed; return the number of tiles placed.
+    """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.
 
     Tiles that observe no target are omitted; if ``every`` is true, only tiles without any requested visit are omitted.
     The number of remaining targets of a tile can only decrease. Therefore, only the number of the tile with the largest

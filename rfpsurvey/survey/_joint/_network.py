@@ -66,7 +66,7 @@ class Network:
         return bool(inside.all() and len(own) and (self.matrix @ x <= self.most + 0.5).all() and several)
 
     def _of_tile(self, chosen):
-        """Return whether no tile observes a target twice, and no target is observed more often than requested."""
+        """Return whether each tile observes each target at most once, and no target has more visits than requested."""
         real = np.flatnonzero(self.target[chosen] >= 0)
         tile = np.searchsorted(self.first, real, side="right") - 1
         target = self.target[chosen[real]]

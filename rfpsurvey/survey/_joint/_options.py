@@ -35,8 +35,8 @@ class JointOptions:
         time is not limited. A plan whose search ends at the time limit may not be reproducible.
     fixed : Survey, str or path-like, optional
         A survey, or its folder, whose tiles were already observed. Tiles of the new survey that have the same
-        identifiers keep the plans of these tiles. The instrument must be the same, and the catalog must contain its
-        targets in the same rows. Positioners with the handedness ``both`` are not supported.
+        identifiers keep the plans of these tiles. The instrument of this survey must be the same, and the catalog must
+        contain the targets of this survey in the same rows. Positioners with the handedness ``both`` are not supported.
     inform : callable, optional
         Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
         of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting

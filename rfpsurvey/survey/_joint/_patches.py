@@ -89,7 +89,10 @@ class Patches:
         return self._members[patch]
 
     def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the candidates of a patch, and the first of each positioner, followed by their number."""
+        """Return the candidates of a patch, and the index of the first candidate of each positioner.
+
+        The last index is the number of candidates.
+        """
         members, start = self._members[patch], self.network.start
         size = start[members + 1] - start[members]
         ends = np.concatenate([[0], np.cumsum(size)])
@@ -109,7 +112,7 @@ class Patches:
         return bool(unmet[network.target[rows]].any())
 
     def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
-        """Return the candidates of a patch that may be used while all other arms remain in place, and their problem.
+        """Return the candidates of a patch that can be used if no other arm moves, and the problem of the patch.
 
         ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
         """

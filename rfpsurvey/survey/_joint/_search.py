@@ -181,12 +181,15 @@ class Search:
         return self._prices[level]
 
     def _price(self, level):
-        """Adjust the prices of a level, and lower its bound."""
+        """Adjust the prices for one priority level, which lowers the upper bound of this level."""
         bound = self._prices_of(level).improve(self._weights(level), SWEEPS, self._out_of_time_for_prices)
         self.bounds[level] = min(self.bounds[level], np.floor(bound))
 
     def _bound(self, level, patches, executor):
-        """Lower the bound of a level: patches are solved as integer programs, and prices replace sets between them."""
+        """Lower the bound of a level by solving the patches as integer programs.
+
+        Prices replace the sets that connect patches.
+        """
         prices, network = self._prices_of(level), self.network
         if network.free.any():
             return
