@@ -13,7 +13,7 @@ BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
-    """Return cliques of ``rows`` such that each two candidates with a collision or the same target are in a clique.
+    """Return cliques of ``rows``; any two candidates that collide or have the same target are in a common clique.
 
     Parameters
     ----------

@@ -52,22 +52,22 @@ class AllocationOptions:
     ----------
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
         Targets with the same priority form a class, and all allocators except ``balanced`` assign the class of the
-        highest priority first. ``balanced``: each science target, in catalog order, is added to the queue of a
-        positioner that reaches it: the positioner with the shortest queue; ties are decided by the distance, then by
-        the row. One target of each queue is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each
-        class, pairs of a positioner and a target are assigned in the order of their distance. ``lamost``: in each
-        class, every free positioner nominates its nearest unassigned target, until no nominations are possible. If
-        several positioners nominate a target, it is assigned to the positioner with the fewest unassigned targets (of
-        any class) in reach; ties are decided by the distance, then by the row. The requirements are then filled one
-        after the other: first by idle positioners, then by positioners that give up the least important targets.
-        ``sdss``: network flow maximizes the number of targets, one class after the other, and then minimizes the sum of
-        squared distances from the centers; arms may collide. ``optimal``: the number of targets is maximized, one class
-        after the other, such that no arm with a target collides with a different arm or an obstacle; the optimum is
-        proven. Such an arm also avoids idle arms that are obstacles: parked positioners with equal arms (with
-        ``parked_obstacles``), and disabled and stuck positioners. Among plans of equal value, a plan in which few idle
-        arms collide with each other is preferred; idle arms may still collide with obstacles. ``repair``: local moves
-        remove the collisions of the plan ``start``. Any other name refers to an allocator that an installed package
-        provides. A function is called with an `~rfpsurvey.allocation.AllocationProblem`.
+        highest priority first. ``balanced``: each science target, in catalog order, is added to the shortest queue
+        among the positioners that reach it; ties are decided by the distance, then by the row. One target of each queue
+        is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs of a positioner and a
+        target are assigned in the order of their distance. ``lamost``: in each class, every free positioner nominates
+        its nearest unassigned target, until no nominations are possible. If several positioners nominate a target, it
+        is assigned to the positioner with the fewest unassigned targets (of any class) in reach; ties are decided by
+        the distance, then by the row. The requirements are then filled one after the other: first by idle positioners,
+        then by positioners that give up the least important targets. ``sdss``: network flow maximizes the number of
+        targets, one class after the other, and then minimizes the sum of squared distances from the centers; arms may
+        collide. ``optimal``: the number of targets is maximized, one class after the other, such that no arm with a
+        target collides with a different arm or an obstacle; the optimum is proven. Such an arm also avoids idle arms
+        that are obstacles: parked positioners with equal arms (with ``parked_obstacles``), and disabled and stuck
+        positioners. Among plans of equal value, a plan in which few idle arms collide with each other is preferred;
+        idle arms may still collide with obstacles. ``repair``: local moves remove the collisions of the plan ``start``.
+        Any other name refers to an allocator that an installed package provides. A function is called with an
+        `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
@@ -102,12 +102,12 @@ class AllocationOptions:
     subpriority : int or str, optional
         Order of the targets within each class; targets with larger subpriorities are served first. An integer is the
         seed of random subpriorities, which depend only on the identifiers of targets
-        (`~rfpsurvey.allocation.subpriorities`). A text is the name of a further column of the catalog, such as
+        (`~rfpsurvey.allocation.subpriorities`). Text is the name of a further column of the catalog, such as
         ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns each target of a class, in this order, to its closest
         free positioner; ``balanced`` distributes the targets in this order; with ``lamost``, every positioner nominates
         its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize the sum of the
-        subpriorities after all other objectives, ``sdss`` in place of the squared distances; differences below one
-        millionth of their range are ignored. In large fields, and after the time limit, ``optimal`` only finds an
+        subpriorities after all other objectives (``sdss`` then does not minimize squared distances); differences below
+        one millionth of their range are ignored. In large fields, and after the time limit, ``optimal`` only finds an
         approximate maximum of this sum. ``repair`` tests the targets in this order. The plan then does not depend on
         the order of targets in the catalog, if identifiers are unique.
 

@@ -69,9 +69,9 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     Parameters
     ----------
     path : str or path-like
-        File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``), ``pfsdesign`` (PFS,
-        ``pfsDesign-0x*.fits``) and ``table`` (a plan that
-        `write_plan` wrote as ECSV or FITS, or a tile of this package).
+        File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``), ``fiberassign`` (DESI,
+        ``fiberassign-*.fits``), ``pfsdesign`` (PFS, ``pfsDesign-0x*.fits``) and ``table`` (a plan that `write_plan`
+        wrote as ECSV or FITS, or a tile of this package).
     format : str, optional
         Name of the format; by default it is recognized from the content.
 

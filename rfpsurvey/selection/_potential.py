@@ -211,7 +211,8 @@ class PotentialAssignments:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
+            the text.
         """
         self.request.check_text()
         cards = {

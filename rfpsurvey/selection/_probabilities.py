@@ -225,7 +225,8 @@ class SelectionProbabilities:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
+            the text.
         """
         meta = json.dumps({"summary": self.summary, "provenance": self.provenance}, separators=(",", ":"))
         cards = {

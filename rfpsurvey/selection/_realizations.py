@@ -37,7 +37,7 @@ class Block:
     number : int
         Number of the block.
     first, last : int
-        The first realization, and the realization after the last realization.
+        Number of the first realization, and the number after that of the last realization.
     """
 
     def __init__(self, number: int, first: int, last: int):

@@ -256,7 +256,8 @@ class Tile:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent a text.
+            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
+            the text.
         """
         if format is not None:
             write_plan(self, path, format=format, overwrite=overwrite)
