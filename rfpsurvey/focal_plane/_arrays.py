@@ -377,10 +377,7 @@ class FocalPlaneArrays:
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return the rows of positioners and the indices of fiber types.
-
-        None stands for all rows, or for the fiber types in use.
-        """
+        """Return rows and indices of fiber types; None stands for all rows, or for the fiber types in use."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 
