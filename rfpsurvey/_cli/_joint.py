@@ -50,7 +50,7 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
 
 
 def _print_gain(state: dict) -> None:
-    """Print the number of visits of tiles planned one after the other, and an upper limit of the gain by a search."""
+    """Print the number of visits before the search, and an upper limit of the number of visits after the search."""
     before, visits, bound = state["visits_before"][-1], state["visits"][-1], int(state["bound"][-1])
     more = max(bound - visits, 0)
     part = more / max(visits, 1)

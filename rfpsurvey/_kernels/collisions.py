@@ -320,11 +320,11 @@ def obstacle_distance(limits, obstacles, i, x0, y0, x1, y1, j):
 
 @kernel
 def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, slack, out, distance):
-    """List pairs (arm, obstacle) whose arm is closer than ``clearance + slack`` to the edge of the obstacle.
+    """List the pairs (arm, obstacle) closer than ``clearance + slack``, measured to the edge of the obstacle.
 
-    Returns the number of pairs. The numbers of the obstacles count the circles ``obstacles`` first, then the polygons
-    of the limits. The result of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of
-    each arm; this array is used only if arms have outlines.
+    Returns the number of pairs. Obstacles are numbered from 0: first the circles in ``obstacles``, then the polygons in
+    ``limits``. The result of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each
+    arm; this array is used only if arms have outlines.
     """
     n = 0
     for k in range(pairs.shape[0]):

@@ -166,9 +166,9 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 
     ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
     of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
-    the second positioner. Each clique is made from one candidate a and all candidates that a excludes. Another
-    candidate of the positioner that a belongs to is added if it excludes the same candidates. Returns the number of
-    cliques. If ``column`` is empty, only the sizes of the cliques are computed.
+    the second positioner. Each clique is made from one candidate a and all candidates that a excludes. Other candidates
+    of the same positioner as a are added if they exclude the same candidates as a. Returns the number of cliques. If
+    ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0

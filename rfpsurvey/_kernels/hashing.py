@@ -42,8 +42,8 @@ def uniforms(numbers, seed, out):
 def numbers_of_texts(codes, out):
     """Return one number for each text; ``codes`` are its Unicode code points, followed by zeros, shape (n, length).
 
-    The number of a text that is an integer of at most 64 bits in decimal form is this integer. The number of any other
-    text is its hash FNV-1a, computed from code points in place of bytes.
+    If a text is an integer of at most 64 bits in decimal form, the number of the text is this integer. The number of
+    any other text is its hash FNV-1a, computed from code points in place of bytes.
     """
     for t in range(codes.shape[0]):
         n = 0

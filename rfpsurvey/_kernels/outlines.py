@@ -110,7 +110,7 @@ def frame(x, y, toward_x, toward_y):
 
 @kernel
 def frames_apart(first, second):
-    """Return the origin and rotation (cosine, sine) of the second frame in the first frame, and the distance."""
+    """Return origin and rotation (cosine, sine) of the second frame in the first, and the distance of the origins."""
     x, y, c, s = first
     dx, dy = second[0] - x, second[1] - y
     tx, ty = c * dx + s * dy, c * dy - s * dx
@@ -154,7 +154,7 @@ def vertices_squared(v, p, p_end, q, q_end, tx, ty, c, s):
 
 @kernel
 def boxes_near(x, y, c, s, wide, high, other_x, other_y, other_c, other_s, other_wide, other_high, limit):
-    """Return whether the gap of two rectangles along the direction of each of their sides is at most ``limit``.
+    """Return whether the gap between two rectangles is at most ``limit`` along the directions of all of their sides.
 
     The center, the direction and half the lengths of the sides of both rectangles are given.
     """
@@ -220,7 +220,8 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 
     A negative sum gap + offset is replaced by 0. The sum is infinity if it certainly exceeds ``separation``, which is
     the minimum separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines
-    overlap. The last arguments are the cores of the arms i and j, which are as long as the core of the outline.
+    overlap. The last eight arguments are the ends of the cores of the arms i and j. Both cores have the length of the
+    core of the outline.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]

@@ -241,8 +241,9 @@ def pair_of(indptr, owner, t, i):
 def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen):
     """Assign targets by nominations; each positioner nominates its target with the largest subpriority.
 
-    ``start`` contains the index at which the list of targets of each positioner begins. A list may omit targets in
-    reach if it still contains a target after every other positioner in reach of its targets has taken one of them.
+    ``start`` contains the index at which the list of targets of each positioner begins. The list of a positioner may be
+    shortened, but it must remain long enough: if each other positioner that reaches targets of the list takes one of
+    these targets, at least one target must be left.
     """
     n, m = indptr.size - 1, chosen.shape[1]
     order, t_indptr, t_owner = np.empty(n, np.uint64), np.empty(n + 1, np.int64), np.empty(owner.size, np.int64)

@@ -28,7 +28,7 @@ def make_keys(vectors, n_zones, key):
 
 @kernel
 def list_runs(key, n_zones, center, radius, runs):
-    """List the runs of the index that cover a circle, as rows (first, last + 1), and return the number of runs."""
+    """List the ranges of positions in the index that cover a circle, as rows (first, last + 1); return their number."""
     dec = math.atan2(center[2], math.hypot(center[0], center[1]))
     phase = math.atan2(center[1], center[0]) / (2.0 * math.pi)
     low, high = dec - radius - 1e-9, dec + radius + 1e-9

@@ -106,7 +106,7 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
 
 def read_fits_units(path: Path) -> dict:
-    """Return a dict with (header, rows) of each table of a FITS file by name, and (header, None) for the key None.
+    """Return a dict of table name to (header, rows) for a FITS file; the key None has the value (primary header, None).
 
     Rows are structured arrays in the byte order of the machine, with text without trailing blanks.
     """

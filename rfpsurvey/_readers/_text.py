@@ -95,7 +95,7 @@ def _parse(text: str, options: dict) -> Table:
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
-    """Restore leading zeros in columns of digits; ``marked`` is the table with such numbers read as text."""
+    """Restore leading zeros in columns of digits; in the table ``marked``, numbers with leading zeros are text."""
     for name, other in zip(table.colnames, marked.colnames, strict=True):
         if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
             continue

@@ -47,7 +47,7 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return candidates without some collisions, so that their best plan gives an upper bound for all plans.
+        """Return a copy in which some collisions are omitted, so that its best plan gives an upper bound for all plans.
 
         The collisions of each candidate that represents omitted candidates are removed. The bound is therefore also
         valid for plans that use omitted candidates.

@@ -75,7 +75,7 @@ def repair_collisions(
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
     def order():
-        """Return the order of positioners: first those that meet no minimum, then by the class of their target."""
+        """Return the positioners: those that count toward no minimum are first; otherwise, the target class decides."""
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = _repair(options, order(), now, *state, deadline)

@@ -326,7 +326,7 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Return a hint about an unmet minimum: it counts an unknown name, or exceeds the number of fibers."""
+        """Return the reason why a minimum is not met: an unknown name, or minimums that require too many fibers."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())

@@ -76,7 +76,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 
 
 def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
-    """If a requirement counts sky positions, add some in gaps between targets and other points to the problem."""
+    """If a requirement counts sky positions, add some to the problem, in gaps between targets and ``others``."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem

@@ -16,7 +16,8 @@ PER_SQUARE = 25.0
 class SkyIndex:
     """Unit vectors sorted by zones of declination.
 
-    The index of a direction in the sorted list is called its *position*; ``order`` contains the row of each position.
+    The index of a direction in the sorted list is called the *position* of the direction. ``order[k]`` is the row of
+    ``vectors`` that has the position k.
 
     Parameters
     ----------

@@ -87,8 +87,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 def touches_exactly(columns, i: int, segment, j: int) -> bool:
     """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps it.
 
-    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). The numbers ``j`` count the
-    circles first, then the polygons.
+    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). Obstacles are numbered from
+    0: first the circles, then the polygons.
     """
     circles, outline = columns.obstacles, columns.limits.outline
     if j < len(circles):

@@ -120,9 +120,9 @@ class Joints:
     def _cut(self, l1, l2, side):
         """Replace limits of phi by limits of the distance between fiber and center, where this is possible.
 
-        Returns for which positioners it is possible. If theta is free, the limits allow a ring, because the distance of
-        the fiber from the center depends on phi alone. The replacement is possible only if the allowed part of phi is
-        one interval.
+        The result is True for each positioner for which this is possible. If theta is free, the limits allow a ring,
+        because the distance of the fiber from the center depends on phi alone. The replacement is possible only if the
+        allowed part of phi is one interval.
         """
         low, high, phi_low, phi_high = self.limits
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)

@@ -60,7 +60,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return the state at a time: columns of the focal plane, joint limits (NaN: unknown), names of polygons, a note.
+    """Return the columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note for a time.
 
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """

@@ -146,7 +146,7 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
 
 
 def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
-    """Restrict one joint of each cobra that has an interference limit, such that it never interferes; return a note.
+    """Restrict one joint of each cobra with an interference limit, such that the cobra never interferes; return a note.
 
     A cobra interferes if its phi, counted from the folded stop, exceeds a limit while the direction of the central arm
     or of the fiber is in a window. Interference is avoided by restricting phi to values below the limit, or by
@@ -179,7 +179,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
 
 
 def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
-    """Return the largest angle (deg), for phi above a limit, from the fiber counter-clockwise to the central arm."""
+    """Return the largest angle (deg) from the fiber, counter-clockwise, to the central arm if phi is above a limit."""
     phi = np.deg2rad(np.linspace(np.minimum(extended, 0), 0, 200))
     return np.rad2deg(np.arctan2(-l2 * np.sin(phi), l1 + l2 * np.cos(phi))).max(axis=0)
 

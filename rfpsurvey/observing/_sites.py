@@ -30,7 +30,7 @@ def location(values: list) -> EarthLocation:
 
 
 def as_site(site: object) -> EarthLocation:
-    """Return the location of a site from a location or a name of SITES, in which upper and lower case are equal."""
+    """Return the location of a site, which is given as a location or as a name in `SITES` (in upper or lower case)."""
     if isinstance(site, str):
         lon, lat, height = SITES[check_choice(site.strip().lower(), SITES, "site")]
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)

@@ -88,8 +88,8 @@ def plot_designs(
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each table in mark, must be a table that explore_designs returned")
         if _question(one) != _question(table):
-            same = f"the same definition as in table ({_question(table)})"
-            raise InputError(f"the losses in mark must have {same}, got {_question(one)}")
+            same = f"the same definition as the loss of table ({_question(table)})"
+            raise InputError(f"the loss of each table in mark must have {same}, got {_question(one)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]

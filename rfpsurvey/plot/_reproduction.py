@@ -114,7 +114,7 @@ def _intervals(tables):
 
 
 def _within_one(table):
-    """Return the lengths of bars of two standard errors below and above a fraction, limited to fractions of 0 to 1."""
+    """Return the lengths of error bars (two standard errors) below and above a fraction; the bars end at 0 and 1."""
     value, bar = np.asarray(table["coverage"], float), 2 * np.asarray(table["coverage_error"], float)
     return [np.minimum(bar, value).tolist(), np.minimum(bar, 1 - value).tolist()]
 

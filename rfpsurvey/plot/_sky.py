@@ -189,7 +189,7 @@ def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: 
 
 
 def _entry_of_fields():
-    """Yield the legend entry of fields whose fills differ in size."""
+    """Yield the legend entry of fields that are filled up to different radii."""
     style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
     yield legend_line(label="field (fill is smaller in later passes)", **style)
 

@@ -33,7 +33,7 @@ def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
 
 
 def class_rows(survey: Survey) -> QTable:
-    """Return the rows of the completeness after the last pass that have a bar."""
+    """Return the rows of the completeness table after the last pass for which a bar is drawn."""
     return _after(survey, -1)[:MOST_ROWS]
 
 

@@ -54,7 +54,7 @@ class FieldProjection:
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
     def _apply(self, gnomonic, radial, values, fiber_type, width):
-        """Project or unproject values with the map of their fiber type, or with the kernel ``gnomonic`` without a map.
+        """Project or unproject values with the map of their fiber type or, without a map, with the kernel ``gnomonic``.
 
         The kernel ``radial`` is used for radial maps.
         """

@@ -227,6 +227,6 @@ def _warn_of_lacks(request) -> None:
         there |= set() if column is None else set(np.unique(column).tolist())
     for what, one in asked.items():
         if what not in there:
-            hint = "sky_separation would find blank sky" if what == "sky" else hint_of_name(what, there)
+            hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
             text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
             warn(text)

@@ -27,7 +27,7 @@ COLUMNS = ("priority", "kind", "category", "fiber_type")
 
 
 class InMemory:
-    """A catalog that fits into memory; slots are positions in the index of the sky."""
+    """A catalog that fits into memory; the slot of a target is its position in the index."""
 
     def __init__(self, catalog: Catalog):
         self._catalog = catalog

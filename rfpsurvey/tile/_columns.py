@@ -73,7 +73,7 @@ def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
 
 
 def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
-    """Return values that are replaced by NaN, empty text, False or a mask for positioners without a target."""
+    """Return values in which those of positioners without a target are replaced by NaN, empty text, False or a mask."""
     kind = values.dtype.kind
     if kind == "i":
         # the fill value differs from all values of targets, so that files preserve the values of targets

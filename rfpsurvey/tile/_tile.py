@@ -178,7 +178,7 @@ class Tile:
 
     @property
     def idle(self) -> QTable | None:
-        """Table of the positioners without a target, and why each has none; None for tiles that were scored or read.
+        """Table of the positioners without a target, and the reasons; None for tiles that were scored or read.
 
         Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
         given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free`` (number
@@ -360,7 +360,7 @@ def _plain(table: QTable) -> QTable:
 
 
 def _same_table(a, b) -> bool:
-    """Return whether two tables are equal; a missing table, as of a tile from ECSV, equals any table."""
+    """Return whether two tables are equal; a missing table, such as that of a tile from ECSV, is equal to any table."""
     return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
 
 

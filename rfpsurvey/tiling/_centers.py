@@ -142,7 +142,7 @@ class Declinations:
         return np.where(out[..., None], inside, vectors)
 
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
-        """Return the directions that are inside the limits or less than a radius outside.
+        """Return the directions that are inside the limits, or outside by less than a radius.
 
         Directions outside the limits are moved onto the limits.
         """

@@ -99,7 +99,7 @@ def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
 
 
 def _conservative(region, exclude, reach, radius):
-    """Return HEALPix centers that sample the region, and the largest distance of its points to the nearest center."""
+    """Return HEALPix centers that sample the region, and the largest distance of a point from its nearest center."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:

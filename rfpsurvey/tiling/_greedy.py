@@ -104,7 +104,7 @@ class _Candidates:
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the best candidate within half a radius of a direction or, if there is none, of all candidates."""
+        """Return the best candidate within half a radius of a direction; if there is none, return the best of all."""
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5 * self.state.unit:
             return self.best()

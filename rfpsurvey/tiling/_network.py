@@ -168,7 +168,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
 
 
 def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
-    """Assign cells to tiles at least cost; return cell, tile and amount of each flow, and the total cost."""
+    """Assign cells to tiles at the lowest cost; return cell, tile and amount of each flow, and the total cost."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
 

@@ -87,7 +87,8 @@ def place_tiles(
     n_tiles : int, optional
         Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
     completeness : float, optional
-        Fraction of the requested visits, above 0 and at most 1, at which no more tiles are placed.
+        Fraction of the requested visits that the tiles must provide, above 0 and at most 1. When this fraction is
+        reached, no more tiles are placed.
     fibers : Fibers or int, optional
         Largest number of targets that a tile observes, and their minimum separation. Without an allocator, the fibers
         reach any target of the field.
@@ -319,9 +320,9 @@ def _wanted(catalog, visits, exclude):
 
 
 def _levels(priority, wanted, order):
-    """Return the class of the priority of each target by position, 0 for the highest; None for a single class.
+    """Return the priority class of each target, by position (0: highest priority); None if there is a single class.
 
-    If there are more than `MOST_LEVELS` priorities, neighboring ones share a class.
+    If there are more than `MOST_LEVELS` priorities, neighboring priorities share a class.
     """
     if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
         return None

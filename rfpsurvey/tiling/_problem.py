@@ -80,7 +80,8 @@ class TilingState:
     def weight(self) -> np.ndarray:
         """Number of remaining visits of each target, weighted by its priority; 0 for targets that are given up.
 
-        Each visit of the highest remaining priority has the weight 1, and all other visits together less than 1.
+        Each visit of the highest remaining priority has the weight 1. The weights of all other visits sum to less than
+        1.
         """
         weight = np.where(self.hopeless, 0.0, self.left) if self.hopeless.any() else self.left
         if self.problem.level is None:
@@ -101,7 +102,7 @@ class TilingState:
 
     @property
     def completeness(self) -> float:
-        """Fraction of the requested visits that the tiles placed so far make."""
+        """Fraction of the requested visits that the tiles placed so far provide."""
         return 1.0 - (self._n_left + self.problem.n_beyond) / self._n_requested
 
     @property

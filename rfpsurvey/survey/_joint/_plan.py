@@ -98,7 +98,7 @@ def _tell(progress, before: int, total: int, done: float, _) -> None:
 
 
 def _inform(inform, search: Search) -> None:
-    """Call the function of the options with the visits and the bounds before the first iteration."""
+    """Call the function ``inform`` with the visits and the bounds before the first iteration."""
     if inform is not None:
         before = search.steps[0].visits.tolist()
         inform({"visits_before": before, "visits": search.visits.tolist(), "bound": search.bounds.tolist()})
