@@ -264,7 +264,7 @@ def test_what_is_told_is_told_once(sky, small):
     for arguments, options, sentence in (
         ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement counts"),
         ((sky, grid(1.2)), {"epoch": 2026.5}, "the epoch has no effect"),
-        ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* sky_separation would"),
+        ((sky, grid(1.2)), {"requirements": "sky=2"}, "no target of the catalog is 'sky', .* set sky_separation"),
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
         ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
