@@ -123,7 +123,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def annuli(self) -> np.ndarray:
-        """Patrol areas in the form that the kernel `reachable_pairs` requires."""
+        """Patrol areas in the form that the kernel ``reachable_pairs`` requires."""
         return locked(reach.annuli(self.geometry.cx, self.geometry.cy, self.inner_radius, self.outer_radius))
 
     @cached_property
