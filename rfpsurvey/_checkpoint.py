@@ -8,7 +8,7 @@ __all__ = ["check_request", "warn_of_software"]
 
 
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:
-    """Raise an error if the request differs from that of the unfinished work.
+    """Raise an error if the request differs from the request of the unfinished work.
 
     Parameters
     ----------

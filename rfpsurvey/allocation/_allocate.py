@@ -357,7 +357,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
 
 
 def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return values of targets in the order of the catalog, from values in the order of the problem."""
+    """Sort values of targets, given in the order of the problem, in the order of the catalog."""
     out = np.empty_like(values)
     out[order] = values
     return out

@@ -37,7 +37,7 @@ class Allocation:
     in_reach : ndarray of bool, shape (n_given,)
         Whether at least one positioner reaches each target.
     parked_obstacles : bool
-        Whether idle positioners with equal arms count as obstacles.
+        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     seconds : dict of str to float
         Computing time of each stage in seconds.
     xy : Quantity, shape (n_targets, 2)

@@ -87,7 +87,7 @@ class AllocationOptions:
         Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
         other packages can also use this plan.
     parked_obstacles : bool, optional
-        Whether idle positioners with equal arms are obstacles.
+        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     required : array_like of int or str, optional
         Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
         assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as

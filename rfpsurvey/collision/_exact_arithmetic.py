@@ -67,7 +67,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
     ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
     its vertices, whose positions relative to the elbow or center are rounded to double precision. If the radii and the
-    separation are 0, polygons collide if and only if no line separates them; polygons may touch.
+    separation are 0, polygons that overlap or cross collide, and polygons that only touch do not collide.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]

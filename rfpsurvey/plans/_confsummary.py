@@ -163,7 +163,7 @@ def to_wok(x, y, position_angle: float) -> tuple:
 
 @contextmanager
 def _yanny():
-    """Provide the module that reads yanny files; the warnings of its import and of its code are ignored."""
+    """Provide the module that reads yanny files, and ignore the warnings that its import and its functions cause."""
     with warnings.catch_warnings():
         text = r"[\s\S]*The TestRunner(Base)? class is deprecated"
         warnings.filterwarnings("ignore", text, AstropyDeprecationWarning)

@@ -66,7 +66,7 @@ SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 
 def light_scale():
-    """Return the sequential color map without its darkest third, on which edges and dark pages are not visible."""
+    """Return the sequential color map without its darkest third, in which dark edges would not be visible."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 

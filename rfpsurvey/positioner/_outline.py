@@ -31,7 +31,7 @@ ROUNDED_UP = 1.0 + 1e-12
 class ArmOutline:
     """The shape of both arms of a positioner, as convex polygons and capsules.
 
-    Each part is a convex polygon: all points within ``radius`` of the polygon belong to the part. A polygon of two
+    Each part consists of a convex polygon and of all points within ``radius`` of this polygon. A polygon of two
     vertices is a segment, and a polygon of one vertex is a point, so parts with a radius can be capsules and
     discs. Shapes that are not convex consist of several parts, which can overlap; `divide_polygon` divides polygons.
 

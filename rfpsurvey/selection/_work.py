@@ -95,7 +95,7 @@ class Poses:
     pairs : Reach
         The pairs.
     parked_obstacles : bool
-        Whether idle positioners with equal arms are obstacles.
+        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     """
 
     def __init__(self, plane, columns: FocalPlaneArrays, xy, fiber_type, pairs: Reach, parked_obstacles: bool):

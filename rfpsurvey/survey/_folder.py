@@ -107,7 +107,7 @@ class RequestFolder:
         """Read what the folder of unfinished work contains."""
 
     def _compare(self, before: dict):
-        """Raise an error if the request differs from that of the unfinished work."""
+        """Raise an error if the request differs from the request of the unfinished work."""
         now = dict(self._request)
         warn_of_software(self.path, before.pop("software", None), now.pop("software", None), self.parts)
         if "method" in before:

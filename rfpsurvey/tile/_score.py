@@ -76,7 +76,7 @@ def score_tile(
         Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
         columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
-        Whether idle positioners whose arms have equal lengths are obstacles.
+        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
 
     Returns
     -------

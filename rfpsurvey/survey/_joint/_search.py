@@ -128,7 +128,7 @@ class Search:
         return time() + self.options.seconds - self.seconds
 
     def begin(self, tell: Callable | None = None) -> None:
-        """Compute the first bounds, by a matching and by prices, and improve the plan along augmenting paths."""
+        """Compute the first bounds from a matching and from prices, and improve the plan along augmenting paths."""
         for k, level in enumerate(self.levels):
             self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
         self._record()
