@@ -118,8 +118,8 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
     """Assign candidates of one group to positioners in the given order, until ``need`` candidates are assigned.
 
-    ``held[g]`` marks the candidates of group g. ``count[g]`` is the number of candidates of group g in use, and
-    ``most[g]`` is the largest number allowed.
+    ``held[g, c]`` is True if candidate c belongs to group g. ``count[g]`` is the number of candidates of group g in use,
+    and ``most[g]`` is the largest number allowed.
     """
     for i in order:
         if need <= 0:

@@ -87,9 +87,9 @@ def allocate(
     Raises
     ------
     InputError
-        If a name is unknown, a shape is wrong, a unit is missing, a number is out of range, ``start`` was made for
-        other targets or for another focal plane, or an allocator of another package fails or returns an invalid
-        allocation.
+        If a name is unknown, if a shape is wrong, if a unit is missing, if a number is out of range, if ``start`` was
+        made for other targets or for another focal plane, or if an allocator of another package fails or returns an
+        invalid allocation.
 
     Warns
     -----

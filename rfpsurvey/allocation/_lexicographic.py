@@ -86,7 +86,10 @@ class _Pursuit:
         return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
 
     def prove(self, k, deadline):
-        """Optimize objective k, possibly with later ones; return the number of proven objectives, and a bound of k."""
+        """Optimize objective k, possibly together with later objectives.
+
+        Return the number of objectives that are now proven, and an upper bound of objective k.
+        """
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])

@@ -114,7 +114,8 @@ class AllocationOptions:
     Raises
     ------
     InputError
-        If a name is unknown, a requirement cannot be read, a number is out of range, or ``keep_out`` is not a circle.
+        If a name is unknown, if a requirement cannot be read, if a number is out of range, or if ``keep_out`` is not a
+        circle.
 
     References
     ----------

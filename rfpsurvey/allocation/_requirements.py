@@ -42,7 +42,7 @@ class Requirement:
     Raises
     ------
     InputError
-        If a number is not a whole number from 0 to 10^9, the minimum exceeds the maximum, or a name is not valid.
+        If a number is not a whole number from 0 to 10^9, if the minimum exceeds the maximum, or if a name is not valid.
 
     Examples
     --------

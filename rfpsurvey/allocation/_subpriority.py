@@ -51,7 +51,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
     Raises
     ------
     InputError
-        If the identifiers are neither integers nor text, or the seed is not an integer in the allowed range.
+        If the identifiers are neither integers nor text, or if the seed is not an integer in the allowed range.
 
     Notes
     -----
@@ -108,7 +108,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     Raises
     ------
     InputError
-        If there is no such column, or it does not contain one finite number per target.
+        If there is no such column, or if it does not contain one finite number per target.
     """
     if not isinstance(given, str):
         return _of_numbers(id_numbers(ids), given)

@@ -114,7 +114,7 @@ def benchmark_collisions(
     Raises
     ------
     InputError
-        If a method is unknown or cannot run on this machine, or a number is not positive.
+        If a method is unknown or cannot run on this machine, or if a number is not positive.
 
     Examples
     --------

@@ -65,7 +65,8 @@ class Catalog:
     Raises
     ------
     InputError
-        If the length of a column differs from that of ``coord``, or ``kind`` or ``visits`` contains an invalid value.
+        If the length of a column differs from that of ``coord``, or if ``kind`` or ``visits`` contains an invalid
+        value.
 
     Examples
     --------
@@ -287,7 +288,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If the file does not exist or cannot be read, or a column is missing.
+            If the file does not exist or cannot be read, or if a column is missing.
         """
         path, name = path_and_name(path)
         table = read_table(path)
@@ -393,7 +394,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If ``center`` is not a single direction, or ``radius`` is not a single angle of at least 0.
+            If ``center`` is not a single direction, or if ``radius`` is not a single angle of at least 0.
         """
         radius_rad = to_scalar(radius, u.rad, "radius", low=0, closed=True)
         return self._take(self.arrays.rows_within(to_center(center), radius_rad))

@@ -51,7 +51,8 @@ class PartitionedCatalog:
     Raises
     ------
     InputError
-        If pyarrow or a column is missing, the folder contains no partitions, pixels overlap, or a file cannot be read.
+        If pyarrow or a column is missing, if the folder contains no partitions, if pixels overlap, or if a file cannot
+        be read.
 
     See Also
     --------
@@ -173,7 +174,7 @@ def partition_catalog(
     Raises
     ------
     InputError
-        If the catalog is empty, the folder exists, the order is out of range, or pyarrow is missing.
+        If the catalog is empty, if the folder exists, if the order is out of range, or if pyarrow is missing.
 
     Examples
     --------

@@ -74,7 +74,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of the columns that all results contain with the same names and values."""
+    """Return the names of those columns of a table that all results contain under the same name and unchanged."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]

@@ -129,9 +129,9 @@ def count_collisions(
     Raises
     ------
     InputError
-        If a tip is outside its patrol area or beyond the joint limits, the allocation is for another focal plane or has
-        no queues, arguments that exclude each other are given, the method cannot run on this computer, or a shape is
-        wrong.
+        If a tip is outside its patrol area or beyond the joint limits, if the allocation is for another focal plane or
+        has no queues, if arguments that exclude each other are given, if the method cannot run on this computer, or if
+        a shape is wrong.
 
     See Also
     --------

@@ -27,9 +27,9 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
     segments : ndarray, shape (4, n)
         Segments that can collide, or cores of outlines.
     a, b : int
-        Columns of the two arms in ``segments``.
+        Indices of the two arms along the last axis of ``segments``.
     i, j : int
-        Rows of their positioners.
+        Rows of their positioners in ``columns``.
     """
     first, second, outline = segments[:, a].tolist(), segments[:, b].tolist(), columns.limits.outline
     if outline.start.size == 1:

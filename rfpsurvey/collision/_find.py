@@ -82,8 +82,8 @@ def find_collisions(
     Raises
     ------
     InputError
-        If a tip lies outside its patrol area or beyond the joint limits, an allocation or arms belong to another
-        focal plane, arguments exclude each other, the method cannot run on this machine, or a shape is wrong.
+        If a tip lies outside its patrol area or beyond the joint limits, if an allocation or arms belong to another
+        focal plane, if arguments exclude each other, if the method cannot run on this machine, or if a shape is wrong.
 
     See Also
     --------

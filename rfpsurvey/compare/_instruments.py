@@ -153,7 +153,7 @@ def compare_instruments(
     Raises
     ------
     InputError
-        If a name is unknown or occurs twice, a field has no target, or `plan_tile` raises an error.
+        If a name is unknown or occurs twice, if a field has no target, or if `plan_tile` raises an error.
 
     See Also
     --------

@@ -56,7 +56,7 @@ def explore_around(
     Raises
     ------
     InputError
-        If the instrument is unknown or has only one positioner, or `explore_designs` raises an error.
+        If the instrument is unknown or has only one positioner, or if `explore_designs` raises an error.
 
     Warns
     -----
@@ -109,7 +109,7 @@ def design_improvements(table: QTable) -> QTable:
     Raises
     ------
     InputError
-        If ``table`` was not returned by `explore_around`, or the instrument has no values of the objectives.
+        If ``table`` was not returned by `explore_around`, or if the instrument has no values of the objectives.
 
     Examples
     --------

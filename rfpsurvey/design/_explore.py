@@ -115,14 +115,14 @@ def explore_designs(
     Raises
     ------
     InputError
-        If a parameter value is invalid for every design, a name is unknown, or the file contains another scan.
+        If a parameter value is invalid for every design, if a name is unknown, or if the file contains another scan.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly. Designs that were already written remain in the file.
 
     Warns
     -----
     RfpsurveyWarning
-        If designs are impossible (they remain in the table without values), the time limit ended searches, or the
+        If designs are impossible (they remain in the table without values), if the time limit ended searches, or if the
         scan was begun with other versions of the software.
 
     See Also

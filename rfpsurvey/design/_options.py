@@ -48,7 +48,7 @@ class LossOptions:
     Raises
     ------
     InputError
-        If a name is unknown, the method does not compute the estimand, or a number is out of range.
+        If a name is unknown, if the method does not compute the estimand, or if a number is out of range.
 
     Examples
     --------

@@ -45,7 +45,7 @@ def design_sensitivities(
     Raises
     ------
     InputError
-        If a column is missing or does not contain numbers, no parameter varies, or there are fewer designs than
+        If a column is missing or does not contain numbers, if no parameter varies, or if there are fewer designs than
         coefficients.
 
     See Also

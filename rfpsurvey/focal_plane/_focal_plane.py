@@ -66,8 +66,8 @@ class FocalPlane:
     Raises
     ------
     InputError
-        If the length of a column differs from that of ``xy``, an identifier occurs twice or contains blanks, two
-        positioners have the same center, or the position of a fiber of a positioner is not given.
+        If the length of a column differs from that of ``xy``, if an identifier occurs twice or contains blanks, if two
+        positioners have the same center, or if the position of a fiber of a positioner is not given.
 
     Notes
     -----
@@ -172,7 +172,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If ``xy`` does not have a unit of length or this shape, or the focal plane lacks one of the fiber types.
+            If ``xy`` does not have a unit of length or this shape, or if the focal plane lacks one of the fiber types.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
@@ -194,7 +194,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the angles do not have this shape, or the focal plane does not have the fiber.
+            If the angles do not have this shape, or if the focal plane does not have the fiber.
 
         Examples
         --------
@@ -236,7 +236,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the points do not have this shape, or the focal plane does not have the fiber.
+            If the points do not have this shape, or if the focal plane does not have the fiber.
         """
         return _kinematics.inverse(self, xy, fiber_type, handedness)
 
@@ -286,7 +286,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If there are fewer than three centers, or all centers lie on a line.
+            If there are fewer than three centers, or if all centers lie on a line.
 
         Examples
         --------
@@ -346,8 +346,8 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If both ``rings`` and ``count`` are given, none of ``rings``, ``count`` and ``radius`` is given, or a value
-            is out of range.
+            If both ``rings`` and ``count`` are given, if none of ``rings``, ``count`` and ``radius`` is given, or if a
+            value is out of range.
         """
         xy, _ = hexagonal_cells(
             pitch,

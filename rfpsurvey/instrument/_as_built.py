@@ -65,8 +65,8 @@ class AsBuilt:
         Raises
         ------
         InputError
-            If a file cannot be read, a column is missing or has values that are not valid, identifiers are not
-            unique, or there is no focal plane or event at that time.
+            If a file cannot be read, if a column is missing or has values that are not valid, if identifiers are not
+            unique, or if there is no focal plane or event at that time.
 
         Examples
         --------
@@ -147,7 +147,7 @@ class AsBuilt:
         Raises
         ------
         InputError
-            If a required file is missing, a file is incomplete or lacks a column, or the site is unknown.
+            If a required file is missing, if a file is incomplete or lacks a column, or if the site is unknown.
 
         Examples
         --------

@@ -137,7 +137,7 @@ def compare_projections(
     Raises
     ------
     InputError
-        If the field is not above the horizon, or a value is not valid.
+        If the field is not above the horizon, or if a value is not valid.
 
     Examples
     --------

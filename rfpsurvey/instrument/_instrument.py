@@ -159,7 +159,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
         Raises
         ------
         InputError
-            If the name is unknown (the message lists the known names), or a package provides an invalid instrument.
+            If the name is unknown (the message lists the known names), or if a package provides an invalid instrument.
         """
         shipped = _shipped()
         if isinstance(name, str) and name in shipped:

@@ -37,7 +37,7 @@ class Projections:
         Raises
         ------
         InputError
-            If the center is not one direction, the position angle is not one angle, or the field is not above the
+            If the center is not one direction, if the position angle is not one angle, or if the field is not above the
             horizon.
         """
         if conditions is None:

@@ -62,8 +62,8 @@ class ObservingConditions:
     Raises
     ------
     InputError
-        If the site is unknown, not exactly one of time and hour angle is given, a value has a wrong unit or is not
-        possible, or the tables of the Earth's rotation do not cover the time.
+        If the site is unknown, if not exactly one of time and hour angle is given, if a value has a wrong unit or is
+        not possible, or if the tables of the Earth's rotation do not cover the time.
 
     Examples
     --------
@@ -159,7 +159,7 @@ class ObservingConditions:
         Raises
         ------
         InputError
-            If the file does not exist, or a key or value is not valid.
+            If the file does not exist, or if a key or value is not valid.
         """
         path = to_path(path)
         given = {name: _from_text(name, value, path) for name, value in read_toml(path).items()}

@@ -39,7 +39,7 @@ class ObservedPlane(TangentPlane):
     Raises
     ------
     InputError
-        If the optics are not complete, or the field is not above the horizon.
+        If the optics are not complete, or if the field is not above the horizon.
 
     Examples
     --------

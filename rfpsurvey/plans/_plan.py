@@ -89,7 +89,7 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     Raises
     ------
     InputError
-        If the file does not exist, its format is unknown, or it is damaged.
+        If the file does not exist, if its format is unknown, or if it is damaged.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def write_plan(
     Raises
     ------
     InputError
-        If the format is unknown or cannot represent the plan, or the file exists and ``overwrite`` is False.
+        If the format is unknown or cannot represent the plan, or if the file exists and ``overwrite`` is False.
 
     Examples
     --------

@@ -67,8 +67,8 @@ def plot_collision_map(
     Raises
     ------
     InputError
-        If the focal plane is missing, its number of positioners differs from the number of values, or a value is not a
-        probability.
+        If the focal plane is missing, if its number of positioners differs from the number of values, or if a value is
+        not a probability.
 
     Examples
     --------

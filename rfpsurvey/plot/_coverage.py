@@ -62,7 +62,7 @@ def plot_coverage(
     Raises
     ------
     InputError
-        If ``focal_plane`` is not a focal plane, or ``region`` or ``n_pixels`` is out of range.
+        If ``focal_plane`` is not a focal plane, or if ``region`` or ``n_pixels`` is out of range.
 
     Examples
     --------

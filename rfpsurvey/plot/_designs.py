@@ -70,8 +70,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table was not returned by `~rfpsurvey.design.explore_designs`, a column is missing, or the loss is defined
-        differently in ``mark`` and in ``table``.
+        If a table was not returned by `~rfpsurvey.design.explore_designs`, if a column is missing, or if the loss is
+        defined differently in ``mark`` and in ``table``.
 
     Examples
     --------

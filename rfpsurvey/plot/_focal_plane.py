@@ -93,8 +93,8 @@ def plot_focal_plane(
     Raises
     ------
     InputError
-        If ``thing``, ``color`` or ``orientation`` is not one of the listed types or values, ``region`` or ``targets``
-        has a wrong shape, or the tile has no outcomes or no column ``targets``.
+        If ``thing``, ``color`` or ``orientation`` is not one of the listed types or values, if ``region`` or
+        ``targets`` has a wrong shape, or if the tile has no outcomes or no column ``targets``.
 
     See Also
     --------

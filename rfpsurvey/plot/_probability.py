@@ -141,7 +141,7 @@ def plot_residuals(
     Raises
     ------
     InputError
-        If a column is missing or does not contain numbers, or no difference is known.
+        If a column is missing or does not contain numbers, or if no difference is known.
 
     Examples
     --------

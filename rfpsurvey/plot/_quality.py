@@ -74,8 +74,8 @@ def plot_quality(
     Raises
     ------
     InputError
-        If a tile has no outcomes or no column of numbers with this name, a column is given for a survey, or the number
-        of axes is not four.
+        If a tile has no outcomes or no column of numbers with this name, if a column is given for a survey, or if the
+        number of axes is not four.
 
     See Also
     --------

@@ -73,8 +73,8 @@ def plot_tiling(
     Raises
     ------
     InputError
-        If there are no tiles or no such column of numbers, the radius is out of range, or ``targets`` or ``region``
-        has a wrong type.
+        If there are no tiles or no such column of numbers, if the radius is out of range, or if ``targets`` or
+        ``region`` has a wrong type.
 
     Examples
     --------

@@ -46,7 +46,7 @@ def plot_speed_accuracy(
     Raises
     ------
     InputError
-        If ``table`` lacks a column that the plot shows, or ``axes`` does not contain two axes.
+        If ``table`` lacks a column that the plot shows, or if ``axes`` does not contain two axes.
 
     Examples
     --------
@@ -139,7 +139,8 @@ def plot_probability_accuracy(
     Raises
     ------
     InputError
-        If ``table`` lacks a column that the plot shows, or the number of ``axes`` differs from the number of estimands.
+        If ``table`` lacks a column that the plot shows, or if the number of ``axes`` differs from the number of
+        estimands.
 
     Examples
     --------

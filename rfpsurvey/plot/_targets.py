@@ -61,8 +61,8 @@ def plot_targets(
     Raises
     ------
     InputError
-        If the tile has no outcomes, the catalog is missing or is not the catalog of the survey, or there is no column
-        ``color``.
+        If the tile has no outcomes, if the catalog is missing or is not the catalog of the survey, or if there is no
+        column ``color``.
 
     See Also
     --------

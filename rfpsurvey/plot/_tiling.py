@@ -46,7 +46,7 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
     Raises
     ------
     InputError
-        If there are no tiles, or ``targets`` or ``region`` has a wrong type.
+        If there are no tiles, or if ``targets`` or ``region`` has a wrong type.
 
     Examples
     --------

@@ -30,7 +30,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
     Raises
     ------
     InputError
-        If the vertices are not finite, there are fewer than 3 or more than 500, or edges cross.
+        If the vertices are not finite, if there are fewer than 3 or more than 500, or if edges cross.
 
     Examples
     --------

@@ -57,7 +57,7 @@ class ArmOutline:
     Raises
     ------
     InputError
-        If a part is not convex, its numbers are out of range, or no eccentric part reaches beyond the elbow.
+        If a part is not convex, if its numbers are out of range, or if no eccentric part reaches beyond the elbow.
 
     Examples
     --------

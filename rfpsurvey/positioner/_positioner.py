@@ -64,7 +64,7 @@ class Positioner:
     Raises
     ------
     InputError
-        If a length or an angle is out of range, or a name is unknown.
+        If a length or an angle is out of range, or if a name is unknown.
 
     References
     ----------
@@ -190,7 +190,7 @@ class Positioner:
         Raises
         ------
         InputError
-            If the points are not lengths of the shape (n, 2), or the handedness is unknown.
+            If the points are not lengths of the shape (n, 2), or if the handedness is unknown.
         """
         points = to_points_mm(xy, "xy")
         choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")

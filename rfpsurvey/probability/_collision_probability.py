@@ -133,8 +133,8 @@ def collision_probability(
     Raises
     ------
     InputError
-        If a name is unknown, a number is out of range, an option does not belong to the method, or a method that is not
-        built in fails or returns an invalid result.
+        If a name is unknown, if a number is out of range, if an option does not belong to the method, or if a method
+        that is not built in fails or returns an invalid result.
 
     Warns
     -----

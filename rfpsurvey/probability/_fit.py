@@ -71,7 +71,7 @@ class PolynomialFit:
         Raises
         ------
         InputError
-            If an argument has more than one dimension, or values are not finite.
+            If an argument has more than one dimension, or if values are not finite.
         """
         designs = _designs(central_arm, ratio, pitch)
         return _features((designs - self.mean) / self.scale) @ self.coefficients
@@ -113,8 +113,8 @@ def fit_polynomial(
     Raises
     ------
     InputError
-        If shapes do not agree, values are not finite, ``held_back`` is out of range, there are fewer than 20 designs,
-        or all designs have the same central arm, ratio or pitch.
+        If shapes do not agree, if values are not finite, if ``held_back`` is out of range, if there are fewer than 20
+        designs, or if all designs have the same central arm, ratio or pitch.
 
     Examples
     --------

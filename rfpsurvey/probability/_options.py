@@ -44,8 +44,8 @@ class RandomTargets:
     Raises
     ------
     InputError
-        If the kind is unknown, a value is out of range or has the wrong unit, or ``min_separation`` is missing for
-        ``poisson_disc`` or is given for another kind.
+        If the kind is unknown, if a value is out of range or has the wrong unit, or if ``min_separation`` is missing
+        for ``poisson_disc`` or is given for another kind.
 
     See Also
     --------

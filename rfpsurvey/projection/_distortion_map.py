@@ -52,7 +52,7 @@ class DistortionMap:
     Raises
     ------
     InputError
-        If the number of coefficients does not agree with ``degree`` and ``harmonics``, or a value is not valid.
+        If the number of coefficients does not agree with ``degree`` and ``harmonics``, or if a value is not valid.
 
     Examples
     --------

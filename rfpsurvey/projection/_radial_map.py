@@ -48,7 +48,7 @@ class RadialMap:
     Raises
     ------
     InputError
-        If the map does not increase from 0 to ``max_angle``, or a parameter is invalid.
+        If the map does not increase from 0 to ``max_angle``, or if a parameter is invalid.
 
     Examples
     --------

@@ -107,8 +107,8 @@ class TangentPlane:
         Raises
         ------
         InputError
-            If the center is not one direction, the focal length is not one positive length, or the rotation is not one
-            angle.
+            If the center is not one direction, if the focal length is not one positive length, or if the rotation is
+            not one angle.
         """
         return cls(center, to_mm(focal_length, "focal_length") * _SCALE, rotation)
 
@@ -144,7 +144,7 @@ class TangentPlane:
         Raises
         ------
         InputError
-            If ``coord`` is not a direction on the sky, or a fiber type has no map.
+            If ``coord`` is not a direction on the sky, or if a fiber type has no map.
         """
         vectors = getattr(getattr(coord, "arrays", None), "vectors", None)  # only catalogs have this attribute
         vectors = to_vectors(coord) if vectors is None else vectors
@@ -168,7 +168,7 @@ class TangentPlane:
         Raises
         ------
         InputError
-            If the points are not lengths of this shape, or a fiber type has no map.
+            If the points are not lengths of this shape, or if a fiber type has no map.
         """
         lon, lat = to_lonlat(self.plain.unproject(to_points_mm(xy, "xy"), fiber_type))
         return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")

@@ -73,7 +73,7 @@ class Region:
         Raises
         ------
         InputError
-            If ``center`` is not a single direction, or ``radius`` is out of range.
+            If ``center`` is not a single direction, or if ``radius`` is out of range.
         """
         radius_rad = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
         vector = to_vectors(to_center(center))[0]
@@ -99,7 +99,7 @@ class Region:
         Raises
         ------
         InputError
-            If ``ra`` or ``dec`` does not have two values, or the values are out of range or equal.
+            If ``ra`` or ``dec`` does not have two values, or if the values are out of range or equal.
         """
         first, last = _two(ra, "ra", -360, 720)
         low, high = _two(dec, "dec", -90, 90)

@@ -63,7 +63,7 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     Raises
     ------
     InputError
-        If ``result`` has another type, ``plans`` are not tiles with the same positioners, or ``height`` is not a
+        If ``result`` has another type, if ``plans`` are not tiles with the same positioners, or if ``height`` is not a
         positive integer.
 
     Examples

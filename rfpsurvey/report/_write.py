@@ -98,8 +98,8 @@ def write_report(
     Raises
     ------
     InputError
-        If there is no page for this type of result, the path has another ending or exists, a figure is not valid,
-        ``plans`` have different positioners, or ``plans`` are given for another type of result.
+        If there is no page for this type of result, if the path has another ending or exists, if a figure is not valid,
+        if ``plans`` have different positioners, or if ``plans`` are given for another type of result.
 
     Examples
     --------

@@ -90,7 +90,7 @@ def reproduce(
     Raises
     ------
     InputError
-        If the name is unknown, ``rng`` or ``workers`` is invalid, or outputs exist and ``overwrite`` is False.
+        If the name is unknown, if ``rng`` or ``workers`` is invalid, or if outputs exist and ``overwrite`` is False.
 
     References
     ----------

@@ -84,8 +84,8 @@ def potential_assignments(
     Raises
     ------
     InputError
-        If the points or the tiles are empty, a name is unknown, or the survey was planned with other tiles or another
-        instrument.
+        If the points or the tiles are empty, if a name is unknown, or if the survey was planned with other tiles or
+        another instrument.
 
     See Also
     --------
@@ -211,8 +211,8 @@ class PotentialAssignments:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
-            the text.
+            If the folder does not exist, if the file exists and ``overwrite`` is False, or if FITS cannot represent
+            some of the text.
         """
         self.request.check_text()
         cards = {

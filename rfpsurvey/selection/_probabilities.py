@@ -26,7 +26,7 @@ PART = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class SelectionProbabilities:
-    """The realizations of a survey that observed each target, and the probabilities that follow from them.
+    """For each target, the realizations of a survey in which it was observed, and the resulting probabilities.
 
     Parameters
     ----------
@@ -225,8 +225,8 @@ class SelectionProbabilities:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
-            the text.
+            If the folder does not exist, if the file exists and ``overwrite`` is False, or if FITS cannot represent
+            some of the text.
         """
         meta = json.dumps({"summary": self.summary, "provenance": self.provenance}, separators=(",", ":"))
         cards = {

@@ -93,17 +93,17 @@ def selection_probabilities(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, a name or a required identifier is unknown, a number is out of range, a
-        subpriority is given, or the folder is in use, contains other work, or is not writable.
+        If the catalog or the tiling is empty, if a name or a required identifier is unknown, if a number is out of
+        range, if a subpriority is given, or if the folder is in use, contains other work, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, identifiers occur twice, no target meets a requirement, an option has no effect, the
-        tiles were placed for fields of another size, or a table of tiles looks like a catalog of targets; on resuming,
-        if the versions of the software differ or files are damaged.
+        If no target was observed, if identifiers occur twice, if no target meets a requirement, if an option has no
+        effect, if the tiles were placed for fields of another size, or if a table of tiles looks like a catalog of
+        targets; on resuming, if the versions of the software differ or files are damaged.
 
     See Also
     --------

@@ -114,18 +114,19 @@ def plan_survey(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, a name or a required identifier is unknown, a number is out of range,
-        or the folder is in use, contains another survey, or is not writable. The files of finished tiles remain.
+        If the catalog or the tiling is empty, if a name or a required identifier is unknown, if a number is out of
+        range, or if the folder is in use, contains another survey, or is not writable. The files of finished tiles
+        remain.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The files of finished tiles remain.
 
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, required targets were never observed (``summary["unmet"]``), identifiers occur
-        twice, no target meets a requirement, an option has no effect, the tiles were placed for fields of another
-        size, or a table of tiles looks like a catalog of targets; on resuming, if the versions of the software differ
-        or files are damaged.
+        If no target was observed, if required targets were never observed (``summary["unmet"]``), if identifiers occur
+        twice, if no target meets a requirement, if an option has no effect, if the tiles were placed for fields of
+        another size, or if a table of tiles looks like a catalog of targets; on resuming, if the versions of the
+        software differ or files are damaged.
 
     See Also
     --------

@@ -43,7 +43,7 @@ class InMemory:
     ) -> Field:
         """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot or row), is not 0.
 
-        With ``rest``, targets without remaining visits are also returned.
+        With ``rest=True``, targets without remaining visits are also returned.
         """
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
@@ -150,7 +150,7 @@ class Partitioned:
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
         """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot), is not 0.
 
-        With ``rest``, targets without remaining visits are also returned.
+        With ``rest=True``, targets without remaining visits are also returned.
         """
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():

@@ -125,7 +125,7 @@ class Survey:
         Raises
         ------
         InputError
-            If the survey has no such tile, or the file with its visits is missing or damaged.
+            If the survey has no such tile, or if the file with its visits is missing or damaged.
         """
         rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
         if len(rows) == 0:
@@ -201,7 +201,7 @@ class Survey:
         Raises
         ------
         InputError
-            If the folder does not contain a survey, or the survey is not finished or damaged.
+            If the folder does not contain a survey, or if the survey is unfinished or damaged.
         """
         folder = _io.to_path(folder)
         if not (folder / "survey.json").is_file():

@@ -109,7 +109,7 @@ def plan_tile(
     ------
     InputError
         If the catalog is empty, does not overlap the field, or has no target in reach of a positioner; if a name or a
-        required identifier is unknown, or a unit is missing; or if targets have proper motions but no epoch.
+        required identifier is unknown, or if a unit is missing; or if targets have proper motions but no epoch.
 
     Examples
     --------

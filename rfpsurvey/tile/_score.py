@@ -88,7 +88,7 @@ def score_tile(
     Raises
     ------
     InputError
-        If a positioner is unknown or occurs twice, or positions or the field center are missing.
+        If a positioner is unknown or occurs twice, or if positions or the field center are missing.
 
     Examples
     --------

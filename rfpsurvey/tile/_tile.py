@@ -256,8 +256,8 @@ class Tile:
         Raises
         ------
         InputError
-            If the folder does not exist, the file exists and ``overwrite`` is False, or FITS cannot represent some of
-            the text.
+            If the folder does not exist, if the file exists and ``overwrite`` is False, or if FITS cannot represent
+            some of the text.
         """
         if format is not None:
             write_plan(self, path, format=format, overwrite=overwrite)
@@ -299,7 +299,7 @@ class Tile:
         Raises
         ------
         InputError
-            If a plan has different positioners, or the height is not a positive integer.
+            If a plan has different positioners, or if the height is not a positive integer.
 
         Examples
         --------

@@ -22,7 +22,7 @@ MARGIN = 4.0
 
 
 def basis_of(center: np.ndarray) -> np.ndarray:
-    """Return a basis with rows: east, north and the center; east is +y at the poles."""
+    """Return a matrix with the rows east, north and center (unit vectors); at the poles, east is +y."""
     flat = np.hypot(center[0], center[1])
     east = np.array([-center[1], center[0], 0.0]) / flat if flat > 1e-12 else np.array([0.0, 1.0, 0.0])
     return np.array([east, np.cross(center, east), center])

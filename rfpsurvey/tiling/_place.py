@@ -126,14 +126,14 @@ def place_tiles(
     Raises
     ------
     InputError
-        If there are no targets, a name is unknown, a unit is missing, a number is out of range, the method requires
-        targets but a region is given, or the lattice would have to cover more than a hemisphere.
+        If there are no targets, if a name is unknown, if a unit is missing, if a number is out of range, if the method
+        requires targets but a region is given, or if the lattice would have to cover more than a hemisphere.
 
     Warns
     -----
     RfpsurveyWarning
-        If the completeness is not reached, targets are beyond the limits of declination, or the allowed centers do
-        not cover the region.
+        If the completeness is not reached, if targets are beyond the limits of declination, or if the allowed centers
+        do not cover the region.
 
     References
     ----------

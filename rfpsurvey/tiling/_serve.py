@@ -35,7 +35,7 @@ class Fibers:
     Raises
     ------
     InputError
-        If ``number`` is not a positive whole number, or ``min_separation`` is not an angle.
+        If ``number`` is not a positive whole number, or if ``min_separation`` is not an angle.
 
     Examples
     --------

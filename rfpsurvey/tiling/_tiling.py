@@ -135,7 +135,7 @@ class Tiling:
         Raises
         ------
         InputError
-            If ``conditions`` has another type, the table has both columns, or a time or hour angle is not valid.
+            If ``conditions`` has another type, if the table has both columns, or if a time or hour angle is not valid.
 
         Examples
         --------
@@ -265,7 +265,7 @@ class Tiling:
         Raises
         ------
         InputError
-            If the folder does not exist, or the file exists and ``overwrite`` is False.
+            If the folder does not exist, or if the file exists and ``overwrite`` is False.
         """
         _io.write_table(self.table, path, overwrite=overwrite, cards={"NTILES": len(self)})
 

@@ -27,7 +27,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     Raises
     ------
     InputError
-        If the survey does not belong to the instrument or the catalog, or a target was observed too often.
+        If the survey does not belong to the instrument or the catalog, or if a target was observed too often.
     """
     given = request.joint.fixed
     if given is None:

@@ -44,7 +44,7 @@ class Paths:
         rng : numpy.random.Generator
             Generator of the order of the targets.
         is_over : callable
-            Whether the time is over.
+            Function that returns True when the time limit has passed.
 
         Returns
         -------
