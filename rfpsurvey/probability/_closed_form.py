@@ -19,9 +19,10 @@ def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the collision probabilities by the closed form of Chen et al. (2024), arXiv:2409.07288, Eq. 5 to 9.
+    """Return the collision probability of each positioner by the closed form of Chen et al. (2024), arXiv:2409.07288.
 
-    The probability of a positioner is a sum over its neighbors; each term is a product of two ratios of areas.
+    The closed form is Eq. 5 to 9 of the paper. The probability of a positioner is a sum over its neighbors. Each term
+    of the sum is a product of two ratios of areas.
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
     d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
@@ -31,8 +32,8 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     cover = np.pi * (outer**2 - inner**2)
     if ((outer <= 0) | (cover <= 1e-9 * outer**2)).any():
         raise InputError(
-            "the printed closed form has no coverage area if the arms are equal: the outer radius l2 - l1 + d is a "
-            "misprint of l1 + l2 + d; use variant='corrected'"
+            "the printed closed form has no coverage area if the arms have equal lengths: the outer radius l2 - l1 + d "
+            "is a misprint of l1 + l2 + d; use variant='corrected'"
         )
     inner = np.maximum(inner, 0.0)
     pairs = _pairs_within(plane, outer)
@@ -58,7 +59,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
-    # count each point once, for the last positioner that reaches it
+    # each point of the union is counted only once: for the positioner with the largest row that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)
@@ -74,9 +75,10 @@ def _pairs_within(plane, radius):
 
 
 def _overlapping(plane, *, both_ways):
-    """Return, for each positioner, the rows of positioners whose patrol areas may overlap its patrol area (CSR).
+    """Return, for each positioner, the rows of the positioners whose patrol areas may overlap its own patrol area.
 
-    If ``both_ways`` is false, only positioners with larger row numbers are returned for each positioner.
+    The result is a pair of arrays (start of each positioner's rows, rows). If ``both_ways`` is false, each positioner
+    has only the rows that are larger than its own row.
     """
     pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs

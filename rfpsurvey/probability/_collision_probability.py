@@ -59,27 +59,30 @@ def collision_probability(
 
     The probability is the expected fraction of the counted positioners that are in collision. Positioners with a target
     are counted. A positioner without a target is counted only if its arms have equal lengths: it is then parked, and is
-    an obstacle for its neighbors. Each method estimates one of two quantities, its estimand. For the first quantity,
-    targets are **allocated** to queues, and a configuration has one target of each queue. For the second quantity,
-    every positioner draws a target **independently** of all other positioners. The two quantities differ by up to a
-    factor of five: compare only methods with the same estimand.
+    an obstacle for its neighbors.
+
+    Each method estimates one of two quantities; this quantity is the estimand of the method. For the first quantity,
+    targets are **allocated** to the queues of positioners, and each positioner observes one target of its queue. For
+    the second quantity, every positioner draws a target **independently** of all other positioners. The two quantities
+    differ by up to a factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
     focal_plane : FocalPlane, Instrument or str
         The positioners; a str is the name of a preset.
     method : str or callable, optional
-        The estimand of each method is given in parentheses. ``conditional`` (allocated): average over all
-        configurations that the queues of a realization allow. ``monte_carlo`` (allocated): one configuration for each
-        realization, as in Chen et al. (2024), arXiv:2409.07288. ``quadrature`` (independent): scrambled Sobol points
-        for each positioner and its neighbors. Three other methods (independent) give no error estimate: ``closed_form``
-        (Eq. 5 to 9 of Chen et al.), ``overlap_ratio`` (fraction of the patrol area that other positioners also reach),
-        and ``close_pair`` (probability that another observed target lies within the minimum separation). ``auto``: the
-        fastest method with an error estimate for the requested estimand. Any other name refers to a method of an
-        installed package. A function is called with a `~rfpsurvey.probability.ProbabilityQuestion`.
+        The estimand of each method is given in parentheses. ``conditional`` (allocated): for each realization of the
+        targets, average over all configurations that the queues allow. ``monte_carlo`` (allocated): use one
+        configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288. ``quadrature`` (independent):
+        integrate over the patrol areas of each positioner and its neighbors with scrambled Sobol points. Three other
+        methods (independent) give no error estimate: ``closed_form`` (Eq. 5 to 9 of Chen et al.), ``overlap_ratio``
+        (fraction of the patrol area that other positioners also reach), and ``close_pair`` (probability that another
+        observed target lies within the minimum separation). ``auto``: the fastest method with an error estimate for the
+        requested estimand. Any other name refers to a method of an installed package. A function is called
+        with a `~rfpsurvey.probability.ProbabilityQuestion`.
     estimand : {"allocated", "independent"}, optional
-        Quantity that ``auto`` estimates, ``allocated`` by default. With any other method, this must be the estimand of
-        the method.
+        Quantity that ``auto`` estimates, ``allocated`` by default. With any other ``method``, the only allowed value is
+        the estimand of that method.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
         Allocated targets; methods for independent targets ignore them. For random targets, give
         `~rfpsurvey.probability.RandomTargets`, the name of a kind of random targets (``"uniform"`` or ``"poisson"``),
@@ -94,25 +97,25 @@ def collision_probability(
         lengths are obstacles and are counted (``parked_obstacles``, true by default). The options must not contain
         requirements, a sky separation, required targets or keep-out regions.
     most_entries : int, optional
-        Maximum number of targets of each queue that ``conditional`` uses. From each longer queue, every realization
-        uses this number of random targets. Realizations are then faster, and a given precision is reached sooner. With
-        None, all targets are used.
+        Maximum number of targets of each queue that ``conditional`` uses. If a queue is longer, each realization uses a
+        random sample of this size from the queue. Realizations are then faster, and a given precision is reached
+        sooner. With None, all targets are used.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
         at points that k positioners reach; ``"voronoi"``, uniform over the points that are nearer to the center of the
-        positioner than to any other center; a function of points (Quantity of shape (n, 2)) that returns their density
-        up to a factor; or allocations, whose combined queues define the density.
+        positioner than to any other center; a function that takes points (a Quantity of shape (n, 2)) and returns
+        the density at each point, up to a constant factor; or allocations, whose combined queues define the density.
     variant : {"corrected", "pitch", "printed"}, optional
         Variant of the closed form. ``corrected``: both misprints of the paper are corrected; the formula then contains
-        the distance of each neighbor. ``pitch``: only the misprint of the radius is corrected; as printed, the formula
-        contains the pitch instead of these distances. ``printed``: no misprint is corrected; the formula is then 0/0
-        for equal arms.
+        the distance to each neighbor. ``pitch``: only the misprint of the radius is corrected; the formula then
+        contains the pitch instead of the distances, as in the paper. ``printed``: no misprint is corrected; the formula
+        is then 0/0 if both arms have the same length.
     precision : float or Precision, optional
         Standard error to reach, or a `~rfpsurvey.probability.Precision`, which states when iterations end and how the
         interval is computed. By default 0.001.
     dynamic : float, optional
-        Probability that a positioner fails to reach its target for dynamic reasons, independently of all other
-        positioners. For LAMOST, this probability is 0.025.
+        Probability that a positioner does not reach its target, for example because of a dynamic collision. Such
+        failures of different positioners are assumed to be independent. For LAMOST, this probability is 0.025.
     rng : int, Generator or None, optional
         Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
@@ -124,11 +127,11 @@ def collision_probability(
     Returns
     -------
     Estimate
-        The probability with its interval, the probability of each positioner, and the expected number of pairs. If
-        ``targets`` contains positions, the value applies to these targets, and the error states by how much the value
-        for another patch of the same kind of sky may differ. If the focal plane then has too few positioners for an
-        estimate of this error (seven, for example), there is no interval, and ``meta["no_interval"]`` states the
-        reason.
+        The probability with its confidence interval, the probability of each positioner, and the expected number of
+        colliding pairs per positioner. If ``targets`` is a Quantity or a Catalog, the value applies to these targets,
+        and the error states by how much the value for another patch of the same kind of sky may differ. A focal plane
+        with too few positioners, for example seven, does not allow an estimate of this error. In this case, there is no
+        interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
@@ -163,7 +166,7 @@ def collision_probability(
     """
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
-    plane = plane if plane.hidden is None else replace(plane, hidden=None)  # arms, not fibers, collide
+    plane = plane if plane.hidden is None else replace(plane, hidden=None)  # hidden areas do not affect collisions
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:
@@ -204,8 +207,8 @@ def collision_probability(
     wanted = precision.standard_error
     if wanted is not None and not found.pop("met", True):
         warn(
-            f"after {found['n']} iterations{', the maximum,' if name in MOST_ITERATIONS else ''} the standard error "
-            f"is {found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
+            f"the standard error after {found['n']} iterations{' (the maximum)' if name in MOST_ITERATIONS else ''} is "
+            f"{found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
         )
     found.pop("met", None)
     meta = {
@@ -229,7 +232,8 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
         raise InputError(f"variant must be given only with the method 'closed_form', got the method {name!r}")
     if interval != "wilson" and name not in ("monte_carlo", "conditional"):
         raise InputError(
-            f"interval must be given only with a method that iterates, got {interval!r} with the method {name!r}"
+            f"interval must be given only with the method 'monte_carlo' or 'conditional', got {interval!r} with the "
+            f"method {name!r}"
         )
     if center is not None and not isinstance(targets, Catalog):
         raise InputError("center must be given only if targets is a Catalog")
@@ -250,7 +254,7 @@ def _check_science_only(options):
 
 
 def _check_numbers(*, dynamic, most_entries):
-    """Raise an error for numbers out of range."""
+    """Raise an error if ``dynamic`` or ``most_entries`` is out of range."""
     if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
         raise refusal("dynamic must be a number of at least 0 and below 1", dynamic, Number)
     if most_entries is not None:

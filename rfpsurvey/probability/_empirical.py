@@ -14,7 +14,7 @@ __all__ = ["as_allocations", "pool"]
 
 
 def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | None:
-    """Return the allocations whose queues define the density; None if the density is defined otherwise."""
+    """Return the allocations whose queues define the density; None if ``density`` does not contain allocations."""
     some = [density] if isinstance(density, Allocation) else density
     if not isinstance(some, list | tuple) or not some:
         return None
@@ -27,7 +27,7 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
 
 
 def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
-    """Return the expected values if each positioner draws a target from the union of its queues in all allocations."""
+    """Return the expected collisions if each positioner draws its target from its queues in all allocations."""
     parts = [queue_segments(plane, allocation) for allocation in allocations]
     own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
     order = np.argsort(own, kind="stable")

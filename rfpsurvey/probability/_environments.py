@@ -16,8 +16,9 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
 
     Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
     depends on the direction, environments that differ only by a rotation by a multiple of 60 deg are also the same.
-    Environments are compared by their keys. The key of an environment is the sum of the hashes of the neighbors, and
-    does not depend on the order of the neighbors; it is computed for all six rotations.
+    Environments are compared by their keys. The key of an environment is the sum of the hashes of its neighbors, which
+    does not depend on the order of the neighbors. The sum is computed for each rotation, and the smallest sum is the
+    key.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)
@@ -30,10 +31,10 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
             kinds += [*columns.joints.limits, columns.joints.theta_zero, columns.joints.phi_zero]
     kinds = np.column_stack([_codes(values) for values in kinds])
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
-    # each positioner that does not move is a separate kind; its pose does not rotate with its surroundings, and
-    # therefore its kind is different after each rotation
+    # each positioner that does not move is a separate kind; since its pose does not rotate with its surroundings, the
+    # hash below uses a different kind for each rotation
     kinds = np.where(plane.arrays.usable, kinds, n + np.arange(n))
-    # each of the few positioners near polygons is a separate kind
+    # polygonal obstacles are not compared; instead, each of the few positioners near a polygon is a separate kind
     touched = np.zeros(n, dtype=bool)
     pairs = plane.arrays.obstacle_pairs
     touched[pairs[pairs[:, 1] >= len(plane.arrays.obstacles), 0]] = True

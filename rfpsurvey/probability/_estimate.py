@@ -28,8 +28,9 @@ class Estimate:
     standard_error : float
         Standard error of ``value``; NaN if there is no interval.
     n : int
-        Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner and
-        scramble (``quadrature``); 0 for formulas, and if no arms can touch.
+        Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner in each
+        random repetition (``quadrature``). If allocations define the density for ``quadrature``, this is the mean
+        number of queued targets of an allocation. The number is 0 for formulas, and if no arms can touch.
     n_effective : float
         Number of independent trials that would give the same standard error.
     pairs_per_positioner : float
@@ -43,7 +44,7 @@ class Estimate:
     seconds : float
         Duration of the computation in seconds.
     meta : dict
-        Options, targets and software.
+        Dictionary that describes the options, the targets, and the versions of other packages that were used.
 
     Examples
     --------
@@ -80,7 +81,7 @@ class Estimate:
 
 
 def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
-    """Return an estimate that includes independent dynamic failures of each positioner at the given rate."""
+    """Return the estimate if each positioner also fails independently, with the probability ``rate``."""
     if rate == 0:
         return estimate
 

@@ -17,7 +17,7 @@ FOLDS = 5
 
 @dataclass(frozen=True, eq=False)
 class PolynomialFit:
-    """A second-order polynomial in arm length x, arm ratio y and pitch z.
+    """A polynomial of second order for the collision probability, in central arm x, arm ratio y and pitch z.
 
     Parameters
     ----------
@@ -59,9 +59,9 @@ class PolynomialFit:
         central_arm : Quantity, shape (n,)
             Length of the central arm.
         ratio : array_like of float, shape (n,)
-            Ratio of the lengths of the eccentric and the central arm.
+            Length of the eccentric arm divided by the length of the central arm.
         pitch : Quantity, shape (n,)
-            Distance between neighboring centers.
+            Distance between the centers of adjacent positioners.
 
         Returns
         -------
@@ -86,16 +86,16 @@ def fit_polynomial(
     held_back: float = 0.25,
     rng: int | np.random.Generator | None = 0,
 ) -> PolynomialFit:
-    """Fit the polynomial of Chen et al. (2024), arXiv:2409.07288, Eq. 13, to the probabilities of designs.
+    """Fit the polynomial of Chen et al. (2024), arXiv:2409.07288, Eq. 13, to collision probabilities of designs.
 
     Parameters
     ----------
     central_arm : Quantity, shape (n,)
         Length of the central arm.
     ratio : array_like of float, shape (n,)
-        Ratio of the lengths of the eccentric and the central arm.
+        Length of the eccentric arm divided by the length of the central arm.
     pitch : Quantity, shape (n,)
-        Distance between neighboring centers.
+        Distance between the centers of adjacent positioners.
     probability : array_like of float, shape (n,)
         Collision probability of each design.
     held_back : float, optional

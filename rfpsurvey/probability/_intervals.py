@@ -1,4 +1,4 @@
-"""Intervals for a probability whose trials are not independent."""
+"""Confidence intervals for a probability that is estimated from trials that are not independent."""
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
@@ -9,7 +9,8 @@ __all__ = ["INTERVALS", "converged", "effective_number", "wilson"]
 def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
     """Return Wilson's interval for ``n`` independent trials with the fraction ``p`` of successes.
 
-    ``n`` need not be a whole number.
+    ``n`` need not be a whole number. ``quantile`` is the quantile of the normal distribution, or of Student's t
+    distribution, for the confidence level.
     """
     if not n > 0:
         return 0.0, 1.0
@@ -20,7 +21,10 @@ def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:
-    """Return the number of independent trials that give this standard error, or ``n`` if the error is 0."""
+    """Return the number of independent trials that would have this standard error.
+
+    If the error is 0, or if ``p`` is 0 or 1, this number is not defined, and ``n`` is returned.
+    """
     return p * (1 - p) / standard_error**2 if standard_error > 0 and 0 < p < 1 else n
 
 
@@ -37,7 +41,7 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
     """Return percentiles of the means of samples that are drawn from the rates with replacement."""
     n = len(rates)
-    rows = max(1, 1_000_000 // n)  # number of samples that are drawn together, which limits the memory
+    rows = max(1, 1_000_000 // n)  # draw this number of samples at a time, to limit the memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
     means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())

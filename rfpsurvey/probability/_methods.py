@@ -1,4 +1,4 @@
-"""The table of methods; each is a function that takes a question and returns the fields of an estimate."""
+"""Methods of collision probability: functions of a `ProbabilityQuestion` that return the fields of an `Estimate`."""
 
 from functools import partial
 
@@ -47,7 +47,7 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
 def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:  # the result is exact
+    if given and name == "conditional" and question.most_entries is None:  # one task averages over all configurations
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
@@ -141,7 +141,7 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
     if name == "quadrature":
         return "quadrature, the cheapest method with an error estimate for independent targets"
     if name == "conditional":
-        return "conditional, the cheapest method with an error estimate where positioners have queues of targets"
+        return "conditional, the cheapest method with an error estimate if positioners have queues of targets"
     few = source is not None and source.kind not in ("given", "sampler") and source.each < SHORT
     why = f"there are fewer than {SHORT:g} targets per positioner" if few else "this allocator makes no queues"
     return f"monte_carlo, since {why}"
@@ -150,8 +150,9 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
     """Return the fastest method for an estimand that also estimates its error.
 
-    Averaging over queues takes more time if queues are longer, but the variance decreases by a much larger factor than
-    the time increases. For queues of one target, neither the time nor the variance changes.
+    ``conditional`` averages over the targets of the queues. Longer queues increase the time of a realization, but they
+    decrease the variance by a much larger factor. If each queue has one target, ``conditional`` has the same variance
+    as ``monte_carlo``.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

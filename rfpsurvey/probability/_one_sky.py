@@ -1,4 +1,4 @@
-"""Estimate from one sky how much the mean over positioners may differ for another sky of the same kind."""
+"""Estimate from one sky by how much the mean collision probability may differ for another sky of the same kind."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,12 +15,12 @@ correlation of neighbors in the nearest ring."""
 NEAREST_RING = 1.5
 """Maximum distance of a neighbor in the nearest ring, in units of the median distance to the nearest neighbor."""
 CORRELATION = 0.2
-"""Typical correlation of a positioner with its neighbors in the nearest ring.
+"""Typical correlation between collisions of a positioner and collisions of a neighbor in the nearest ring.
 
 The correlation is 0.13 to 0.28 for LAMOST, SDSS-V and MOONS. Only the degrees of freedom depend on this value.
 """
 BEYOND = -0.03
-"""Typical correlation of two neighbors beyond the nearest ring; they compete for targets but rarely collide.
+"""Typical correlation between neighbors beyond the nearest ring, which compete for targets but rarely collide.
 
 This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS, this correlation is
 -0.03 to -0.05 with four targets per positioner, and 0 to -0.01 with one target per positioner.
@@ -28,13 +28,13 @@ This value is assumed, since it cannot be measured on a small focal plane. For S
 
 
 def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:
-    """Return the variance of the mean over positioners, estimated from one sky, and its degrees of freedom.
+    """Return the variance of the mean collision probability, estimated from one sky, and its degrees of freedom.
 
     Neighboring positioners share targets, and therefore their collisions are correlated. The estimate is unbiased if
     three conditions are met: all pairs of neighbors in the nearest ring have the same covariance; all pairs of
-    neighbors beyond this ring have the correlation ``BEYOND``; the expected value of a positioner is a linear function
-    of its number of neighbors (which is smaller at an edge). If there are enough positioners, the first two conditions
-    are replaced by one condition: all pairs of neighbors have the same covariance.
+    neighbors beyond this ring have the correlation ``BEYOND``; the expected probability of a positioner is a linear
+    function of its number of neighbors (which is smaller at an edge). If there are enough positioners, the first two
+    conditions are replaced by one condition: all pairs of neighbors have the same covariance.
 
     Parameters
     ----------
@@ -111,9 +111,10 @@ class _Quadratic:
     """Unbiased quadratic estimate of the variance of the mean.
 
     All positioners are assumed to have the same variance, and all pairs of neighbors the same covariance. Let e be the
-    residuals of a linear fit of the columns of ``basis``, and A the adjacency matrix of neighbors. The expected values
-    of the sums e'e and e'Ae are linear in the variance and the covariance. The solution of these two linear equations
-    gives an estimate of the form e'(aI + bA)e. ``known`` contains correlations that are assumed and not estimated.
+    residuals of the probabilities after a linear fit with the columns of ``basis``, and A the adjacency matrix of
+    neighbors. The expected values of the sums e'e and e'Ae are linear in the variance and the covariance. The solution
+    of these two linear equations gives an estimate of the form e'(aI + bA)e. ``known`` contains correlations that are
+    assumed and not estimated.
     """
 
     def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
@@ -135,9 +136,9 @@ class _Quadratic:
             self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
     def _degrees(self, covariance):
-        """Return 2 E(V)^2 / Var(V), where V is the estimated variance, for normal variables.
+        """Return the degrees of freedom 2 E(V)^2 / Var(V) of the estimated variance V, for normal variables.
 
-        The dense matrix P K P with K = aI + bA, where P is the projection onto residuals, is not computed.
+        Let K = aI + bA, and let P be the projection onto residuals. The code avoids the dense matrix P K P.
         """
         basis, weight = self.basis, self.a * _identity(self.n) + self.b * self.adjacency
         expected = covariance.sum() / self.n**2
@@ -151,7 +152,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance, but at least the estimate for neighbors with the covariance 0."""
+        """Return the estimated variance, or the estimate without covariance of neighbors if the latter is larger."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

@@ -94,7 +94,7 @@ class Precision:
     ----------
     standard_error : float, optional
         Standard error to reach. Iterations end when the interval is no wider than the interval of a normal distribution
-        with this standard error. If collisions are rare, a minimum number of iterations must also have been done. By
+        with this standard error. If collisions are rare, there is also a minimum number of iterations. By
         default 0.001, or None if ``max_iterations`` is given.
     max_iterations : int, optional
         Maximum number of iterations, realizations or points, depending on the method. Without ``standard_error``,
@@ -152,7 +152,7 @@ class Precision:
 
     @property
     def half_width(self) -> float:
-        """Half width at which an interval is narrow enough; 0 if ``standard_error`` is None."""
+        """Half width of the interval at which iterations end; 0 if ``standard_error`` is None."""
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
@@ -184,7 +184,10 @@ def as_precision(given: object) -> Precision:
 
 
 def _short(options: object, *lead: str) -> str:
-    """Return the representation of options: the first fields, and other fields that differ from their defaults."""
+    """Return the text that represents options.
+
+    The text contains ``lead``, which represents the first field, and all other fields that differ from their defaults.
+    """
     rest = [(f, getattr(options, f.name)) for f in fields(options)[1:]]
     changed = [f"{f.name}={v!r}" for f, v in rest if (v is not None if f.default is None else v != f.default)]
     return f"{type(options).__name__}({', '.join([*lead, *changed])})"

@@ -26,7 +26,7 @@ SLACK = 1e-9
 def find_method(
     given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
 ) -> tuple[Callable[[ProbabilityQuestion], dict], str]:
-    """Return the function that answers a `ProbabilityQuestion`, and the estimand of this function."""
+    """Return the function that computes an estimate from a `ProbabilityQuestion`, and the estimand of the function."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given], ESTIMANDS[given]
     plugin = find_function(GROUP, given, known, "method of collision probability")
@@ -37,7 +37,7 @@ def find_method(
 
 
 def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
-    """Return the answer of a plugin to a question, with all fields that an estimate has."""
+    """Call a plugin with a question, and return its result with all fields that an `Estimate` has."""
     targets, precision = question.targets, question.precision
     check_usable(question.focal_plane)
     about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}
@@ -49,7 +49,7 @@ def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
 
 
 def _checked(question: ProbabilityQuestion, given: object) -> dict:
-    """Return all fields of an estimate from the answer of a plugin, or raise an error."""
+    """Return all fields of an estimate from the result of a plugin, or raise an error if the result is invalid."""
     answer = dict(given) if isinstance(given, Mapping) else {"per_positioner": given}
     for name in answer:
         check_choice(name, ANSWERS, "field of an answer")
@@ -62,8 +62,8 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
         raise InputError(
-            "the answer must have value, or per_positioner with a probability of at least one positioner that can "
-            "have a target"
+            "the answer must contain value, or per_positioner with the probability of at least one positioner that is "
+            "not disabled or stuck"
         )
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}
@@ -108,7 +108,10 @@ def _probabilities(given: object, n: int) -> np.ndarray:
 
 
 def _number(name: str, given: object) -> float:
-    """Return the number of a field, or raise an error if it is invalid; only ``value`` must not be NaN."""
+    """Return the number in a field, or raise an error if the number is invalid.
+
+    NaN is valid in all fields except ``value`` and ``n``.
+    """
     kinds = (int, np.integer) if name == "n" else (int, float, np.integer, np.floating)
     most = 1.0 if name in PARTS else np.inf
     if not isinstance(given, kinds) or not (0 <= given <= most or (np.isnan(given) and name != "value")):

@@ -25,10 +25,10 @@ __all__ = ["DENSITIES", "Quadrature", "integrate"]
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS = 128
-"""Number of points in the first estimate if there is one environment.
+"""Number of points per positioner in the first estimate, if all positioners have the same environment.
 
-An environment is an arrangement of neighbors. The errors of several environments average out, and therefore fewer
-points are sufficient.
+An environment is an arrangement of neighbors. The errors of several environments average out. Therefore, fewer points
+are sufficient if there are several environments.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
 """Minimum numbers of points without and with weights, in this order.
@@ -37,7 +37,10 @@ Weights require more points, because the bias of a weighted mean does not averag
 """
 BITS = 30
 NARROW = 2**12
-"""An error is raised if a density is 0 at all points of a patrol area, and if there are at least this many points."""
+"""Minimum number of points before an error states that the density is 0 in a patrol area.
+
+If the density is 0 at all of fewer points, the computation is repeated with more points.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class Quadrature:
         return environments(plane, radius)
 
     def __call__(self, i: int, n_points: int, rng: np.random.Generator) -> tuple[float, float]:
-        """Return the collision probability of positioner i, and its contribution to the expected number of pairs.
+        """Return the collision probability of positioner i, and its share of the expected number of colliding pairs.
 
         The integral uses ``n_points`` points for the positioner and for each of its neighbors.
         """
@@ -81,8 +84,8 @@ class Quadrature:
         if not (entries.total[moving] > 0).all():
             where = plane.arrays.xy[own[moving][entries.total[moving] <= 0][0]]
             raise InputError(
-                f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points around "
-                f"({where[0]:.4g}, {where[1]:.4g}) mm"
+                f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points of the "
+                f"patrol area around ({where[0]:.4g}, {where[1]:.4g}) mm"
             )
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
         obstacles = self._setup.obstacle_pairs
@@ -99,7 +102,7 @@ class Quadrature:
             probability,
             pair_probability,
         )
-        # if both positioners of a pair can move, half of the pair counts for each of them
+        # a pair of positioners that can both move is counted twice, once for each positioner, with the weight 0.5
         return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
@@ -110,7 +113,7 @@ class Quadrature:
         return self.plane.arrays.xy[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
 
     def _weight(self, rows, tips):
-        """Return the density at each point, up to a factor."""
+        """Return the density at each point, up to a constant factor."""
         weight = np.ones(len(rows))
         if self.density == "voronoi":
             weight = (cKDTree(self.plane.arrays.xy).query(tips)[1] == rows).astype(float)
@@ -144,7 +147,7 @@ class Quadrature:
 
 
 def _limits_of(limits, own):
-    """Return the limits for the listed positioners, with outlines in the order of the list."""
+    """Return the collision limits with the outlines of only the positioners ``own``, in this order."""
     outline = limits.outline
     if outline.start.size == 1:
         return limits
@@ -155,7 +158,7 @@ def _limits_of(limits, own):
 @cache
 def _net(n_points: int) -> np.ndarray:
     """Return Sobol points of the unit square; their coordinates are whole numbers, in units of ``2**-BITS``."""
-    from scipy.stats import qmc  # importing this takes longer than importing all of this package
+    from scipy.stats import qmc  # this import takes longer than importing rfpsurvey
 
     points = qmc.Sobol(2, scramble=False, bits=BITS).random(n_points)
     return (points * 2**BITS).astype(np.int64)
@@ -177,7 +180,7 @@ def integrate(
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    # environments that few positioners have may have larger errors, and therefore use fewer points
+    # environments of few positioners use fewer points, since their errors contribute little to the error of the mean
     rare = (np.log2(share.max() / share) / 2).astype(int)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)

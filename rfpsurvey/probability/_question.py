@@ -22,7 +22,7 @@ class ProbabilityQuestion:
 
     Built-in methods and methods of other packages are functions whose only argument is this object. A method returns an
     array of float, shape (n_positioners,), with the probability that each positioner is in collision, and NaN for
-    positioners that are never counted. The method may also return a dict with any of the fields of
+    positioners that are never counted. Instead of this array, the method may return a dict with any of the fields of
     `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or
     ``value``. If the dict does not contain ``low`` and ``high``, they are computed from ``standard_error``. The
     attribute ``estimand`` of the method names the quantity that the method estimates: "independent", the default, or
@@ -93,8 +93,8 @@ class ProbabilityQuestion:
 
     @property
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
-        """Function that draws targets with a given generator, and returns their allocation by ``options``, with queues.
+        """Function that draws targets with a given generator, and returns an Allocation of these targets with queues.
 
-        The attribute is None for independent targets.
+        The targets are allocated as ``options`` states. The attribute is None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

@@ -1,4 +1,4 @@
-"""Repeat a simulation until its interval is narrow enough."""
+"""Repeat a simulation until the confidence interval is narrow enough."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -35,7 +35,7 @@ estimates would be too low.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
-TOO_FEW = "the focal plane has too few positioners to estimate from one sky by how much another patch may differ"
+TOO_FEW = "the focal plane has too few positioners to estimate from one sky by how much other patches of the sky differ"
 """The reason why an estimate has no interval."""
 
 
@@ -105,7 +105,7 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return the value, interval and error of a tally, and the part of the half width due to the number of iterations.
+    """Return the value, interval and error of a tally, and the half width that more iterations would reduce.
 
     If the targets are given, or if all realizations have the same rate, the tally is treated as one sky. In this case,
     the error states by how much the value of another patch of the same kind of sky may differ. If the focal plane is
@@ -129,7 +129,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
         low, high = INTERVALS["wilson" if one_sky else precision.interval](
             rates, p, number, tally.trials, width, precision.confidence, rng
         )
-    # the error that iterations can reduce, independent of the interval that is reported
+    # the error that more iterations reduce; it may differ from the error that is reported
     reducible = scatter if given or np.isnan(error) else error
     half = float(np.ptp(wilson(p, effective_number(p, reducible, n), student))) / 2
     if min(np.count_nonzero(rates > 0), np.count_nonzero(rates < 1)) < min(HITS, n / 2):
@@ -150,8 +150,8 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
     """Return the standard error, number of trials and quantile for one sky; NaN if the plane is too small.
 
-    If ``single`` is false, the tally has several skies with equal rates; if the rates are 0 or 1, each sky is one
-    trial.
+    If ``single`` is false, the tally contains several skies, which all have the same rate. If this rate is 0 or 1, each
+    sky is one trial.
     """
     variance, degrees = sky_variance(plane, tally.per_positioner)
     n, certain = len(tally.rates()), p in (0.0, 1.0)
@@ -163,7 +163,7 @@ def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
 
 
 def _trials(plane, n):
-    """Return the effective number of trials in ``n`` positioners if all pairs of neighbors were fully correlated."""
+    """Return the effective number of trials of ``n`` positioners if all pairs of neighbors are fully correlated."""
     return n / (1 + 2 * len(plane.arrays.neighbors) / len(plane))
 
 

@@ -17,10 +17,10 @@ __all__ = ["Simulation", "Tally", "merge"]
 
 @dataclass(frozen=True)
 class Tally:
-    """Numbers of collisions in each realization, and sums over realizations for each positioner."""
+    """Numbers of collisions: per realization, and per positioner, summed over all realizations."""
 
     colliding: np.ndarray
-    """Numbers of positioners in four columns: counted and colliding; counted; assigned and colliding; assigned."""
+    """Numbers of positioners per realization: counted and colliding, counted, assigned and colliding, assigned."""
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
@@ -44,7 +44,7 @@ class Tally:
 
     @property
     def per_positioner(self) -> np.ndarray:
-        """Collision rate of each positioner in the realizations in which it is counted; NaN if there are none."""
+        """Collision rate of each positioner in the realizations in which it is counted; NaN if it is never counted."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
     @staticmethod
@@ -174,7 +174,10 @@ class Simulation:
         return queue_segments(self.plane, self._given)
 
     def realize(self, rng: np.random.Generator) -> Allocation:
-        """Draw targets and allocate them; without queues, each assigned target is treated as a queue of length 1."""
+        """Draw targets, and return their allocation, which always has queues.
+
+        If the allocator makes no queues, each assigned target becomes a queue of length 1.
+        """
         columns = TargetColumns(priority=self.source.priority, fiber_type=self.source.types)
         allocation = assign(self.plane, self.source.draw(rng), columns, self.options, rng)
         if allocation.queues is not None:

@@ -48,7 +48,7 @@ def surrogate_probability(
     central_arm, eccentric_arm : Quantity
         Arm lengths; all arguments are broadcast against each other.
     pitch : Quantity
-        Distance between neighboring centers.
+        Distance between the centers of adjacent positioners.
     min_separation : Quantity
         Minimum separation of two arms.
 
@@ -119,7 +119,7 @@ def interior_probability(
 def make_surrogate(
     path: Path | str, *, rng: int = 0, executor: Executor | None = None, progress: bool = False, overwrite: bool = False
 ) -> None:
-    """Compute the grid of the surrogate and write it to a file."""
+    """Compute the collision probabilities of the grid of designs, and write them to a file."""
     grid = np.stack(np.meshgrid(*AXES.values(), indexing="ij"), axis=-1)
     shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
     sources, numbers = to_generator(rng).spawn(len(shapes)), [N_POINTS] * len(shapes)
@@ -131,7 +131,7 @@ def make_surrogate(
 
 @cache
 def surrogate_spline() -> "NdBSpline":
-    """Return the cubic spline of the surrogate.
+    """Return the cubic spline that `surrogate_probability` uses.
 
     The variables of the spline are the ratio of the central arm to the pitch, the ratio of the eccentric to the central
     arm, and the ratio of the minimum separation to the pitch. The probability is 0 if two arms cannot touch; otherwise,

@@ -21,7 +21,7 @@ __all__ = ["Source", "make_source"]
 PER_FIBER = 4.0
 """Default number of targets per positioner; Chen et al. (2024) use this number for LAMOST."""
 FILLING = 0.5
-"""Largest fraction of the area that discs may fill.
+"""Largest fraction of the circle of targets that the discs of ``poisson_disc`` targets may fill.
 
 Discs that are added at random positions without overlap fill at most a fraction of 0.547 of the area. Near this limit,
 adding discs is slow.
@@ -88,7 +88,7 @@ class Source:
         return np.column_stack([x, y])
 
     def describe(self) -> dict:
-        """Return the entries about targets in the meta of an estimate."""
+        """Return the entries of ``Estimate.meta`` that describe the targets."""
         if self.kind == "given":
             return {"targets": "given", "n_targets": len(self.points)}
         if self.kind == "sampler":

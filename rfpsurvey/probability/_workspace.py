@@ -1,4 +1,4 @@
-"""The input of the kernels of simulation and quadrature, and the arrays that they write to."""
+"""Arrays for the kernels of simulation and quadrature: their input, and the arrays to which they write."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ __all__ = ["make_entries", "make_positioners", "make_realization"]
 
 
 def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
-    """Return the data of positioners on which reach and poses depend.
+    """Return the data that determine which targets each positioner reaches, and which poses its arms have.
 
     Kernels that draw targets assume that the joint limits allow the whole patrol areas.
     """
@@ -21,7 +21,10 @@ def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate
 
 
 def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Realization:
-    """Return arrays for a number of targets, and for the cells of the grid of `scatter_apart`."""
+    """Return the arrays to which kernels write one realization of at most ``number`` targets.
+
+    ``cells`` is the number of cells of the grid that `scatter_apart` uses.
+    """
     n, pairs = len(plane), number * int(np.diff(plane.arrays.grid[5]).max())
 
     def integers(size):
@@ -44,7 +47,7 @@ def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Rea
 
 
 def make_entries(n: int, number: int) -> queues.Entries:
-    """Return arrays for a number of entries in the queues of n positioners; all entries have the weight 1."""
+    """Return arrays for the queues of n positioners with ``number`` targets; all targets have the weight 1."""
     size = number + n
     return queues.Entries(
         start=np.empty(n, dtype=np.int64),

@@ -1,4 +1,4 @@
-"""Maps without radial symmetry from the tangent plane to the focal plane, as for dispersion compensators."""
+"""Maps without radial symmetry from the tangent plane to the focal plane, for dispersion compensators."""
 
 import os
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class DistortionMap:
-    """Map from the tangent plane to the focal plane by polynomials, for one setting of a dispersion compensator.
+    """Polynomial map from the tangent plane to the focal plane, for one setting of a dispersion compensator.
 
     The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half
     difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 determines its
@@ -127,11 +127,13 @@ class DistortionMap:
         table = read_table(path)
         lacking = [name for name in COLUMNS if name not in table.colnames]
         if lacking:
-            raise InputError(f"{path}: the table must have the columns {', '.join(COLUMNS)}, got no {lacking[0]}")
+            raise InputError(
+                f"{path}: the table must have the columns {', '.join(COLUMNS)}, but {lacking[0]} is missing"
+            )
         try:
             adc1, adc2, x, y, x_fp, y_fp = (np.asarray(table[name], dtype=float) for name in COLUMNS)
         except (TypeError, ValueError) as error:
-            raise InputError(f"{path}: the columns must be numbers, {error}") from None
+            raise InputError(f"{path}: the columns must contain numbers: {error}") from None
         if not np.isfinite([adc1, adc2, x, y, x_fp, y_fp]).all() or (np.abs(adc1 + adc2) > 1e-6).any():
             raise InputError(f"{path}: the values must be finite, with ADC1 = -ADC2")
         check_whole(degree, "degree", 1, 20)
@@ -254,7 +256,7 @@ class DistortionMap:
         unit = self._setting[1]
         tangents = points @ np.linalg.inv(self._jacobian(np.zeros((1, 2)))[0]).T
         for _ in range(MOST_STEPS):
-            # the iteration would diverge for points far outside
+            # the iteration would diverge for points far outside the range of the map
             tangents = np.where(np.hypot(*tangents.T)[:, None] <= 1.5 * unit, tangents, np.nan)
             change = np.linalg.solve(self._jacobian(tangents), (points - self._image(tangents))[..., None])[..., 0]
             tangents = tangents + change
@@ -288,7 +290,8 @@ def _terms(degree: int, harmonics: int) -> tuple[list, list]:
     for i in range(degree + 1):
         for j in range(degree + 1 - i):
             for k in range(harmonics + 1):
-                # if y and s change their signs, the position along x does not change, and that along y changes its sign
+                # if y and s change their signs, the position along y also changes its sign, and the position along x
+                # does not change
                 along[0].append((i, j, "cos" if j % 2 == 0 else "sin", k))
                 along[1].append((i, j, "sin" if j % 2 == 0 else "cos", k))
     return tuple([term for term in terms if term[2:] != ("sin", 0)] for terms in along)

@@ -1,4 +1,4 @@
-"""The projection of one field on arrays without units: from unit vectors to mm, and from mm to unit vectors."""
+"""The projection of one field for arrays without units: unit vectors to points in mm, and points to unit vectors."""
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class FieldProjection:
         self.basis, self.focal_length, self.distortion = basis, focal_length, distortion
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
-        """Project unit vectors (n, 3) to points (n, 2) on the focal plane in mm; NaN where there is no image."""
+        """Project unit vectors (n, 3) to points (n, 2) on the focal plane in mm; NaN for vectors without an image."""
         return self._apply(sky.project, sky.project_radial, vectors, fiber_type, 2)
 
     def unproject(self, points: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:

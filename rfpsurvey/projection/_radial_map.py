@@ -22,7 +22,8 @@ _SCALE = u.mm / u.rad
 class RadialMap:
     """Distance from the field center on the focal plane as a function of the field angle.
 
-    With the odd polynomial p(t) = c0 t + c1 t^3 + c2 t^5 + ..., the three forms are
+    Let r be the distance, theta the field angle, and p(t) = c0 t + c1 t^3 + c2 t^5 + ... an odd polynomial. The three
+    forms of the function are
 
     * ``theta``: r = factor p(theta / unit_angle) mm,
     * ``tan_theta``: r = factor p(tan(theta) / unit_tangent) mm,
@@ -35,7 +36,7 @@ class RadialMap:
     coefficients : sequence of float
         Coefficients c0, c1, c2, ... of the polynomial.
     max_angle : Quantity
-        Largest field angle for which the map is valid, below 90 deg. Directions beyond it have no image.
+        Largest field angle for which the map is valid, below 90 deg. Directions beyond this angle have no image.
     unit_angle : Quantity, optional
         Angle for which the argument of the polynomial is 1.
     unit_tangent : float, optional

@@ -33,7 +33,8 @@ class TangentPlane:
         Field center in any frame. The frame also defines north: for a center in ``FK5(equinox="J2026")``, position
         angles are measured from north at that equinox.
     plate_scale : Quantity, optional
-        Length per angle at the field center. It can be omitted if ``distortion`` is given, which determines it.
+        Length on the focal plane per angle on the sky, at the field center. The plate scale can be omitted if
+        ``distortion`` is given, because the distortion determines the plate scale.
     rotation : Quantity, optional
         Position angle of +y, measured from north toward east.
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
@@ -134,7 +135,8 @@ class TangentPlane:
             Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that it can be projected rapidly
             for many fields.
         fiber_type : str or array_like of str, optional
-            Fiber type of each direction, if fiber types have different maps; ``""`` and None denote the first type.
+            Fiber type of each direction, if fiber types have different maps; ``""`` and None denote the first fiber
+            type in ``distortion``.
 
         Returns
         -------
@@ -158,7 +160,8 @@ class TangentPlane:
         xy : Quantity, shape (n, 2)
             Points on the focal plane.
         fiber_type : str or array_like of str, optional
-            Fiber type of each point, if fiber types have different maps; ``""`` and None denote the first type.
+            Fiber type of each point, if fiber types have different maps; ``""`` and None denote the first fiber type in
+            ``distortion``.
 
         Returns
         -------

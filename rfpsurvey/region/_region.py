@@ -32,9 +32,9 @@ class Region:
     kind : {"cap", "box", "polygon", "healpix"}
         Kind of the region.
     values : ndarray
-        Values that define the region, in radians and ICRS. Cap: unit vector of the center, and the radius. Box: first
-        right ascension, width, lower and upper declination. Polygon: unit vectors of the vertices, shape (n, 3).
-        HEALPix: pixel numbers in the nested order.
+        Values that define the region; angles are in radians, directions are in ICRS. Cap: unit vector of the center,
+        and the radius. Box: western limit of right ascension, width in right ascension, lower and upper declination.
+        Polygon: unit vectors of the vertices, shape (n, 3). HEALPix: pixel numbers in the nested order.
     nside : int, optional
         Resolution of the HEALPix pixels.
 
@@ -61,7 +61,7 @@ class Region:
         Parameters
         ----------
         center : SkyCoord or str
-            Center of the circle; text is read as in `plan_tile`.
+            Center of the circle; a str has the same format as the ``center`` of `plan_tile`.
         radius : Quantity
             Angular radius of the circle, at most 180 deg.
 
@@ -99,7 +99,8 @@ class Region:
         Raises
         ------
         InputError
-            If ``ra`` or ``dec`` does not have two values, or if the values are out of range or equal.
+            If ``ra`` or ``dec`` does not have two values, if a value is out of range, if the two right ascensions are
+            equal, or if the declinations are not in ascending order.
         """
         first, last = _two(ra, "ra", -360, 720)
         low, high = _two(dec, "dec", -90, 90)
@@ -109,7 +110,7 @@ class Region:
         width = 360.0 if abs(width) == 360 else width % 360
         if width == 0 or abs(last - first) > 360:
             raise InputError(
-                f"ra must be (first, last), different and at most 360 deg apart, got ({first:g}, {last:g}) deg"
+                f"ra must be two different angles that are at most 360 deg apart, got ({first:g}, {last:g}) deg"
             )
         return cls("box", np.deg2rad([first % 360, width, low, high]))
 
@@ -161,7 +162,7 @@ class Region:
         Parameters
         ----------
         pixels : array_like of int
-            Pixel numbers, in ICRS.
+            Numbers of HEALPix pixels whose coordinate frame is ICRS.
         nside : int
             Resolution, a power of two.
         order : {"nested", "ring"}, optional

@@ -35,7 +35,7 @@ def angle(a, b):
 
 
 def arc(a, b, n):
-    """Return n points on the great circle from a to b, including both ends."""
+    """Return n equidistant points on the great-circle arc from a to b, including both ends."""
     t = np.linspace(0, 1, n)[:, None] * angle(a, b)
     side = b - (a @ b) * a
     length = np.linalg.norm(side)
@@ -66,8 +66,8 @@ def box_contains(box, vectors):
 def box_distance(box, vectors):
     """Return distances to a box.
 
-    Within the right ascensions of the box, this is the distance to the nearer parallel; otherwise, it is the distance
-    to the nearer of the western and eastern sides.
+    For a direction within the right ascensions of the box, this is the distance to the nearer parallel. For all other
+    directions, it is the distance to the nearer of the western and eastern sides.
     """
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
@@ -134,8 +134,8 @@ def polygon_area(vertices):
 def polygon_contains(vertices, vectors):
     """Return whether directions are inside a polygon.
 
-    For each direction, the function counts the edges that the arc from the midpoint of one edge to the direction
-    crosses.
+    For each direction, consider the arc from the midpoint of the longest edge to the direction. The function determines
+    on which side of this edge the arc starts, and counts how many other edges the arc crosses.
     """
     a, b = vertices, np.roll(vertices, -1, axis=0)
     start = int(np.argmax(angle(a, b)))

@@ -1,4 +1,4 @@
-"""Functions of regions on the unit sphere: tests of directions, distances, borders and enclosing circles."""
+"""Functions of regions on the unit sphere: points inside a region, distances, borders and enclosing circles."""
 
 import numpy as np
 
@@ -48,7 +48,8 @@ def circle_around(region) -> tuple[np.ndarray, float]:
     if not pixels and is_inside(region, -center[None])[0]:
         return center, np.pi
     radius = _shapes.angle(border, center).max()
-    # The border has 100 points per edge. Between them, its distance from the center is larger by less than 1/1000.
+    # The border has 100 points per edge. Between two points, the border may be farther from the center than the points,
+    # but by less than 1/1000 of the radius.
     margin = _healpix.pixel_radius(region.nside) if pixels else radius * 1e-3
     return center, float(min(radius + margin, np.pi))
 

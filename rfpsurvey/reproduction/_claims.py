@@ -23,7 +23,11 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Return the verdict "reproduced" if the two numbers differ by at most ``sigmas`` errors, else "not reproduced"."""
+    """Return the verdict on a number of the paper.
+
+    The verdict is "reproduced" if the numbers ``paper`` and ``ours`` differ by at most ``sigmas`` times the error, and
+    "not reproduced" otherwise.
+    """
     return REPRODUCED if abs(paper - ours) <= sigmas * error else NOT_REPRODUCED
 
 

@@ -78,7 +78,7 @@ def numbers_of(design: Row) -> tuple[float, float, float]:
 def estimate(
     l1: float, ratio: float, pitch: float, layout: dict, settings: Settings, seed: list[int], **options: object
 ) -> Estimate:
-    """Return the estimate for a design, by default with allocated uniform targets."""
+    """Return the estimated collision probability of a design, by default for allocated uniform targets."""
     plane = plane_of(l1, ratio, pitch, layout["rings"])
     options = {"targets": RandomTargets(), "precision": settings.precision, **options}
     if options.get("method", "conditional") == "conditional":
@@ -100,5 +100,5 @@ def error_of_fraction(p: float, n: int) -> float:
 
 
 def each(task: Callable, jobs: list, settings: Settings) -> list:
-    """Return the results of all jobs in the order of the jobs, and show the progress."""
+    """Call ``task`` for each job, show the progress, and return the results in the order of the jobs."""
     return map_with_progress(settings.executor, settings.progress, "jobs", task, jobs)

@@ -80,8 +80,9 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
     """Return how often each interval contains the true value, for plain and for conditional simulation.
 
-    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation whose
-    standard error is one twentieth (in a quick run, one fifth) of the smallest standard error of the repeats.
+    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation. Its
+    standard error is one twentieth (in a quick run, one fifth) of the smallest standard error that is requested from
+    the repeats.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [

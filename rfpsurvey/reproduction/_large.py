@@ -1,4 +1,4 @@
-"""Random designs with 469 positioners: comparison of formula and simulation, and the fit."""
+"""Random designs with 469 positioners: comparison of formula and simulation, and the fit of a polynomial."""
 
 import astropy.units as u
 import numpy as np
@@ -14,7 +14,7 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Relative half width below which an interval has a sufficient ("proper") number of iterations.
+"""Relative half width of the 95 % interval below which a number of iterations is called "proper", as in the paper.
 
 The paper states no value.
 """
@@ -129,7 +129,7 @@ def _of_differences(table, differences):
 
 
 def _plain(settings):
-    """Return plain simulations with 6000 iterations, as in the paper, and conditional simulations of named designs."""
+    """Return plain simulations (6000 iterations, as in the paper) and conditional simulations of ``NAMED`` designs."""
 
     def run(name):
         seed = [settings.seed, 6000, list(NAMED).index(name)]
@@ -212,7 +212,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
 
 
 def _surrogate(settings):
-    """Compare the surrogate with quadratures for designs in the range of the paper that are not on the grid."""
+    """Compare the surrogate with quadrature for random designs, which lie between the nodes of the surrogate's grid."""
     rng = np.random.default_rng([settings.seed, 300])
     n = settings.pick(300, 20)
     l1, ratio, pitch, distance = rng.uniform((7.25, 1, 24.6, 1.0), (14.5, 2, 35, 7.0), (n, 4)).T

@@ -24,14 +24,17 @@ __all__ = ["drops_by_ratio", "poisson"]
 PAPER = 2.6
 """Percentage by which the collision probability is larger with uniform than with Poisson-distributed targets."""
 MARGIN = 0.2
-"""Smallest tolerance of a result, in percentage points; the tolerance is two standard errors if these are larger."""
+"""Minimum tolerance for the agreement of a result with the paper, in percentage points.
+
+The tolerance is two standard errors if two standard errors are larger.
+"""
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
 """Minimum separations (mm) of Poisson-disc targets.
 
 With separations above 2.09 mm, 20,000 random targets would not fit into the circle with the radius 200 mm.
 """
 DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
-"""Minimum separation (mm) of the targets in each interpretation of the paper, by the name of the interpretation."""
+"""Minimum separation (mm) in each interpretation with Poisson-disc targets, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = (
     "point process",
     ("Poisson coordinates with mean 100 mm", "Poisson coordinates with 3 deviations = 200 mm"),
@@ -50,7 +53,7 @@ FEW_ERROR = 5e-3
 The relative error of the mean over designs is then 0.2 %.
 """
 RATIOS = (1.0, 1.25, 1.5, 2.0)
-"""Edges of ranges of the ratio of the arms."""
+"""Limits of the ranges of the arm ratio for which averages are computed."""
 
 
 def poisson(
@@ -138,7 +141,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
     table : QTable
         Values and errors of each design; the last row is LAMOST's design.
     discs : dict of str to float
-        Minimum separation (mm) in each interpretation of the paper, by the name of the interpretation.
+        Minimum separation (mm) in each interpretation with Poisson-disc targets, by the name of the interpretation.
 
     Returns
     -------

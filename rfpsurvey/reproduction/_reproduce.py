@@ -63,8 +63,8 @@ def reproduce(
         80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets, for
         every interpretation of the paper. ``fit``: the fit of the polynomial, and the errors of the surrogate for
         designs that were not used to make the surrogate. ``intervals``: how often confidence intervals contain the true
-        value, including intervals for given targets. ``speed``: the time for finding the collisions of arms of 64
-        segments, compared with the time for swept areas. ``all``: all experiments.
+        value, including intervals for given targets. ``speed``: the time to find collisions if each arm consists of
+        64 segments, compared with the time of a method that uses swept areas. ``all``: all experiments.
     folder : str or path, optional
         Folder for the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); it is created if it does
         not exist.
@@ -90,7 +90,8 @@ def reproduce(
     Raises
     ------
     InputError
-        If the name is unknown, if ``rng`` or ``workers`` is invalid, or if outputs exist and ``overwrite`` is False.
+        If the name of the experiment is unknown, if ``rng`` or ``workers`` is invalid, or if outputs exist and
+        ``overwrite`` is False.
 
     References
     ----------
@@ -119,7 +120,7 @@ def reproduce(
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
-            if name in ("fit", "poisson") and "large" in made:  # these results are for the same designs
+            if name in ("fit", "poisson") and "large" in made:  # reuse the estimates for the same designs
                 run = partial(run, table=made["large"])
             tables, own = run(settings)
             made.update(tables)

@@ -14,7 +14,7 @@ FAR_LESS = 1.0
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the times of four methods of finding the collisions of LAMOST's arms, and the claims about the times."""
+    """Return the times of four methods that find the collisions of LAMOST's arms, and the claims about the times."""
     table = benchmark_collisions(
         "lamost",
         methods=["exact", "sampled", "sweep", "scipy"],

@@ -162,7 +162,7 @@ def test_a_generator_that_cannot_spawn_is_refused():
     [
         ({"method": "quadrature", "density": []}, "density must be one of"),
         ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
-        ({"method": "quadrature", "interval": "bootstrap"}, "interval must be given only with a method that iterates"),
+        ({"method": "quadrature", "interval": "bootstrap"}, "interval must be given only with the method"),
         ({"method": "closed_form", "density": "uniform"}, "density must be given only with the method 'quadrature'"),
         ({"variant": "printed"}, "variant must be given only with the method 'closed_form'"),
         ({"center": 3}, "center must be given only if targets is a Catalog"),

@@ -25,7 +25,7 @@ def test_a_formula_of_a_package(small, hers):
         match="'quarter' estimates the probability for 'independent' targets, not for 'allocated' targets",
     ):
         rs.collision_probability(plane, method="quarter", estimand="allocated")
-    with pytest.raises(rs.InputError, match="with a method that iterates, got 'bootstrap' with the method 'quarter'"):
+    with pytest.raises(rs.InputError, match="or 'conditional', got 'bootstrap' with the method 'quarter'"):
         flat.collision_probability(plane, method="quarter", interval="bootstrap")
     table = rs.benchmark.benchmark_probability(small, efforts={"quarter": [0]}, repeats=1, precision=0.01)
     assert (table["method"][0], table["value"][0]) == ("quarter", 0.25)
@@ -107,9 +107,9 @@ def test_simulations_take_allocators_of_others(small, hers):
         ([[1], [1, 2]], "must return a dict, or an array"),
         (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
         (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
-        (np.full(37, np.nan), "the answer must have value, or per_positioner with a probability of"),
-        ({}, "the answer must have value, or per_positioner"),
-        ({"n": 3}, "the answer must have value, or per_positioner"),
+        (np.full(37, np.nan), "the answer must contain value, or per_positioner with the probability of"),
+        ({}, "the answer must contain value, or per_positioner"),
+        ({"n": 3}, "the answer must contain value, or per_positioner"),
         (
             {"values": 0.5},
             "unknown field of an answer 'values'; choose one of: high, low, meta, .* Did you mean 'value'",
