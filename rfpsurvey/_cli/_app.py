@@ -1,4 +1,4 @@
-"""Functions that several commands share."""
+"""Functions that several commands share: they parse options, read input files, and check output files."""
 
 import re
 from dataclasses import replace
@@ -77,7 +77,7 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the instrument of the given name; if no name is given, return the instrument named in a tile's file."""
+    """Return the instrument called ``name``; if ``name`` is None, return the instrument that the table names."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if own is None and is_plan(table):
@@ -96,7 +96,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
         return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
-    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # an epoch instead of a column
+    common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # the value is an epoch, not the name of a column
     if common:
         del columns["epoch"]
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
@@ -104,7 +104,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Read or generate a catalog; return it with the field center, or with None if no field center is given."""
+    """Read a catalog, or generate one if ``path`` is None; return it with the field center, which may be None."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -113,7 +113,7 @@ def targets_and_center(path, center, model, seed, column, unit, frame, fill, kee
 
 
 def _parse_circle(text: str) -> "rs.Region":
-    """Convert text such as "95.0,23.0,0.01" (center and radius in degrees) to a circle; the word cap may come first."""
+    """Convert text such as "95.0,23.0,0.01" (RA, Dec, radius in deg) to a circle; the text may begin with "cap"."""
     words = text.replace(",", " ").split()
     try:
         return rs.Region.parse(" ".join(words if words[:1] == ["cap"] else ["cap", *words]))
@@ -135,11 +135,11 @@ def allocation_options(
     keep_out: list[str] | None = None,
     subpriority: str | None = None,
 ) -> "rs.AllocationOptions":
-    """Convert command-line options to the class that holds the options of an allocation."""
+    """Convert command-line options to an object of the class `AllocationOptions`."""
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError(
-            "--require instrument stands for all requirements of the instrument: give no other --require"
+            "--require instrument must be the only --require, because it stands for all requirements of the instrument"
         )
     if sky_separation is not None:
         sky_separation = sky_separation * u.arcsec
@@ -181,7 +181,7 @@ def to_mm(value: float | None):
 
 
 def read_targets(name: str):
-    """Read a catalog if ``name`` is the name of a file; otherwise, return ``name``, a kind of random targets."""
+    """Read a catalog if ``name`` is a file or an example; otherwise, return ``name``, a kind of random targets."""
     return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 
@@ -209,7 +209,7 @@ def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | N
         return
     check_choice(color, rs.plot.COLORINGS, "--targets")
     if plot is None:
-        raise rs.InputError("--targets colors the targets in a plot: give --plot")
+        raise rs.InputError("--targets colors the targets in a plot, and must be used with --plot")
     if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:
         raise rs.InputError(
             f"--targets {color} needs the column {color}, which the catalog does not have: name a column with --column"
@@ -229,6 +229,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
-    """Return the path of the table that is written with a plot; raise an error if a file cannot be written."""
+    """Return the path of the table that is written next to a plot; raise an error if a file cannot be written."""
     check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

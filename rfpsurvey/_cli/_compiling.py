@@ -1,4 +1,4 @@
-"""The message that the first command prints while numba compiles functions."""
+"""The message that a command prints if numba must compile functions."""
 
 import sys
 
@@ -8,7 +8,7 @@ __all__ = ["announce_compilation"]
 
 
 class _Announcement(event.Listener):
-    """Handler that prints one line per process when numba compiles a function that is not in its cache."""
+    """Event handler that prints one line when numba compiles the first function that is not in the cache of numba."""
 
     def __init__(self):
         self._told = False

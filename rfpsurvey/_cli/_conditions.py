@@ -81,7 +81,7 @@ def conditions_of(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.ObservingConditions | None":
-    """Read observing conditions from a file, and apply the options; return None if neither is given."""
+    """Return the observing conditions of a file, overridden by options; return None if there are neither."""
     given = {}
     if site is not None:
         given["site"] = site if "," not in site else location(site.split(","))
@@ -116,10 +116,10 @@ def tiles_under(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.Tiling":
-    """Return a tiling with the observing conditions of a file and of options, or unchanged if neither is given."""
+    """Add the observing conditions of a file and of options to a tiling; without both, return the tiling unchanged."""
     given = any(value is not None for value in (path, site, time, hour_angle, exposure_time)) or wavelength
     if given and time is None and hour_angle is None and rs.tiling.when_of(tiling.table) is not None:
-        hour_angle = 0.0  # every tile has a time or hour angle of its own
+        hour_angle = 0.0  # a placeholder, which the time or hour angle in the table of tiles replaces
     seen = conditions_of(path, site, time, hour_angle, wavelength, exposure_time)
     return tiling if seen is None else tiling.with_conditions(seen)
 

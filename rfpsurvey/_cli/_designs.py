@@ -32,8 +32,8 @@ COLUMNS = (
 def axes(n_designs: int | None, *, around: bool = False, **texts: str | None) -> dict:
     """Convert texts such as 8.25, or 7,8,9, or 22:30:9, or 22:30 to the parameters of a scan; lengths are in mm.
 
-    Parameters that are not given have default values. In a scan ``around`` an instrument, parameters that are not given
-    have the values of the instrument.
+    Parameters that are not given have default values or, in a scan ``around`` an instrument, the values of the
+    instrument.
     """
     texts = {name: text for name, text in texts.items() if not (around and text is None)}
     return {name: _axis(name, text, n_designs) * (1 if name == "ratio" else u.mm) for name, text in texts.items()}
@@ -64,7 +64,7 @@ def _axis(name, text, n_designs):
 
 
 def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
-    """Convert command-line options to the class with the options for the fraction of fibers lost to collisions."""
+    """Convert command-line options to `LossOptions`, which state how the fraction of lost fibers is computed."""
     return rs.design.LossOptions(
         estimand,
         method,
@@ -98,8 +98,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "sensitivities: the fraction of the variance that each parameter explains, and the change in "
-                "percent if the parameter grows by one percent:"
+                "sensitivities: for each value of a design, the fraction of its variance that a parameter explains, "
+                "and its change in percent if the parameter grows by one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:
@@ -131,7 +131,7 @@ def _format(column) -> None:
 
 
 def _print_improvements(table) -> None:
-    """Print a comparison of the instrument of a scan with the best designs."""
+    """Print a comparison of the best designs of a scan with the instrument around which the designs vary."""
     own, objectives = table[table["instrument"] != ""][0], table.meta["objectives"]
     print(f"{own['instrument']}: {', '.join(f'{_words(name)} {own[name]:.5g}' for name in AXES)}")
     try:
@@ -145,7 +145,7 @@ def _print_improvements(table) -> None:
         limit = "at least" if objectives[other] == "max" else "at most"
         text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(other)}: "
         changes = ", ".join(filter(None, (_change(name, own[name], row[name], table[name]) for name in AXES)))
-        print(text + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "its own"))
+        print(text + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "its own value"))
 
 
 def _change(name, before, after, scanned) -> str:

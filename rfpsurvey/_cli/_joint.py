@@ -15,15 +15,15 @@ GapOption = Annotated[
     float | None,
     typer.Option(
         "--joint-gap",
-        help="With --order joint: end when the plan lacks at most this fraction of the largest possible number "
-        "of visits.",
+        help="With --order joint: end the search when the number of visits is at most this fraction below its "
+        "upper bound.",
     ),
 ]
 IterationsOption = Annotated[
     int | None, typer.Option("--joint-iterations", help="With --order joint: largest number of iterations.")
 ]
 JointTimeOption = Annotated[
-    float | None, typer.Option("--joint-time", help="With --order joint: time limit of all iterations (s).")
+    float | None, typer.Option("--joint-time", help="With --order joint: time limit of the search (s).")
 ]
 FixedOption = Annotated[
     str | None,
@@ -33,12 +33,12 @@ FixedOption = Annotated[
         "do not change.",
     ),
 ]
-# Below this fraction of additional visits, the text says that a joint plan is not worth the time.
+# If the possible fraction of additional visits is smaller, the text states that the search is not worth much time.
 LITTLE = 0.001
 
 
 def joint_order(order: str, gap: float | None, iterations: int | None, seconds: float | None, fixed: str | None):
-    """Return the parameter ``order`` of `plan_survey`."""
+    """Convert command-line options to the parameter ``order`` of `plan_survey`."""
     given = {"gap": gap, "iterations": iterations, "fixed": fixed}
     given["time_limit"] = None if seconds is None else seconds * u.s
     given = {name: value for name, value in given.items() if value is not None}

@@ -1,4 +1,4 @@
-"""The command-line application, which imports a command, and all that it needs, when the command is called."""
+"""The command-line application, which imports the modules of a command only when the command is called."""
 
 import gc
 import os
@@ -32,14 +32,14 @@ COMMANDS = {
     "reproduce": "Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with the "
     "paper.",
     "score": "Find the collisions in an assignment that was made by another program.",
-    "select": "Plan a survey many times with random subpriorities, and write the probability that it observes each "
-    "target.",
+    "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "
+    "observed.",
     "survey": "Plan the tiles of a survey so that as many targets as possible are observed the requested number of "
     "times.",
     "tile": "Place the tiles of a survey.",
     "benchmark": "Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
 }
-"""The first sentence of the description of each command, so that the list is printed without importing the commands."""
+"""Summary of each command; with this copy, the list of commands is printed without importing the commands."""
 OPTIONS = {
     "rotation": "--pa",
     "position_angle": "--pa",
@@ -63,10 +63,10 @@ class Commands(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx, name: str):
-        """Import a command and return it; None if there is no such command."""
+        """Import a command and return it; return None if there is no command of this name."""
         if name not in COMMANDS:
             return None
-        # The garbage collector ignores the objects of imports, which exist until the end.
+        # Imported objects exist until the program ends. Excluding them from garbage collection saves time.
         gc.disable()
         try:
             from rfpsurvey._cli._compiling import announce_compilation
@@ -114,14 +114,14 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; if the input is invalid, print a one-sentence message and exit with the code 2."""
+    """Run the command of the user; if the input is invalid, print a one-sentence message and exit with the code 2."""
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
     code = 0
     try:
         app()
-    except SystemExit as stop:  # typer raises this at the end, also after a closed pipe
+    except SystemExit as stop:  # typer raises SystemExit when a command ends, also if a pipe was closed
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         code = READER_GONE
@@ -157,7 +157,7 @@ def _flush(code: int) -> int:
         except OSError as error:
             gone = isinstance(error, BrokenPipeError)
             code = READER_GONE if gone else _complain(error)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # the interpreter flushes again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # Python flushes the stream again at exit
         except ValueError:  # the stream is closed
             pass
     return code

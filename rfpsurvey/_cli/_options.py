@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Command-line options and arguments that several commands share."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from rfpsurvey.errors import InputError
 
 
 def check_angle(value: float | None) -> float | None:
-    """Return a position angle given on the command line; raise an error if it exceeds a full rotation."""
+    """Return the position angle given with --pa (deg); raise an error if it is not between -360 and 360 deg."""
     if value is not None and not abs(value) <= 360:
         raise InputError(f"--pa must lie between -360 and 360 deg, got {value:g}")
     return value
@@ -31,15 +31,18 @@ CenterOption = Annotated[
     ),
 ]
 PaOption = Annotated[
-    float, typer.Option(help="Position angle of +y (deg), from north toward east.", callback=check_angle)
+    float,
+    typer.Option(
+        help="Position angle of the +y axis of the focal plane (deg), from north toward east.", callback=check_angle
+    ),
 ]
 SeedOption = Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)]
-FrameOption = Annotated[str, typer.Option(help="Frame of the coordinates in the catalog.")]
+FrameOption = Annotated[str, typer.Option(help="Frame of the coordinates in the catalog, such as icrs or galactic.")]
 AllocatorOption = Annotated[
     str,
     typer.Option(
         help="Allocator: lamost, nearest, balanced (ignores priorities), sdss (network flow), optimal (a "
-        "proven optimum without collisions), repair (lamost, after which local moves remove "
+        "proven optimum without collisions), repair (lamost, followed by local moves that remove "
         "collisions), or an allocator of an installed package."
     ),
 ]
@@ -47,7 +50,7 @@ RequireOption = Annotated[
     list[str] | None,
     typer.Option(
         help="Number of targets of a kind that a tile must contain, KIND=NUMBER, such as sky=20/spectrograph "
-        "or sky_boss=300. The word instrument stands for the requirements of the instrument."
+        "or sky_boss=300. The value instrument stands for all requirements of the instrument."
     ),
 ]
 RequiredOption = Annotated[
@@ -67,11 +70,11 @@ SkyOption = Annotated[
 ObjectiveOption = Annotated[
     str,
     typer.Option(
-        help="For sdss and optimal: priority (maximize the number of targets of one priority after the "
-        "other) or count (maximize the total number of targets first)."
+        help="For sdss and optimal: priority (maximize the number of assigned targets of the highest priority, "
+        "then of the next priority, etc.) or count (maximize the total number of assigned targets first)."
     ),
 ]
-TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the search (s), for sdss and optimal.")]
+TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the allocators sdss and optimal (s).")]
 InstrumentOption = Annotated[
     str,
     typer.Option(
@@ -80,7 +83,8 @@ InstrumentOption = Annotated[
     ),
 ]
 EquinoxOption = Annotated[
-    str | None, typer.Option(help="Measure the position angle from north at this equinox, such as J2026.0.")
+    str | None,
+    typer.Option(help="Equinox of the north direction from which the position angle is measured, such as J2026.0."),
 ]
 EpochOption = Annotated[
     str | None, typer.Option(help="Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01.")
@@ -88,8 +92,9 @@ EpochOption = Annotated[
 ColumnOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Column of the catalog with a role, ROLE=NAME, such as id=star. The form priority=-rank "
-        "reverses the sign of the column rank. The form epoch=J2016 sets one epoch for all rows."
+        help="Name of a column of the catalog and its role, ROLE=NAME; for example, id=star reads identifiers from "
+        "the column star. The form priority=-rank reverses the sign of the column rank. The form epoch=J2016 "
+        "sets one epoch for all rows."
     ),
 ]
 KeepOption = Annotated[
@@ -105,9 +110,9 @@ FillOption = Annotated[
 SubpriorityOption = Annotated[
     str | None,
     typer.Option(
-        help="Order of the targets within each priority class: a seed for random subpriorities, which only "
-        "depend on this seed and on the identifiers of targets, or the name of a column that --keep "
-        "includes."
+        help="Order of the targets within each priority class: a seed for random subpriorities, or the name of a "
+        "column that --keep includes. Random subpriorities depend only on the seed and on the identifiers of "
+        "the targets."
     ),
 ]
 ParkedOption = Annotated[
@@ -127,7 +132,7 @@ TargetsOption = Annotated[
 ]
 QualityOption = Annotated[
     Path | None,
-    typer.Option(help="Plot the numbers of targets in reach, assigned and observed (.png, .pdf or .svg)."),
+    typer.Option(help="Plot the numbers of targets that are in reach, assigned and observed (.png, .pdf or .svg)."),
 ]
 MethodOption = Annotated[
     str,
@@ -173,7 +178,7 @@ RadiusOption = Annotated[
     float | None,
     typer.Option(
         help="Radius of a tile (deg), in place of the radius of the instrument. With this option, every "
-        "fiber can reach every target of the tile."
+        "fiber is assumed to reach every target of the tile."
     ),
 ]
 TilingAllocatorOption = Annotated[
@@ -187,8 +192,8 @@ TilingAllocatorOption = Annotated[
 TilingPaOption = Annotated[
     float | None,
     typer.Option(
-        help="Position angle of +y (deg), from north toward east. By default, the position angle in the "
-        "table of --centers, or 0.",
+        help="Position angle of the +y axis of the focal plane (deg), from north toward east. By default, the "
+        "position angle in the table of --centers, or 0 if there is none.",
         callback=check_angle,
     ),
 ]
@@ -208,12 +213,13 @@ CompletenessOption = Annotated[
 FibersOption = Annotated[
     int | None,
     typer.Option(
-        help="Largest number of targets per tile; without --allocator, every fiber can reach every target of the field."
+        help="Largest number of targets per tile. Without --allocator, every fiber is assumed to reach every "
+        "target of the field."
     ),
 ]
 NTilesOption = Annotated[int | None, typer.Option(help="Largest number of tiles.")]
 TilingOutputOption = Annotated[Path | None, typer.Option(help="Write the tiling (.fits or .ecsv).")]
-ChartOption = Annotated[Path | None, typer.Option(help="Plot the table (.png, .pdf or .svg).")]
+ChartOption = Annotated[Path | None, typer.Option(help="Plot the comparison (.png, .pdf or .svg).")]
 MapPlotOption = Annotated[
     Path | None, typer.Option(help="Plot the collision probability of each positioner (.png, .pdf or .svg).")
 ]
@@ -235,7 +241,7 @@ TilesOption = Annotated[
 VisitsOption = Annotated[
     int | None,
     typer.Option(
-        help="Number of visits of each target. By default, the number of visits in the catalog, or 1 if the "
+        help="Number of visits that each target requires. By default, the number of visits in the catalog, or 1 if the "
         "catalog has no such column.",
         min=1,
     ),
@@ -261,7 +267,7 @@ OrderOption = Annotated[
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which the finished tiles are written.")]
 ResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished survey in the folder --folder.")]
-WorkersOption = Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)]
+WorkersOption = Annotated[int, typer.Option(help="Number of threads, which does not change the result.", min=1)]
 ProcessesOption = Annotated[bool, typer.Option("--processes", help="Use processes instead of threads.")]
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
@@ -269,7 +275,10 @@ SurveyPlotOption = Annotated[
 ]
 SurveyQualityOption = Annotated[
     Path | None,
-    typer.Option(help="Plot visits by class, targets by outcome, and fibers by kind (.png, .pdf or .svg)."),
+    typer.Option(
+        help="Plot the visits of each priority class, the targets with each outcome, and the fibers on each kind of "
+        "target (.png, .pdf or .svg)."
+    ),
 ]
 DesignInstrumentOption = Annotated[
     str | None,
@@ -302,7 +311,7 @@ RatioOption = Annotated[
 PitchOption = Annotated[
     str | None,
     typer.Option(
-        help="Distance between the centers of neighboring positioners (mm), in one of the forms of "
+        help="Distance between the centers of adjacent positioners (mm), in one of the forms of "
         "--central-arm. The default range is 24 to 34."
     ),
 ]
@@ -311,7 +320,7 @@ ClearanceOption = Annotated[
 ]
 NDesignsOption = Annotated[
     int | None,
-    typer.Option(help="Number of designs, which are Sobol points between LOW and HIGH instead of the nodes of a grid."),
+    typer.Option(help="Number of designs, drawn as Sobol points between LOW and HIGH instead of the nodes of a grid."),
 ]
 EstimandOption = Annotated[
     str | None,
@@ -324,8 +333,8 @@ EstimandOption = Annotated[
 DesignMethodOption = Annotated[
     str,
     typer.Option(
-        help="Method of computing the loss: surrogate, quadrature, conditional, optimal, repair, or auto, "
-        "which selects the fastest method that is accurate enough."
+        help="Method of computing the fraction of fibers lost to collisions: surrogate, quadrature, conditional, "
+        "optimal, repair, or auto, which selects the fastest method that is accurate enough."
     ),
 ]
 EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. By default, 4.")]
@@ -333,7 +342,10 @@ DensityOption = Annotated[
     float | None, typer.Option(help="Number of targets per mm^2, in place of --targets-per-positioner.")
 ]
 SkiesOption = Annotated[
-    int, typer.Option(help="Number of random realizations of the targets over which the loss is averaged.")
+    int,
+    typer.Option(
+        help="Number of random realizations of the targets over which the fraction of lost fibers is averaged."
+    ),
 ]
 DesignObjectiveOption = Annotated[
     list[str] | None,

@@ -178,7 +178,7 @@ def print_summary(tile: "rs.Tile") -> None:
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
     elif "positions" in values:
-        print("the tile was scored from positions on the focal plane, which need no field center")
+        print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
     projection = tile.summary.get("projection", {})
@@ -189,8 +189,8 @@ def print_summary(tile: "rs.Tile") -> None:
     _print_objectives(tile)
     if tile.completeness is not None and len(tile.completeness) > 1:
         print(
-            "number of targets of the field by class; targets are observed if they are assigned and their arms "
-            "do not collide:"
+            "number of targets of the field in each class; targets are observed if they are assigned and their "
+            "arms do not collide:"
         )
         print_table(tile.completeness)
     seconds = tile.summary["seconds"]
@@ -198,7 +198,7 @@ def print_summary(tile: "rs.Tile") -> None:
 
 
 def _print_objectives(tile: "rs.Tile") -> None:
-    """Print the value of each objective, the gap of the plan, and the requirements that are not met."""
+    """Print the value of each objective, the gap to the best possible plan, and the requirements that are not met."""
     summary = tile.summary
     for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())

@@ -13,7 +13,8 @@ RealizationsOption = Annotated[
     int,
     typer.Option(
         "--realizations",
-        help="Number of realizations; multiples of 64 fill the 64-bit integers of the output without unused bits.",
+        help="Number of realizations. The output stores 64 realizations per integer, so multiples of 64 leave no bits "
+        "unused.",
         min=1,
     ),
 ]

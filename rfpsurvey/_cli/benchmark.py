@@ -1,4 +1,4 @@
-"""``rfpsurvey benchmark`` and its commands."""
+"""The command ``rfpsurvey benchmark`` and its subcommands."""
 
 import sys
 from pathlib import Path
@@ -43,7 +43,7 @@ def batches(
     instrument: _options.InstrumentOption = "lamost",
     repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
 ) -> None:
-    """Measure the time of counting the collisions of many configurations, on the CPU and, if available, on a GPU."""
+    """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
     _app.print_table(rs.benchmark.benchmark_batches(as_instrument(instrument), repeats=repeats))
 
 
@@ -51,7 +51,8 @@ def batches(
 def probability(
     instrument: _options.InstrumentOption = "lamost",
     repeats: Annotated[
-        int, typer.Option(help="Number of runs of each method and effort, with different random numbers.")
+        int,
+        typer.Option(help="Number of runs, with different random numbers, for each method and number of iterations."),
     ] = 30,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
     plot: Annotated[
@@ -60,7 +61,11 @@ def probability(
     report: _options.ReportOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Compare the time and the error of methods for collision probabilities, and the bias for each target density."""
+    """Compare the time and the error of the methods that estimate collision probabilities.
+
+    The command also prints the collision probability of independent targets for several probability densities, and its
+    difference from the collision probability of allocated targets.
+    """
     output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())

@@ -1,4 +1,4 @@
-"""``rfpsurvey compare``."""
+"""The command ``rfpsurvey compare``."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -39,7 +39,7 @@ def compare(
         float | None, typer.Option(help="Number of synthetic targets per deg2, in place of --targets.")
     ] = None,
     realizations: Annotated[
-        int | None, typer.Option(help="Number of synthetic fields of each instrument. By default, 4.")
+        int | None, typer.Option(help="Number of synthetic fields per instrument. By default, 4.")
     ] = None,
     allocator: Annotated[
         list[str] | None,

@@ -1,4 +1,4 @@
-"""``rfpsurvey convert``."""
+"""The command ``rfpsurvey convert``."""
 
 from pathlib import Path
 from typing import Annotated

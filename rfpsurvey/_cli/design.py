@@ -1,4 +1,4 @@
-"""``rfpsurvey design``."""
+"""The command ``rfpsurvey design``."""
 
 import sys
 

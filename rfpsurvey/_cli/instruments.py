@@ -1,4 +1,4 @@
-"""``rfpsurvey instruments``."""
+"""The command ``rfpsurvey instruments``."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""``rfpsurvey plan``."""
+"""The command ``rfpsurvey plan``."""
 
 import sys
 

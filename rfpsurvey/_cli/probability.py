@@ -1,4 +1,4 @@
-"""``rfpsurvey probability``."""
+"""The command ``rfpsurvey probability``."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -19,13 +19,13 @@ def probability(
     estimand: Annotated[
         str | None,
         typer.Option(
-            help="For the method auto: targets after allocation (allocated, the default) or independent targets "
-            "(independent)."
+            help="For the method auto: allocated (an allocator assigns the targets; the default) or independent "
+            "(each positioner draws its own target)."
         ),
     ] = None,
-    precision: Annotated[float | None, typer.Option(help="Standard error to reach.")] = None,
+    precision: Annotated[float | None, typer.Option(help="Standard error at which the computation ends.")] = None,
     max_iterations: Annotated[
-        int | None, typer.Option(help="Largest number of iterations, realizations or points.")
+        int | None, typer.Option(help="Largest number of iterations, realizations or points, depending on the method.")
     ] = None,
     targets: Annotated[
         str,
@@ -48,7 +48,7 @@ def probability(
         float, typer.Option(help="Probability of an additional, independent dynamic failure of each positioner.")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
-    workers: Annotated[int, typer.Option(help="Number of threads; the result does not depend on it.", min=1)] = 1,
+    workers: Annotated[int, typer.Option(help="Number of threads, which does not change the result.", min=1)] = 1,
     output: _options.MapOption = None,
     plot: _options.MapPlotOption = None,
     report: _options.ReportOption = None,

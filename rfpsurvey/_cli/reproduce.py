@@ -1,4 +1,4 @@
-"""``rfpsurvey reproduce``."""
+"""The command ``rfpsurvey reproduce``."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``rfpsurvey score``."""
+"""The command ``rfpsurvey score``."""
 
 from pathlib import Path
 from typing import Annotated
@@ -27,20 +27,21 @@ def score(
         ),
     ] = None,
     center: Annotated[
-        str | None, typer.Option(help="Field center (ICRS). By default, the values racen and deccen of the table.")
+        str | None,
+        typer.Option(help="Field center (ICRS). By default, racen and deccen in the columns or header of the table."),
     ] = None,
     pa: Annotated[
         float | None,
         typer.Option(
-            help="Position angle (deg). By default, the value position_angle of the table.",
+            help="Position angle (deg). By default, position_angle in the columns or header of the table.",
             callback=_options.check_angle,
         ),
     ] = None,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    positions: Annotated[str | None, typer.Option(help="Positions to use: focal_plane or sky.")] = None,
+    positions: Annotated[str | None, typer.Option(help="Target positions to use: focal_plane or sky.")] = None,
     select: Annotated[
-        list[str] | None, typer.Option(help="Select the rows of the table with this value in a column, COLUMN=VALUE.")
+        list[str] | None, typer.Option(help="Use only rows that have the given value in a column, COLUMN=VALUE.")
     ] = None,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,

@@ -1,4 +1,4 @@
-"""``rfpsurvey select``."""
+"""The command ``rfpsurvey select``."""
 
 import sys
 from time import perf_counter
@@ -40,7 +40,7 @@ def select(
     fill: _options.FillOption = None,
     overwrite: _options.OverwriteOption = False,
 ) -> None:
-    """Plan a survey many times with random subpriorities, and write the probability that it observes each target."""
+    """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
     model = as_instrument(instrument)

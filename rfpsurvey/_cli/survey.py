@@ -1,4 +1,4 @@
-"""``rfpsurvey survey``."""
+"""The command ``rfpsurvey survey``."""
 
 from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _surveys
 from rfpsurvey.instrument import as_instrument

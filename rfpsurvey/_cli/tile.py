@@ -1,4 +1,4 @@
-"""``rfpsurvey tile``."""
+"""The command ``rfpsurvey tile``."""
 
 import sys
 
@@ -93,7 +93,8 @@ def _options_of(allocator, require, sky_separation, time_limit, parked, *, given
     asked = require is not None or sky_separation is not None or not parked
     if allocator is None and given and asked:
         raise rs.InputError(
-            "--allocator must be given if --fibers or --radius is given with another option of the allocation"
+            "--allocator must be given if --fibers or --radius is combined with --require, --sky-separation or "
+            "--no-parked"
         )
     if allocator is None and not asked:
         return None

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# A number larger than the number of any class.
+# A number that is larger than the rank of any priority class.
 MOST = 2**62
 
 
@@ -95,12 +95,13 @@ def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
 def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
     """Mark the targets to keep for each positioner and code: the best targets, and some other targets of equal rank.
 
-    The input lists the positioners that reach each target. Each combination of a positioner i and a code is a cell with
-    the index ``cell = i * n_codes + code``. The targets of a cell are sorted by rank, then distance, then catalog
-    order, and the first ``start[cell + 1] - start[cell]`` targets are kept. Of the remaining targets that have the same
-    rank as the last kept target, ``n_spread`` targets at equal steps in the catalog are also kept. The target
-    ``wanted[i]`` of positioner i is always kept. ``shortened`` marks the cells from which some targets were omitted.
-    Returns the number of pairs that are kept.
+    Targets that count toward the same requirements have the same code. The input lists the positioners that reach each
+    target. Each combination of a positioner i and a code is a cell with the index ``cell = i * n_codes + code``. The
+    targets of a cell are sorted by rank, then distance, then catalog order, and the first
+    ``start[cell + 1] - start[cell]`` targets are kept. Of the remaining targets that have the same rank as the last
+    kept target, ``n_spread`` targets at equal steps in the catalog are also kept. The target ``wanted[i]`` of
+    positioner i is always kept. ``shortened`` marks the cells from which some targets were omitted. Returns the number
+    of pairs that are kept.
     """
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
@@ -176,7 +177,7 @@ def nominate(
     positioner, even if the list of candidates does not contain all of these targets.
     """
     n = indptr.size - 1
-    for i in range(n):  # numba takes seconds to compile the assignment of one array to a part of another
+    for i in range(n):  # numba takes seconds to compile the assignment of an array to a slice
         cursor[i] = indptr[i]
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
@@ -279,10 +280,11 @@ def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
 
 @kernel
 def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positioner, positioner_of_target):
-    """Assign ``need`` of the targets marked in ``wanted``.
+    """Assign up to ``need`` of the targets that are marked in ``wanted``.
 
-    Each positioner, in the given order, takes its nearest marked target, and its previous target is no longer assigned.
-    Returns the number of targets that are missing afterwards.
+    Each positioner, in the given order, is assigned to the nearest marked target that is not yet assigned. The previous
+    target of the positioner is then no longer assigned. The positioners that were changed are marked in ``locked``.
+    Returns ``need`` minus the number of marked targets that were assigned.
     """
     for i in order:
         if need <= 0:
@@ -313,7 +315,7 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
     n = target_of_positioner.size
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
-    # If a search fails, no later augmenting path contains the positioners that it reached. They are skipped.
+    # Positioners that a failed search has reached are skipped, because no later augmenting path contains them.
     closed = np.zeros(n, np.bool_)
     seen = np.full(n, -1, np.int64)
     came_from = np.empty(n, np.int64)

@@ -9,7 +9,10 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of a circle of radius ``r`` inside a second circle at the distance ``d``."""
+    """Return half the angle of the arc of a circle that is inside a second circle.
+
+    The radii of the circles are ``r`` and ``radius``, and the distance between their centers is ``d``.
+    """
     if r + d <= radius:
         return math.pi
     if abs(r - d) >= radius:
@@ -37,7 +40,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
             if wide <= narrow:
                 continue
             direction = math.atan2(dy, dx)
-            for sign in (-1.0, 1.0):  # the arc is symmetric about the direction of the circle's center
+            for sign in (-1.0, 1.0):  # the two arcs are symmetric about the direction of the neighbor
                 a = direction + sign * (wide if sign < 0.0 else narrow)
                 a -= 2.0 * math.pi * math.floor(a / (2.0 * math.pi))
                 b = a + wide - narrow
@@ -58,7 +61,7 @@ def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
 
 @kernel
 def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
-    """Compute the result of `covered` for each positioner."""
+    """Compute the fraction of the patrol area of each positioner that its neighbors cover, with `covered`."""
     size = 1
     for i in range(out.size):
         size = max(size, 4 * (indptr[i + 1] - indptr[i]))

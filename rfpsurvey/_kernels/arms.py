@@ -1,7 +1,7 @@
 """Kinematics of positioners with two arms: positions of elbows, and segments of arms that can collide.
 
-Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. The loops have no branches. If
-segments are columns and loops have no branches, compiled code processes several positioners at a time.
+Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1. Compiled code processes several
+positioners at a time, because segments are stored as columns and the loops have no branches.
 """
 
 import math
@@ -14,7 +14,7 @@ from rfpsurvey._jit import kernel
 # If the lengths of two arms differ by less than this (mm), they are treated as equal, and the fiber reaches the center.
 EQUAL_ARMS = 1e-9
 
-# Parts of an arm that can collide.
+# Values of ``model``, which states the part of an arm that can collide.
 ELBOW_TO_TIP, CAPSULE, FIBER_TIP = 0, 1, 2
 
 
@@ -97,7 +97,7 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Compute the elbow of each positioner from the position of its tip, shape (n, 2); NaN if the tip is NaN."""
+    """Write the elbow and tip of each arm to ``segments``, from the tips, shape (n, 2); NaN if the tip is NaN."""
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -110,7 +110,11 @@ def place(tips, geometry, side, segments):
 
 @kernel
 def capsule_end(ex, ey, x, y, length, cosine, sine):
-    """Return the end of a segment that starts at the elbow, rotated counter-clockwise from the arm (elbow to tip)."""
+    """Return the end of a segment of the given length that starts at the elbow (ex, ey).
+
+    Its direction is the direction from the elbow to the tip (x, y), rotated counter-clockwise by the angle with the
+    given cosine and sine.
+    """
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
     return ex + scale * (cosine * ux - sine * uy), ey + scale * (cosine * uy + sine * ux)
@@ -138,7 +142,7 @@ def check(tips, geometry, bounds, assigned, far):
         r2 = dx * dx + dy * dy
         assigned[i] = r2 < np.inf
         far[i] = (r2 < low[i]) | (r2 > high[i])
-    # in the same loop, flags and numbers of different sizes would take twice the time
+    # a single loop over numbers and flags would take twice the time, because they have different sizes
     for i in range(cx.size):
         assigned[i] &= usable[i]
     for i in range(cx.size):

@@ -103,8 +103,8 @@ def count(setup, workspace, counts, times):
 def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
     """Count the collisions of m configurations and return the number of tips out of reach.
 
-    The shape of ``tips`` is (m, n, 2). ``side`` has a single row for all configurations, or one row for each
-    configuration.
+    The shape of ``tips`` is (m, n, 2). ``side`` (the sign of phi) has a single row for all configurations, or one row
+    for each configuration.
     """
     far = 0
     for c in range(tips.shape[0]):
@@ -121,9 +121,9 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
 def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
     """Count the collisions of m random configurations; each configuration has one random pose from each queue.
 
-    ``uniform`` contains the random numbers of the draws, in [0, 1), with the shape (m, n). ``entries`` contains the
-    segments of all poses, one queue after the other. ``idle`` contains the segments of the positioners that have no
-    queue.
+    The queue of a positioner contains its possible poses. ``uniform`` contains the random numbers of the draws, in
+    [0, 1), with the shape (m, n). ``entries`` contains the segments of all poses, one queue after the other. ``idle``
+    contains the segments of the positioners whose queue is empty.
     """
     n = indptr.size - 1
     for i in range(n):

@@ -1,4 +1,4 @@
-"""Find arms closer than the minimum separation, by distances whose rounding errors have a proven limit.
+"""Find arms that are closer than the minimum separation, from distances with a proven limit of rounding errors.
 
 Segments are columns of an array of shape (4, n), with the rows x0, y0, x1 and y1; the column of an absent arm is NaN.
 
@@ -30,11 +30,11 @@ DISTANCE_ERROR = 20.0 * UNIT
 # The sign of an orientation is certain if its magnitude exceeds this factor times the sum of the magnitudes of its two
 # products.
 ORIENTATION_ERROR = 4.0 * UNIT
-# The error of the broad phase is less than this factor times (largest coordinate + S). Pairs within this margin are
-# kept.
+# The rounding error of the preselection of pairs is less than this factor times (largest coordinate + S). The
+# preselection keeps pairs whose distance exceeds the minimum separation by less than this error.
 REJECT_ERROR = 64.0 * UNIT
-# Arms are not searched if they are farther away than the nearest arm by at least this length (mm), which exceeds all
-# rounding errors.
+# The search for the nearest arm skips arms that are farther away than the nearest arm found, by at least this length
+# (mm), which exceeds all rounding errors.
 MARGIN = 1e-9
 # Runs of neighbors shorter than this are not vectorized.
 SHORT_RUN = 8
@@ -43,7 +43,8 @@ SHORT_RUN = 8
 class Limits(NamedTuple):
     """The minimum separation, and limits of rounding errors for segments of limited length near the origin.
 
-    If arms have outlines, the segments are the cores of the arms, and the separation applies to the cores.
+    If arms have outlines, each segment is the core of an arm (a segment along the eccentric arm), and the separation
+    is the minimum separation of two cores.
     """
 
     separation: float
@@ -137,7 +138,10 @@ def pair_squared(segments, i, j):
 
 @kernel
 def outlined_squared(segments, a, b, limits, i, j):
-    """Return (gap + offset)^2 for the gap between the outlines of positioners i and j, whose cores are a and b."""
+    """Return (gap + offset)^2 for the gap between the outlines of positioners i and j, whose cores are a and b.
+
+    The cores are columns of ``segments``, and the offset is defined in `Outline`.
+    """
     return outlines_squared(
         limits.outline,
         limits.separation,
@@ -268,7 +272,10 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def colliding_outlines(segments, halves, runs, limits, first, second, squared):
-    """Do the same as `colliding_pairs` for arms with outlines; this separate function takes longer to compile."""
+    """List pairs of arms with outlines, as `colliding_pairs` does for segments.
+
+    This function is separate from `colliding_pairs`, because it takes longer to compile.
+    """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
     for k in range(near_pairs(halves, runs, limits, first, second)):
@@ -358,7 +365,7 @@ def nearest_arm(segments, halves, x0, y0, size, nx, ny, start, order, out):
     for i in order:
         column = min(int((halves[0, i] - x0) / size), nx - 1)
         row = min(int((halves[1, i] - y0) / size), ny - 1)
-        best, near = np.inf, np.inf  # the squared distance, and the distance
+        best, near = np.inf, np.inf  # the smallest squared distance found, and its square root
         for ring in range(max(nx, ny)):
             if (ring - 1) * size - half[i] - longest > near + MARGIN:
                 break

@@ -24,7 +24,7 @@ def bin_points(x, y, x0, y0, size, nx, ny, start, order):
                     start[c] -= 1
                     order[start[c]] = k
         if step == 0:
-            # ``start`` now becomes the end of each cell, because the second pass fills each cell from its end
+            # ``start[c]`` is set to the end of cell c, because the second pass fills each cell from its end
             for c in range(nx * ny):
                 start[c + 1] += start[c]
             for c in range(nx * ny):
@@ -45,7 +45,7 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """Write up to ``most`` points without a nearby target for each positioner to ``own``; return the total number.
+    """Find up to ``most`` points without nearby targets for each positioner in ``own``; return the number of points.
 
     ``fraction`` contains, for each tested point, the fraction of the patrol area inside the circle through this point.
     Each point is rotated from the previous point by the golden angle about the center of the positioner.

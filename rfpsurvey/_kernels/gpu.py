@@ -1,8 +1,8 @@
 """Count and list the collisions of configurations on a GPU. This module is imported only if a GPU is requested.
 
-The scalar functions for the poses and for the test of a pair are the same as on the CPU, compiled for the GPU. Each
-thread tests one positioner of one configuration against all its neighbors, including neighbors with lower indices. It
-therefore does not wait for the results of other threads.
+The poses of arms and the distance of a pair are computed by the same functions as on the CPU, compiled for the GPU.
+Each thread tests one positioner of one configuration against all neighbors of this positioner, including neighbors with
+lower indices. Therefore, no thread waits for the results of other threads.
 """
 
 import math

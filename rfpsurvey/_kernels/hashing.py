@@ -1,4 +1,4 @@
-"""Reproducible numbers from the identifiers of targets."""
+"""Reproducible random numbers, computed from a seed and the identifiers of targets."""
 
 import numpy as np
 
@@ -8,7 +8,8 @@ from rfpsurvey._jit import kernel
 FNV_OFFSET, FNV_PRIME = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
 # Increment and factors of the random number generator SplitMix64 (Steele, Lea & Flood 2014).
 GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-# Code of the digit 0, and other digits. A number of 64 bits is at most 10 LARGEST + LAST, and at least -MOST_NEGATIVE.
+# Code point of the digit 0, and the numbers 9 and 10. An unsigned integer of 64 bits is at most 10 LARGEST + LAST; a
+# signed integer is at least -MOST_NEGATIVE.
 ZERO, NINE, TEN = np.uint64(48), np.uint64(9), np.uint64(10)
 LARGEST, LAST, MOST_NEGATIVE = np.uint64((2**64 - 1) // 10), np.uint64((2**64 - 1) % 10), np.uint64(2**63)
 # Scale that converts 53 bits to a number in [0, 1).
@@ -26,13 +27,13 @@ def mix(number):
 
 @kernel
 def uniform(number, seed):
-    """Return a number in [0, 1) that depends on the number of a target and on ``mix(seed)``."""
+    """Return a number in [0, 1) for the number of a target; ``seed`` must be the output of `mix` for a seed."""
     return (mix(number ^ seed) >> np.uint64(11)) * UNIT
 
 
 @kernel
 def uniforms(numbers, seed, out):
-    """Return the numbers in [0, 1) of all targets for one seed."""
+    """Compute a number in [0, 1) for each target, from the numbers of the targets and one seed."""
     mixed = mix(seed)
     for t in range(numbers.size):
         out[t] = uniform(numbers[t], mixed)
@@ -40,7 +41,7 @@ def uniforms(numbers, seed, out):
 
 @kernel
 def numbers_of_texts(codes, out):
-    """Return one number for each text; ``codes`` are its Unicode code points, followed by zeros, shape (n, length).
+    """Compute one number for each text; a row of ``codes`` contains its Unicode code points, followed by zeros.
 
     If a text is an integer of at most 64 bits in decimal form, the number of the text is this integer. The number of
     any other text is its hash FNV-1a, computed from code points in place of bytes.

@@ -1,9 +1,9 @@
 """Signed gaps between the outlines of two positioners, with a proven error limit.
 
-An outline consists of convex polygons, each inflated by its own radius, which move with the eccentric arm or with the
-central arm. Each polygon is processed in the coordinate frame of its own arm. The x axis of this frame points along the
-arm, and its origin is the elbow (eccentric arm) or the center of the positioner (central arm). The test of a pair of
-polygons requires only the relative position of the two frames. Therefore, no polygon is moved and no memory is
+An outline consists of parts: convex polygons, each inflated by its own radius. A part moves with the eccentric arm or
+with the central arm. Each polygon is processed in the coordinate frame of its own arm. The x axis of this frame points
+along the arm, and its origin is the elbow (eccentric arm) or the center of the positioner (central arm). The test of a
+pair of polygons requires only the relative position of the two frames. Therefore, no polygon is moved and no memory is
 allocated.
 
 In all limits of rounding errors, u = 2^-53 is the unit roundoff, and S is the largest distance between any two of the
@@ -23,13 +23,14 @@ OUTLINE_ERROR = 1280.0 * UNIT
 # The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
 # two frames plus twice the largest distance of a vertex from the origin of its frame.
 AXIS_ERROR = 64.0 * UNIT
-# Allowance for the directions of arms in the first test of a pair, which are approximate, relative to the scale.
+# Tolerance of the first test of a pair, which uses approximate directions of arms, as a fraction of `Outline.scale`.
 LOOSE = 1e-6
 
-# Rows of the columns of vertices: the vertex, the unit outward normal of the edge to the next vertex, and its length. A
-# single vertex has an edge of length 0 with an arbitrary normal.
+# Rows of a column that describes a vertex: the position of the vertex, the outward unit normal of the edge to the next
+# vertex, and the length of this edge. A single vertex has an edge of length 0 with an arbitrary normal.
 X, Y, NX, NY, LENGTH = range(5)
-# Rows of the columns of parts: the radius, a circle that contains the part, and the column of the first vertex.
+# Rows of a column that describes a part: the radius of the part, the center and radius of a circle that contains the
+# part, and the column of the first vertex of the part.
 RADIUS, MX, MY, MR, START = range(5)
 
 
@@ -37,16 +38,17 @@ class Outline(NamedTuple):
     """The outline that all positioners have, in mm; if it has no parts, the arms are capsules."""
 
     table: np.ndarray
-    """Table with a column for each vertex, followed by a column for each part; the rows are numbered by X to RADIUS.
+    """Table with a column for each vertex, followed by a column for each part.
 
-    All data are in one array, because numba counts references to each array that is passed to a function.
+    The rows are X to LENGTH for a vertex, and RADIUS to START for a part. All data are in one array, because
+    numba counts references to each array that is passed to a function.
     """
     start: np.ndarray
     """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
     n_vertices: int
     """Number of vertices."""
     n_eccentric: int
-    """The first parts move with the eccentric arm, and all other parts with the central arm."""
+    """Number of parts that move with the eccentric arm; the parts after these move with the central arm."""
     offset: float
     """Largest possible difference between the distance of two cores and the gap of the two outlines."""
     inverse_length: float
@@ -110,7 +112,10 @@ def frame(x, y, toward_x, toward_y):
 
 @kernel
 def frames_apart(first, second):
-    """Return origin and rotation (cosine, sine) of the second frame in the first, and the distance of the origins."""
+    """Return the origin and rotation (cosine, sine) of the second frame in the coordinates of the first frame.
+
+    The last number returned is an upper limit of the distance between the two origins.
+    """
     x, y, c, s = first
     dx, dy = second[0] - x, second[1] - y
     tx, ty = c * dx + s * dy, c * dy - s * dx
@@ -189,7 +194,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
             else:
                 between = frames_apart(frame(*b), frame(c[0], c[1], a[0], a[1]))
             tx, ty, cosine, sine, distance = between
-            bx, by = -(cosine * tx + sine * ty), sine * tx - cosine * ty  # the opposite position
+            bx, by = -(cosine * tx + sine * ty), sine * tx - cosine * ty  # the origin of the first frame in the second
             slack = AXIS_ERROR * (distance + scale)
             for q in range(first, last):
                 x = tx + (cosine * v[MX, q] - sine * v[MY, q])
@@ -305,9 +310,10 @@ def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
 
 @kernel
 def place_outline(outline, i, x0, y0, x1, y1, placed):
-    """Compute the vertices of positioner i, whose core is given, as rows of ``placed``, shape (4, m).
+    """Compute the vertices of the outline of positioner i, whose core is given, as columns of ``placed``, shape (4, m).
 
-    The rows are the origin of the frame of each vertex, and the rounded position of the vertex relative to this origin.
+    A column contains the origin of the frame of a vertex, and the rounded position of the vertex relative to this
+    origin.
     """
     v, start = outline.table, outline.start
     eccentric = frame(x0, y0, x1, y1)

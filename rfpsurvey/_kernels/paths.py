@@ -1,9 +1,9 @@
 """Augmenting paths in a plan of many tiles: visits move between positioners until one more target is visited.
 
 A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A path begins at a
-target that requires a visit. A positioner leaves its target and observes this one; another positioner of any tile then
-observes the target that was left, and so on. The path ends at a positioner without a target, or at one whose target
-is less important.
+target that requires a visit. A positioner that has another target leaves it and observes this target instead. Another
+positioner, of any tile, then observes the target that was left, and so on. The path ends at a positioner without a
+target, or at a positioner whose target is less important.
 """
 
 from typing import NamedTuple
@@ -58,7 +58,7 @@ def is_free(c, links, chosen, load):
 
 @kernel
 def last_step(t, level, replace, links, chosen, load):
-    """Return a candidate of target t with which a path can end, or -1.
+    """Return a candidate of target t with which a path can end, or -1 if there is none.
 
     The positioner of this candidate has no target or, with ``replace``, a target that is less important than the class
     ``level``.
@@ -74,11 +74,11 @@ def last_step(t, level, replace, links, chosen, load):
 
 @kernel
 def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
-    """Add a visit to the target ``begin`` along a path, and return whether one was found.
+    """Add a visit to the target ``begin`` along a path, and return whether such a path was found.
 
-    The search extends a path to at most as many positioners as ``stack`` has rows. The plan is changed along the path;
-    if the path cannot be extended, the last change is undone, and another positioner is tried. Targets in ``seen`` are
-    not tried again. ``left`` is the remaining number of visits of each target.
+    A path has at most as many positioners as ``stack`` has rows. The plan is changed while the path is extended. If
+    the path cannot be extended, the last change is undone, and another positioner is tried. Targets in ``seen`` are not
+    tried again. ``left`` is the remaining number of visits of each target.
     """
     seen[begin] = True
     depth = 0
@@ -118,7 +118,7 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
 
 @kernel
 def find_paths(order, level, replace, depth, links, chosen, load, left):
-    """Add visits to targets, in the given order, along paths of at most ``depth`` positioners; return their number."""
+    """Add visits to targets, in order, along paths of at most ``depth`` positioners; return the number of visits."""
     seen = np.zeros(left.size, np.bool_)
     stack = np.empty((depth, 3), np.int64)
     gained = 0

@@ -18,7 +18,7 @@ POOL, MOST = 4096, 200_000
 
 @kernel
 def excludes(a, b, options):
-    """Return whether no plan uses both of two candidates."""
+    """Return whether two candidates exclude each other, so that no plan can use both candidates."""
     own, target, indptr, other = options.own, options.target, options.indptr, options.other
     if own[a] == own[b] or (target[a] >= 0 and target[a] == target[b]):
         return True
@@ -69,7 +69,7 @@ def collect(lo, hi, column, options, alive, pool):
 
 @kernel
 def extend_cliques(indptr, column, options, alive, row_start, out, most_work):
-    """Extend cliques until no candidate can be added to any of them; members are sorted.
+    """Extend cliques until no candidate can be added to any clique, and sort the members of each clique.
 
     The function ends when ``out`` is full or after about ``most_work`` comparisons of candidates, and returns the index
     of the first clique that was not extended.
@@ -143,9 +143,10 @@ def bound_of(start, value, price):
 def adjust_prices(start, own, row_start, column, value, price, most, width, begin, end, step):
     """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
 
-    The maximum over the candidates of a positioner is replaced by a smooth maximum of the given width. The price of a
-    clique then minimizes the smooth bound: the smooth weights of its members sum to 1, or the price is 0. More
-    generally, a plan uses at most ``most`` members of each set, and the smooth weights sum to ``most``.
+    In the upper bound, the largest value of each positioner is replaced by a smooth maximum of the given width. The new
+    price of a clique minimizes this smooth bound. At the minimum, the smooth weights of the members of the clique sum
+    to 1, or the price is 0. A row can also contain a set of which a plan uses at most ``most`` members. The smooth
+    weights of these members then sum to ``most``.
     """
     odds = np.empty(256)
     for r in range(begin, end, step):
@@ -171,7 +172,7 @@ def adjust_prices(start, own, row_start, column, value, price, most, width, begi
             n += 1
         if total <= most[r] and price[r] == 0.0:
             continue
-        # Newton's method with bisection; x is minus the change of the price in units of the width.
+        # Newton's method with bisection; x is the decrease of the price in units of the width.
         low, high = -700.0, min(price[r] / width, 700.0)
         factor, total = math.exp(high), 0.0
         for m in range(n):

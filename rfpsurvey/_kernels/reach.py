@@ -10,7 +10,7 @@ INSIDE, BORDERLINE = 1, 2
 # The relative error of r^2 - R^2 as computed below is less than 5 rounding units of 2^-53. The factor 16 leaves a
 # margin.
 BAND = 16 * 2.0**-53
-# Number of targets whose cells are looked up together.
+# Number of targets whose grid cells are determined together.
 BATCH = 256
 
 
@@ -72,7 +72,7 @@ def reachable_pairs(tx, ty, accepts, annuli, offers, x0, y0, size, nx, ny, start
     first, last = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
     for begin in range(0, tx.size, BATCH):
         m = min(BATCH, tx.size - begin)
-        # Cells are looked up before the loop whose branches are often mispredicted, so that the look-ups overlap.
+        # The cells are determined in a separate loop without mispredicted branches, so that memory accesses overlap.
         for b in range(m):
             x, y = tx[begin + b], ty[begin + b]
             inside = x0 <= x <= right and y0 <= y <= top  # a coordinate that is NaN is also excluded here

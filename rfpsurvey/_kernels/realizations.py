@@ -1,4 +1,4 @@
-"""Assignments, lost targets and visits in many realizations of a tile, which differ in the order of the targets only.
+"""Assignments, lost targets and visits in many realizations of a tile, which differ only in the order of targets.
 
 All realizations share the reachable pairs of targets and positioners, and the segment of the arm of each pair. A
 realization is a row of ``chosen``, which contains the index of the pair that each positioner uses, or -1. Bit r of a
@@ -109,7 +109,10 @@ def mark_visits(chosen, lost, target, mask, counts):
 
 @kernel
 def take_left(left, slot, out):
-    """Copy the numbers of remaining visits of the targets of a field, for all realizations."""
+    """Copy the numbers of remaining visits of the targets of a field, for all realizations.
+
+    Row ``slot[f]`` of ``left`` belongs to target f of the field.
+    """
     for f in range(slot.size):
         for r in range(left.shape[1]):
             out[f, r] = left[slot[f], r]
@@ -119,8 +122,9 @@ def take_left(left, slot, out):
 def record_visits(mask, slot, spends, left, is_open, observed):
     """Subtract the visits of a tile from the remaining visits, and count the visits of each realization.
 
-    Visits of targets for which ``spends`` is false are ignored. ``is_open`` marks targets with remaining visits in at
-    least one realization.
+    ``mask`` contains the visits of the tile; row ``slot[f]`` of ``left`` belongs to target f of the tile. Visits of
+    targets for which ``spends`` is false are ignored. ``is_open`` marks targets with remaining visits in at least one
+    realization.
     """
     n = left.shape[1]
     for f in range(slot.size):
@@ -137,7 +141,10 @@ def record_visits(mask, slot, spends, left, is_open, observed):
 
 @kernel
 def to_masks(left, wanted, spends, mask):
-    """Set bit r of the mask of each target that has at least one visit in realization r."""
+    """Set bit r of the mask of each target that has received at least one visit in realization r.
+
+    ``wanted`` and ``left`` are the numbers of requested and of remaining visits. The mask is 0 if ``spends`` is false.
+    """
     for s in range(left.shape[0]):
         found = np.uint32(0)
         if spends[s]:
@@ -148,7 +155,7 @@ def to_masks(left, wanted, spends, mask):
 
 @kernel
 def set_order(number, seed, order):
-    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger values are served first."""
+    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger values come first."""
     mixed = mix(seed)
     for t in range(number.size):
         order[t] = mix(number[t] ^ mixed) >> np.uint64(11)

@@ -9,7 +9,10 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def dominates(a, b, i, alive, options, mark):
-    """Return whether candidate b excludes all candidates that a excludes; ``mark[c]`` equals b if c collides with b."""
+    """Return whether candidate b excludes all candidates that candidate a of the same positioner i excludes.
+
+    ``mark[c]`` must equal b for each candidate c that collides with b. Candidates that are not ``alive`` are ignored.
+    """
     own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
     indptr, other = options.indptr, options.other
     for k in range(indptr[a], indptr[a + 1]):

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Literal integers would compile `put` and `displace` a second time.
+# If arguments were literal integers, numba would compile `put` and `displace` a second time.
 NONE, NO, YES = np.int64(-1), np.int64(0), np.int64(1)
 
 
@@ -44,7 +44,7 @@ def put_all(plan, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Return the best unblocked candidate of positioner i that is at least as good as ``least``, or -1 if none is."""
+    """Return the best unblocked candidate of positioner i, at least as good as ``least``, or -1 if there is none."""
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -118,8 +118,8 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
     """Assign candidates of one group to positioners in the given order, until ``need`` candidates are assigned.
 
-    ``held[g, c]`` is True if candidate c belongs to group g. ``count[g]`` is the number of candidates of group g in use,
-    and ``most[g]`` is the largest number allowed.
+    ``held[g, c]`` is True if candidate c belongs to group g. ``count[g]`` is the number of candidates of group g in
+    use, and ``most[g]`` is the largest allowed number of such candidates.
     """
     for i in order:
         if need <= 0:
@@ -143,10 +143,10 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def settle(options, order, fixed, chosen, blocked, holder):
-    """Assign equally good candidates to positioners that collide, in place; return the number of moved positioners.
+    """Move colliding positioners to collision-free candidates that are at least as good; return how many were moved.
 
-    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for positioners with one
-    candidate.
+    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for positioners with only
+    one candidate.
     """
     moved = 0
     for i in order:
@@ -185,7 +185,7 @@ def drop(options, order, fixed, chosen, blocked, holder):
         now = blocked[chosen[i]]
         if fixed[i] or now == 0:
             continue
-        if now != -less:  # the number has changed since the entry was added
+        if now != -less:  # the number of collisions has changed since the entry was added
             heapq.heappush(heap, (-now, k))
             continue
         dropped += options.target[chosen[i]] >= 0

@@ -53,7 +53,7 @@ class Realization(NamedTuple):
 
 @kernel
 def scatter(rng, sky, x, y):
-    """Draw points that are independent of each other."""
+    """Draw independent points with a uniform distribution in the circle of ``sky``."""
     for t in range(x.size):
         a = b = 1.0
         while a * a + b * b > 1.0:
@@ -63,7 +63,7 @@ def scatter(rng, sky, x, y):
 
 @kernel
 def scatter_apart(rng, sky, cells, x, y):
-    """Draw points with at least the minimum separation, by random sequential addition; return their number.
+    """Draw points with at least the minimum separation, by random sequential addition, and return their number.
 
     Points are also drawn outside the circle, up to twice the separation from its edge; otherwise the density would be
     too large at the edge. ``cells`` is a grid so fine that each cell contains at most one point; empty cells are NaN.
@@ -96,7 +96,7 @@ def scatter_apart(rng, sky, cells, x, y):
 
 @kernel
 def realize(rng, number, sky, positioners, realization):
-    """Draw targets and distribute them to queues with `balanced`."""
+    """Draw random targets, and add each target to the queue of a positioner with `balanced`."""
     x, y = realization.x[:number], realization.y[:number]
     if sky.separation > 0.0:
         found = scatter_apart(rng, sky, realization.cells, x, y)

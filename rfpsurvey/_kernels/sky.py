@@ -6,9 +6,9 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Forms of a radial map r(theta), in which p(t) is the odd polynomial with terms c_k t^(2k+1).
+# Forms of a radial map r(theta); the formulas are in `radius_and_slope`.
 THETA, TAN_THETA, SINE = 0, 1, 2
-# Directions have no image if the cosine of their angle from the center is not larger than this.
+# Directions are not projected if the cosine of their angle from the field center is at most this value.
 HORIZON = 1e-15
 
 
@@ -40,8 +40,10 @@ def unproject(xy, basis, focal_length, out):
 def radius_and_slope(theta, form, coefficients, argument, inner, output):
     """Return the radius r(theta) of a radial map and its derivative.
 
-    ``t = argument * theta`` (or ``argument * tan(theta)``); ``r = output * p(t)`` or
-    ``output * sin(inner * p(t))``.
+    The radius is ``output * p(t)`` with ``t = argument * theta`` for the form THETA, or with
+    ``t = argument * tan(theta)`` for the form TAN_THETA. For the form SINE, the radius is
+    ``output * sin(inner * p(t))`` with ``t = argument * theta``. The polynomial p(t) has the terms
+    ``coefficients[k] * t**(2 * k + 1)``.
     """
     if form == TAN_THETA:
         tangent = math.tan(theta)

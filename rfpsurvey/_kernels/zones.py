@@ -80,7 +80,10 @@ def find_near(vectors, key, n_zones, center, radius, limit, left, out):
 
 @kernel
 def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
-    """Sum the weights of the directions near each center."""
+    """Sum the weights of the directions near each center.
+
+    A direction is near if the square of half the chord to the center is at most ``limit``.
+    """
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
     for m in range(centers.shape[0]):
         center = centers[m]
@@ -97,10 +100,11 @@ def sum_near(vectors, key, n_zones, centers, radius, limit, weight, out):
 def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest, number):
     """Assign numbers to directions, in the order of their rows; directions near each other have distinct numbers.
 
-    The number of a direction depends only on the directions near it in earlier rows. By default, the number is one more
-    than the largest number of the near directions in earlier rows. With ``smallest``, only directions of the same group
-    are compared, and the number is the smallest number that no near direction has. ``order`` contains the row of each
-    position in the index.
+    Directions are near if the square of half the chord between them is at most ``limit``. The number of a direction
+    depends only on the near directions in earlier rows. By default, the number is one more than the largest number of a
+    near direction in an earlier row, or 0 if there is none. If ``smallest`` is true, only near directions of the same
+    group are considered, and the number is the smallest number that none of these directions has. ``order`` contains
+    the row of each position in the index.
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)

@@ -129,7 +129,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     better = rs.design.design_improvements(found)
     assert "mine: central arm 8.25 mm, ratio 1, pitch 25.6 mm, clearance 2 mm" in out
     assert f"  smallest loss with at least this coverage: {better['best'][1]:.5g} (" in out
-    assert "largest coverage with at most this loss: its own" in out
+    assert "largest coverage with at most this loss: its own value" in out
     assert re.search(r"by pitch 28\.16 mm \(\+10 %, edge of the scan\)", out)
     assert "mine" in plot.read_text()
     assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
