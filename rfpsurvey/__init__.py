@@ -1,7 +1,8 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
-The names in ``__all__`` are the whole public interface. Data flow from the catalog to the projection, reach,
-allocation, poses of the arms, collisions and the score of a tile, in this order.
+The names in ``__all__`` are the whole public interface. The computation of a tile starts from the catalog. It then
+determines, in this order, the projection, the targets in reach, the allocation, the poses of the arms, the collisions
+and the score.
 """
 
 from typing import TYPE_CHECKING
@@ -146,6 +147,6 @@ __getattr__ = importer(__name__, _IMPORTED_ON_USE)
 
 
 def __dir__():
-    # The other subpackages contain the implementation of public names.
+    # All other subpackages only contain the implementation of public names, and are therefore not listed.
     public = {"allocation", "benchmark", "collision", "design", "observing", "plans", "plot", "probability"}
     return sorted({*__all__, *public, "reproduction", "tiling"})

@@ -1,4 +1,4 @@
-"""``python -m rfpsurvey``."""
+"""Run the command-line interface by ``python -m rfpsurvey``."""
 
 from rfpsurvey._cli import main
 

@@ -11,7 +11,7 @@ DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
 def to_html(result: object, facts: dict, table: object = None) -> str:
-    """Return an HTML representation of a result, with its short text, a list of facts, and the first rows of a table.
+    """Return the HTML of a result: the heading (its ``repr``), names and values, and the first rows of a table.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
 def show(result: object, **options: object) -> object:
     """Return the interactive view of a result for a notebook.
 
-    The package ``report``, which makes pages of results, imports their classes. It is therefore loaded by its name, and
-    only when a view is requested.
+    The package ``report`` imports the classes of results. To avoid a circular import, this function imports ``report``
+    by its name, and only when a view is requested.
 
     Parameters
     ----------
     result : object
-        The result.
+        The result, such as a tile or a survey.
     **options
         Passed to ``rfpsurvey.report.notebook_view``.
 

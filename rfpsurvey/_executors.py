@@ -13,7 +13,7 @@ __all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
-    """Yield the results of a function in the order of its arguments; with None, this thread calls the function."""
+    """Yield the results of calls of a function, in order; if ``executor`` is None, this thread calls the function."""
     if not isinstance(executor, Executor | None):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
@@ -24,7 +24,7 @@ def map_in_order(executor: Executor | None, function: Callable, *arguments: Iter
 def map_with_progress(
     executor: Executor | None, progress: bool | Callable, unit: str, function: Callable, *arguments: Sequence
 ) -> list:
-    """Return the results of a function in the order of its arguments, and show the progress."""
+    """Return the results of calls of a function, in the order of the arguments, and show the progress."""
     results = []
     with Progress(progress, len(arguments[0]), unit) as line:
         for result in map_in_order(executor, function, *arguments):
@@ -34,7 +34,7 @@ def map_with_progress(
 
 
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
-    """Submit a call to an executor."""
+    """Submit a call of a function to an executor, and return the future of the result."""
     return executor.submit(_for_workers(executor, function), *arguments)
 
 
@@ -42,7 +42,8 @@ def submit(executor: Executor, function: Callable, *arguments: object) -> Future
 def end_with_parent() -> None:
     """Make this process end within a second after its parent process ends, even if the parent is killed.
 
-    Without this measure, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever.
+    Otherwise, workers of a `concurrent.futures.ProcessPoolExecutor` would wait for work forever after their parent
+    process has ended.
     """
     from multiprocessing import parent_process
     from threading import Thread
@@ -59,7 +60,7 @@ def _end_after(parent) -> None:
 
 @dataclass(frozen=True)
 class _InWorker:
-    """A function for a worker process, whose first call makes this process end when its parent process ends."""
+    """A function for worker processes; its first call makes the worker process end when the parent process ends."""
 
     function: Callable
 

@@ -1,4 +1,4 @@
-"""Functions of HEALPix pixels (in the nested order) and unit vectors; astropy-healpix is imported on first use."""
+"""Functions for HEALPix pixels (in the nested order) and unit vectors; astropy-healpix is imported on first use."""
 
 from collections.abc import Callable
 from numbers import Number
@@ -40,13 +40,13 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     """Return the sorted pixels whose centers are at most ``margin`` away from an object on the sky.
 
-    The search begins with the twelve largest pixels. If a pixel is too far away, all pixels inside it are also
-    excluded.
+    The search begins with the twelve pixels of ``nside`` 1. If a pixel is too far away, the search also excludes all
+    smaller pixels inside this pixel.
 
     Parameters
     ----------
     nside : int
-        Resolution.
+        Resolution of the pixels.
     distance : callable
         Function that returns the distances (radians) of unit vectors from the object.
     margin : float
@@ -55,7 +55,7 @@ def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     Returns
     -------
     ndarray of int
-        Pixels.
+        Numbers of the pixels.
     """
     pixels, level = np.arange(12), 1
     while True:
@@ -80,5 +80,5 @@ def pixel_radius(nside: int) -> float:
 
 
 def nside_for(radius_rad: float) -> int:
-    """Return the lowest resolution at which pixels are no larger than a given radius."""
+    """Return the lowest ``nside`` for which pixels are no larger than a given radius (radians)."""
     return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

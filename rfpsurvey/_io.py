@@ -47,7 +47,7 @@ __all__ = [
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
 TEMPORARY_PREFIX = ".rfpsurvey-"
-# Number of bytes of a block of a FITS file, and of the primary header without data.
+# Number of bytes of a block of a FITS file, which is also the size of a primary header without data.
 BLOCK = PRIMARY = 2880
 
 
@@ -102,7 +102,7 @@ def check_output(
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} cannot be written to")
     if not check_switch(overwrite, "overwrite") and path.exists():
-        raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)")
+        raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)")
     return path
 
 
@@ -123,8 +123,8 @@ def check_fits_text(columns: dict, remedy: str) -> None:
 def _in_place_of(path: Path, *, overwrite: bool = True):
     """Provide a temporary path that is renamed to ``path`` on success, and removed otherwise.
 
-    The temporary path is in a new folder beside ``path``, with a random name and without write permission for other
-    users. Therefore, no other thread or process writes into this folder, and the temporary path cannot be a symbolic
+    The temporary path is in a new folder beside ``path``. The folder has a random name, and other users cannot write
+    into it. Therefore, no other thread or process writes into this folder, and the temporary path cannot be a symbolic
     link that another user made.
     """
     room = None
@@ -148,7 +148,7 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
     try:
         os.link(temporary, path)
     except FileExistsError:
-        raise InputError(f"{path} exists; ask for it to be overwritten (--overwrite, overwrite=True)") from None
+        raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)") from None
     except OSError:  # the file system has no hard links
         os.replace(temporary, path)
 
@@ -186,7 +186,7 @@ def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str |
 
 
 def _to_hdus(table, cards, name, others):
-    """Return the header-data units (HDUs) of one or more tables; a card contains the metadata of the first table."""
+    """Return the header-data units (HDUs) of one or more tables; the first table has a card with its ``meta``."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
@@ -216,7 +216,7 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
-    """Write a file atomically; with ``sync``, the content is on disk before the file is renamed."""
+    """Write a temporary file and rename it to ``path``; with ``sync``, the content is on disk before the renaming."""
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
     try:
         # The file is new and has a random name, so that no other process writes to it and no link is followed.
@@ -239,10 +239,10 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
     """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
 
-    This function is fast for thousands of small tables with the same columns, because astropy makes only the header of
-    the first table. The header of the first table contains the ``fixed`` cards, which are pairs of a name and a value
-    (or a value and a comment). In the header of each table, the given ``cards`` replace the cards of the same name or
-    are added.
+    This function is fast for thousands of small tables with the same columns, because astropy makes the header only in
+    the first call. The header contains the ``fixed`` cards, which are pairs of a name and a value; instead of a value,
+    a tuple of a value and a comment is allowed. The ``cards`` of each call replace cards of the same name, or are
+    added.
     """
     body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
     return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % BLOCK)])
@@ -253,9 +253,9 @@ class FitsRows(NamedTuple):
 
     dtype: np.dtype
     cards: dict
-    """Cards of the header: name to a value, or to a value and a comment."""
+    """Cards of the header: a dictionary of names to values, or to tuples of a value and a comment."""
     parts: Iterable[np.ndarray]
-    """Rows."""
+    """Parts of the table; each part contains some of the rows."""
 
 
 def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:
@@ -281,7 +281,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
-    """Return the primary HDU and the header of a table; its length does not depend on the values of ``cards``."""
+    """Return the primary HDU and the header of a table; the length does not depend on the values of ``cards``."""
     primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
     for name, card in cards.items():
@@ -293,7 +293,7 @@ def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
 
 
 def _fits_body(rows: np.ndarray, disk: np.dtype) -> bytes:
-    """Return rows in the form of a FITS file."""
+    """Return the bytes of the rows of a FITS table, without padding."""
     body = np.empty(len(rows), disk)
     for name in rows.dtype.names:
         column = rows[name]
@@ -345,7 +345,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return a number in the format of FITS headers, or None for long text, exponents, NaN and infinity."""
+    """Return the text of a number for a FITS header, or None if it is too long, NaN or infinite, or has an exponent."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

@@ -1,10 +1,10 @@
 """The numba decorator that all kernels use, and the settings of its on-disk cache.
 
-Numba identifies the cached code of a kernel by the modification time and size of the file that defines the kernel. If
-another file with functions that the kernel calls is edited, or if an upgrade changes the code but neither the time nor
-the size of the file, numba would run old code. To prevent the use of old code, the version of the cache contains a
-digest of the source of all kernels. Numba compares the version before it reads the cached code, which may refer to
-classes that no longer exist.
+Numba identifies the cached code of a kernel by the modification time and size of the file that defines the kernel.
+Numba would therefore run old code in two cases. First, a function that the kernel calls may be edited in another file.
+Second, an upgrade may change the code, but neither the time nor the size of the file. To prevent the use of old code,
+the version of the cache contains a digest of the source of all kernels. Numba compares the version before it reads the
+cached code, because old code may refer to classes that no longer exist.
 """
 
 import hashlib
@@ -49,6 +49,7 @@ def kernel(function: Callable) -> Callable:
 def inlined_kernel(function: Callable) -> Callable:
     """Compile ``function`` as a part of each kernel that calls it (inlining).
 
-    If arrays are passed in a named tuple, the call of a short function can take longer than the computation in it.
+    If arrays are passed in a named tuple, the call of a short function can take longer than the computation inside the
+    function.
     """
     return numba.njit(nogil=True, error_model="numpy", inline="always")(function)

@@ -1,4 +1,4 @@
-"""Names of packages that are imported on first use, because scripts and commands do not need all of them."""
+"""Import the public names of a package only on first use, because most scripts and commands need only a few names."""
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -10,7 +10,7 @@ __all__ = ["importer"]
 def importer(package: str, modules: Mapping[str, Iterable[str]]) -> Callable[[str], object]:
     """Return the function ``__getattr__`` of a package, which imports modules on first use.
 
-    ``modules`` lists the names that the package takes from each of its modules.
+    ``modules`` maps each module of the package to the names that the package exports from this module.
     """
     sources = {name: module for module, names in modules.items() for name in names}
 

@@ -30,7 +30,7 @@ class Plugin:
 
     @property
     def software(self) -> dict[str, str]:
-        """Name and version of the distribution, which results record."""
+        """Name and version of the plugin's distribution, which results record; empty for a function of the user."""
         return {self.package: self.version} if self.package else {}
 
     @contextmanager

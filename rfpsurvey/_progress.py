@@ -34,9 +34,9 @@ class Progress:
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
     def __call__(self, done: float, *, new: bool = True, note: str = "") -> None:
-        """Update the amount of work done; ``new=False`` means that the last part was read from an earlier run.
+        """Update the amount of work done; ``new=False``: the work since the last call is from an earlier run.
 
-        The line ends with the ``note``, such as the stage of a run.
+        The text ``note``, such as the stage of a run, is shown at the end of the line.
         """
         self._note = f", {note}" if note else ""
         now = monotonic()

@@ -65,7 +65,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
 def to_scalar(
     value: object, unit: u.UnitBase, name: str, *, low: float = -np.inf, high: float = np.inf, closed: bool = False
 ) -> float:
-    """Return one finite number in ``unit`` between ``low`` and ``high``; if ``closed``, ``low`` is allowed."""
+    """Return one finite number in ``unit`` between ``low`` and ``high``; with ``closed``, ``low`` itself is allowed."""
     number = to_unit(value, unit, name)
     if number.shape != ():
         raise InputError(f"{name} must be one value, got the shape {number.shape}")
@@ -254,7 +254,7 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def to_seed(rng: object) -> int:
-    """Return the given seed, or a new seed, so that results can record it."""
+    """Return a given integer seed; otherwise, draw a new seed, so that results can record the seed."""
     generator = to_generator(rng)
     return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 

@@ -28,8 +28,8 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
-# Parameters of earlier versions: old name, a present parameter, and the text that the message suggests if the function
-# has this present parameter.
+# Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
+# text that the error message suggests if the function has the present parameter.
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
@@ -68,7 +68,7 @@ class InputUnitsError(InputError, UnitsError):
 
 
 class RfpsurveyWarning(UserWarning):
-    """Warning that a part of the input was ignored or assumed, or that a goal was not reached."""
+    """Warning that input was ignored, that a missing input was assumed, or that a goal was not reached."""
 
 
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
@@ -118,7 +118,7 @@ def check_switch(value: object, name: str) -> bool:
 
 
 def refusal(text: str, value: object, *types: type) -> InputError:
-    """Return the error for an invalid value, which is an InputTypeError unless the value has one of the types."""
+    """Return the error for an invalid value: an InputError if it has one of the types, otherwise an InputTypeError."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
 

@@ -180,7 +180,7 @@ def test_a_wrong_path_is_a_sentence(tmp_path):
     catalog = rs.Catalog(TWO)
     (tmp_path / "here.fits").mkdir()
     for call, message in (
-        (lambda: rs.Catalog.read(3), "a path must be text or a path, got 3"),
+        (lambda: rs.Catalog.read(3), "a path must be text or a Path object, got 3"),
         (lambda: catalog.write(tmp_path / "here.fits"), "is a folder; an output must be a file"),
         (lambda: rs.partition_catalog(catalog, tmp_path / "no" / "stars"), "no does not exist"),
         (lambda: rs.Survey.read(tmp_path), "does not hold a survey: there is no survey.json"),

@@ -48,7 +48,7 @@ def test_of_threads_that_must_not_overwrite_one_writes(tmp_path):
         said = list(pool.map(write, range(N_WRITES)))
     (winner,) = (one for one in said if isinstance(one, int))
     assert _io.read_table(tmp_path / "tile.fits").meta["k"] == winner
-    assert all("exists; ask for it to be overwritten" in one for one in said if one != winner)
+    assert all("exists; to replace it, use overwrite=True" in one for one in said if one != winner)
 
 
 def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path):

@@ -65,7 +65,7 @@ def test_a_broken_package_breaks_nothing_else(hers, install, run):
         rs.allocate(PAIR, FOUR, allocator="unheard of")
     for name in ("odd", "odder"):
         with pytest.raises(
-            rs.InputError, match=f"the instrument '{name}' of odd 1.0 .*: a path must be text or a path"
+            rs.InputError, match=f"the instrument '{name}' of odd 1.0 .*: a path must be text or a Path object"
         ):
             rs.Instrument.preset(name)
     assert {"bad", "odd", "other", "lamost"} <= set(rs.available_instruments())

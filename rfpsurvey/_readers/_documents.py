@@ -11,8 +11,8 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# Matches a key with `MOST_DEPTH` parts. A match can begin only at the start of a word; the search then takes linear
-# time.
+# Matches a key with `MOST_DEPTH` parts, which are separated by dots. A match can begin only at the start of a word, so
+# that the time of the search is proportional to the length of the text.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 
@@ -57,7 +57,7 @@ def parse_json(text: object, what: object) -> dict:
 
 
 def check_size(found: object, what: object) -> None:
-    """Raise an error if there are too many values or too many levels; each reference to a value is counted."""
+    """Raise an error if a document has too many values or nested levels; a value that occurs twice counts twice."""
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()

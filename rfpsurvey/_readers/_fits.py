@@ -23,7 +23,7 @@ FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
 def read_fits(path: Path, number: int | None = None) -> QTable:
-    """Return the table with the given number in a FITS file; by default, return the first table.
+    """Return the table with the index ``number``, counted from 0, in a FITS file; by default, return the first table.
 
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
     by this package.
@@ -52,7 +52,7 @@ def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
         numbers = _find_tables(file, path)
         file.seek(0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # as in _read
+            warnings.simplefilter("ignore")  # for the same reason as in `_read`
             with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
                 header = dict(units[0].header)
                 found = [_table_of(units[at]) for at in numbers]
@@ -85,7 +85,7 @@ def _table_of(unit) -> tuple[QTable, int]:
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
-    """Return the rows and header cards of a FITS file with one table; ``name`` is the first word of error messages."""
+    """Return the rows and header cards of a FITS file with one table; error messages begin with ``name``."""
     from astropy.io import fits
 
     try:
@@ -106,9 +106,11 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
 
 def read_fits_units(path: Path) -> dict:
-    """Return a dict of table name to (header, rows) for a FITS file; the key None has the value (primary header, None).
+    """Return the headers and rows of all tables in a FITS file, as a dictionary by the names of the tables.
 
-    Rows are structured arrays in the byte order of the machine, with text without trailing blanks.
+    Each value of the dictionary is a tuple of the header and the rows. The value for the key None is a tuple of the
+    primary header and None. Rows are structured arrays in the byte order of the machine; their text has no trailing
+    blanks.
     """
     from astropy.io import fits
 
@@ -145,7 +147,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
     """Return the numbers of the header-data units that are tables; raise an error if tables or data are missing."""
     size, place, tables = file.seek(0, io.SEEK_END), 0, []
     if size == 0:
-        raise InputError(f"{path}: the file must be a FITS file, got an empty one")
+        raise InputError(f"{path}: the file must be a FITS file, got an empty file")
     for number in range(MOST_UNITS):
         cards, begin = _read_header(file, place, size, path)
         if cards is None:
@@ -176,7 +178,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
 
 
 def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | None, int]:
-    """Return the required values of a header and the offset of its end, or None if only padding is left in the file."""
+    """Return the cards of a header (None if only padding is left in the file), and the offset of its end."""
     file.seek(place)
     cards, first = {}, b"XTENSION" if place else b"SIMPLE  "
     for _ in range(-(-MOST_CARDS * CARD // BLOCK)):
@@ -200,7 +202,7 @@ def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | No
 
 
 def _refuse_rest(file, path):
-    """Raise an error if the rest of the file is not padding."""
+    """Raise an error if the remaining bytes of a file are not padding."""
     while chunk := file.read(2**20):
         if chunk.strip(b"\0 "):
             raise InputError(_surplus(path))
@@ -227,7 +229,7 @@ def _whole(cards, name: str, path, *, default: int | None = None, most: int | No
 
 
 def _data_size(cards, path) -> int:
-    """Return the number of bytes that follow a header."""
+    """Return the number of bytes of the data that follow a header, without padding."""
     if _text(cards.get(b"GROUPS", b"F"))[:1] == "T":
         raise InputError(f"{path}: the file must contain a table, got random groups")
     bits = cards.get(b"BITPIX", b"").split(b"/")[0].strip()
@@ -244,7 +246,7 @@ def _data_size(cards, path) -> int:
 
 
 def _check_table(file, cards, what, begin, end, path):
-    """Raise an error if the columns do not fill the rows of a table, or if the bytes after the rows are not zero."""
+    """Raise an error if the columns and the rows differ in width, or if the bytes after the last row are not zero."""
     if _whole(cards, "NAXIS", path) != 2:
         raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
     n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)

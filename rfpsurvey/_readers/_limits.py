@@ -13,12 +13,12 @@ from rfpsurvey.errors import InputError
 __all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
-# Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than a tenth of this.
+# Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than 10.
 MOST_RATIO = 100
 # Decompressed contents of at most this many bytes are always allowed.
 FREE = 2**26
-# In a text column, every row takes as much memory as the longest value. A column may take at most this many times the
-# size of the file, or this many bytes.
+# In a text column, every row takes as much memory as the longest value. The memory of a column is therefore limited to
+# MOST_PADDING times the size of the file or to FREE_TEXT bytes, whichever is larger.
 MOST_PADDING, FREE_TEXT = 64, 2**30
 MOST_COLUMNS = 10_000
 CHUNK = 2**20
@@ -44,10 +44,10 @@ def is_compressed(path: Path) -> bool:
 
 
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
-    """Return the decompressed content of a file, with at most ``most`` bytes; error messages contain ``kind``.
+    """Return the decompressed content of a file; raise an error if it has more than ``most`` bytes.
 
     If ``most`` is None, the size of uncompressed files is not limited, and the size of compressed files is limited by
-    `MOST_RATIO`.
+    `MOST_RATIO`. ``kind`` is the name of the file format for error messages.
     """
     try:
         size, opener = path.stat().st_size, _opener(path)
@@ -85,6 +85,6 @@ def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) ->
     needed = 4 * n_rows * longest
     if needed > max(FREE_TEXT, MOST_PADDING * size):
         raise InputError(
-            f"{path}: texts in {where} must be short enough to fit into memory, got {longest} characters, which in "
-            f"{n_rows} rows take {needed / 1e9:.0f} GB"
+            f"{path}: the text in {where} must be short enough to fit into memory, got {longest} characters, which "
+            f"take {needed / 1e9:.0f} GB in a column of {n_rows} rows"
         )

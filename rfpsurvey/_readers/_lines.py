@@ -1,8 +1,8 @@
 """Check that each line of a text table is a complete row.
 
 Without this check, a reader would take the text after an unclosed quotation mark for one long value, and omit the rest
-of the file without a warning. The functions of this module check each line before a reader is called. If the lines are
-well formed, the check uses no Python loops.
+of the file without a warning. The functions of this module check each line before a reader is called. To be fast, they
+test blocks of many lines together with NumPy, and count the fields of single lines only if a block may be invalid.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from rfpsurvey.errors import InputError
 __all__ = ["count_lines", "line_number"]
 
 BLOCK = 2**22
-# Largest number of blank lines and comments in a file, in addition to ten for each row.
+# Largest number of blank lines and comments in a file, in addition to ten such lines per row of the table.
 MOST_IDLE = 1_000_000
 NEWLINE, RETURN, TAB, SPACE, QUOTE, HASH = b'\n\r\t "#'
 
@@ -26,10 +26,10 @@ def line_number(content: bytes, where: int) -> int:
 
 
 def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, ragged: bool = False) -> int:
-    """Return the number of lines that are neither blank nor comments, including the line of names.
+    """Return the number of lines that are neither blank nor comments, including the line with the column names.
 
-    Raise an error for a line with an unclosed quotation mark and, unless ``ragged``, for a line whose number of
-    fields differs from that of the first line.
+    Raise an error for a line with an unclosed quotation mark. Unless ``ragged`` is True, also raise an error for a line
+    whose number of fields differs from the number of fields of the first line.
     """
     number, n_lines, n_idle, longest, at, n_fields = line_number(content, begin) - 1, 0, 0, 0, 0, 0
     while begin < len(content):
@@ -65,9 +65,9 @@ class _Lines:
     Parameters
     ----------
     block : bytes
-        The lines.
+        Content of the lines.
     delimiter : bytes
-        Delimiter of fields.
+        Character that separates the fields of a line.
     """
 
     def __init__(self, block: bytes, delimiter: bytes):
@@ -91,7 +91,7 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether all quoted values certainly end and all lines have ``n_fields`` fields (0: any number)."""
+        """Return whether all quoted values certainly end and all rows have ``n_fields`` fields (0 means any number)."""
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()

@@ -12,8 +12,8 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
-# In memory, the values of all rows may take at most this many times the size of the file, or this many bytes. The ratio
-# can be large because repeated values take little space in the file.
+# The memory of the values of all rows is limited to MOST_RATIO times the size of the file or to FREE bytes, whichever
+# is larger. MOST_RATIO is large because repeated values take little space in the file.
 MOST_RATIO, FREE = 1000, 2**28
 
 

@@ -52,15 +52,15 @@ ZIPPED = (".gz", ".bz2", ".xz")
 
 
 def to_path(path: object) -> Path:
-    """Return a Path from text or a path."""
+    """Convert text or a path object to a `pathlib.Path`."""
     try:
         return Path(path)
     except TypeError:
-        raise refusal("a path must be text or a path", path, str) from None
+        raise refusal("a path must be text or a Path object", path, str) from None
 
 
 def suffix_of(path: Path) -> str:
-    """Return the file extension that determines the format, without ``.gz``."""
+    """Return the file extension that determines the format; a final ``.gz``, ``.bz2`` or ``.xz`` is ignored."""
     suffixes = [s.lower() for s in path.suffixes]
     if suffixes and suffixes[-1] in ZIPPED:
         suffixes.pop()
@@ -68,7 +68,7 @@ def suffix_of(path: Path) -> str:
 
 
 def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
-    """Read a table in one of `FORMATS`; in a FITS file with several tables, ``number`` selects the table."""
+    """Read a table in one of `FORMATS`; ``number``, counted from 0, selects one of several tables in a FITS file."""
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
@@ -134,7 +134,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _make_text(table: QTable, name: str, path: Path) -> None:
-    """Convert a column of bytes, or a column of objects that are all text, to a column of text."""
+    """Convert a column of bytes to text; raise an error if a column of text objects would need too much memory."""
     column = table[name]
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     if kind == "S":

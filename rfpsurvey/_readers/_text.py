@@ -24,12 +24,12 @@ WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
 
 
 def read_csv(path: Path) -> Table:
-    """Return the table of a CSV file with commas, semicolons, tabs or bars; comments begin with #."""
+    """Return the table of a CSV file, delimited by commas, semicolons, tabs or vertical bars; comments begin with #."""
     content, delimiter, units = find_names(path, _checked_content(path))
     n_lines = count_lines(path, content, 0, delimiter)
     if n_lines == 0:
         raise InputError(f"{path}: the first row must contain the names of the columns, got no row")
-    if delimiter == b"\t" and b'"' not in content:  # values between commas always lose blanks
+    if delimiter == b"\t" and b'"' not in content:  # for other delimiters, astropy removes blanks
         content = re.sub(rb" *\t *", b"\t", content)
     # search for the zero first, because searching for one byte is fast
     zeros = re.compile(rb'0(?<=[\n" %s]0)(?=\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))

@@ -1,4 +1,4 @@
-"""Read VOTables, without reading the files and addresses to which they refer.
+"""Read VOTables; the files and web addresses to which a VOTable refers are not read.
 
 The module first parses the XML to count the rows and columns. The table that astropy returns must have the same numbers
 of rows and columns.
@@ -32,7 +32,7 @@ SIZES = {
     "floatComplex": 8,
     "doubleComplex": 16,
 }
-# Largest number of bytes in a row, and number of bytes in all rows that is allowed for a file of any size.
+# Largest number of bytes in a row, and number of bytes in all rows that is always allowed, even for a small file.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
 # Warnings of astropy about values that it changes: truncated text, and numbers out of the range of their type.
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
@@ -127,7 +127,7 @@ class _Contents:
             )
         n = math.prod(map(int, (numbers[1] or "1").split("x")))
         if numbers[2] and kind not in ("char", "unicodeChar"):
-            # the last dimension is the variable one
+            # only the last dimension has a variable length
             n = math.prod(map(int, (numbers[1] or "1").split("x"))) if size.endswith("x*") else 1
         self._fields.append((kind, n, bool(numbers[2])))
         if len(self._fields) > MOST_COLUMNS:
@@ -187,7 +187,10 @@ class _Contents:
 
 
 def _skip_row(content: bytes, place: int, steps: list) -> int:
-    """Return the offset at which the row that begins at ``place`` ends; arrays are preceded by their length."""
+    """Return the offset of the end of the row that begins at ``place``.
+
+    In a row, the length of each array of variable length precedes the array.
+    """
     place = int(place)
     for step in steps:
         if isinstance(step, tuple):

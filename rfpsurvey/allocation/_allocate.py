@@ -53,7 +53,7 @@ def allocate(
     focal_plane : FocalPlane
         The positioners.
     xy : Quantity, shape (n_targets, 2)
-        Positions of the targets on the focal plane, in catalog order. A target at NaN is out of reach.
+        Positions of the targets on the focal plane, in catalog order. A target whose position is NaN is out of reach.
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, or only the allocator; see `AllocationOptions`.
     priority : array_like of float, shape (n_targets,), optional
@@ -63,18 +63,19 @@ def allocate(
     kind : array_like of str, shape (n_targets,), optional
         Kind of each target: ``science`` (the default), ``standard`` or ``sky``.
     category : array_like of str, shape (n_targets,), optional
-        Names that requirements refer to, such as ``sky_boss``.
+        Category of each target, such as ``sky_boss``; requirements can refer to categories.
     required : array_like of int, shape (k,), optional
-        Rows of the targets that take precedence over all other targets. `AllocationOptions` has the same parameter,
-        with identifiers in place of rows.
+        Rows of the targets that take precedence over all other targets. `AllocationOptions` has a parameter of the same
+        name, which contains identifiers in place of rows.
     forbidden : array_like of int, shape (k, 2), optional
         Pairs of rows (positioner, target) that must not be assigned to each other.
     avoid : Quantity, shape (k, 2), optional
         Further points that sky positions must be at least ``sky_separation`` away from, such as stars that are not
         targets.
     subpriority : array_like of float, shape (n_targets,), optional
-        Subpriority of each target: in a class, targets with larger values are served first. `AllocationOptions` has the
-        same parameter for random subpriorities; without identifiers, they depend on the row of each target.
+        Subpriority of each target: in a class, targets with larger values are served first. `AllocationOptions` has a
+        parameter of the same name for random subpriorities. Because this function receives no identifiers, such random
+        subpriorities depend on the row of each target.
     rng : int, Generator or None, optional
         Seed or generator for ``balanced``, which draws targets at random. With None, each call gives a different
         result.
@@ -160,7 +161,8 @@ def assign(
     begin = perf_counter()
     n = len(xy_mm)
     if order is not None:
-        # Allocators break ties by the row of a target. In this order, plans do not depend on the rows of the catalog.
+        # Allocators break ties by the row of a target. If the targets are sorted in this way, plans do not depend on
+        # the order of the catalog.
         xy_mm = xy_mm[order]
         columns = TargetColumns(*(None if values is None else values[order] for values in columns))
     reach = focal_plane.arrays.reach(xy_mm, columns.fiber_type)
@@ -264,7 +266,7 @@ def _marked(required, n):
 
 
 def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
-    """Remove the forbidden pairs from the reachable pairs; ``order`` is the order of the targets of the problem."""
+    """Remove the forbidden pairs from the reachable pairs; ``order`` is the catalog row of each target in ``reach``."""
     if forbidden is None:
         return reach
     try:
@@ -293,7 +295,7 @@ def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
 def _make_start(
     problem: AllocationProblem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None
 ) -> AllocationAnswer:
-    """Return the plan from which `repair` starts; ``order`` is the order of the targets of the problem."""
+    """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem."""
     start = problem.options.start
     if isinstance(start, str):
         return find_method(start)(problem)
@@ -317,7 +319,7 @@ def _make_start(
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Return the columns of an `Allocation`, omitting sky positions that no positioner observes."""
+    """Return the columns of an `Allocation`; added sky positions that no positioner observes are omitted."""
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     if len(problem.xy) == n:
@@ -357,14 +359,14 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
 
 
 def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Sort values of targets, given in the order of the problem, in the order of the catalog."""
+    """Return values of targets in the order of the catalog; the input is in the order of the problem."""
     out = np.empty_like(values)
     out[order] = values
     return out
 
 
 def _in_given_order(found: dict, order: np.ndarray) -> dict:
-    """Return the columns of an `Allocation` for targets in the order of the catalog; sky positions remain last."""
+    """Return the columns of an `Allocation` for targets in catalog order; added sky positions remain last."""
     n = len(order)
     row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
     columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}

@@ -24,10 +24,10 @@ class Allocation:
     allocator : str
         Name of the allocator that made the allocation.
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Row of the target of each positioner, -1 if it has no target. Rows with the number ``n_given`` or larger are sky
+        Row of the target of each positioner, -1 if the positioner has no target. Rows from ``n_given`` on are sky
         positions that were found in gaps between the targets.
     positioner_of_target : ndarray of int, shape (n_targets,)
-        Row of the positioner of each target, -1 if no positioner observes it.
+        Row of the positioner of each target, -1 if no positioner observes the target.
     handedness : ndarray of str, shape (n_positioners,)
         Handedness of each arm, "right" or "left".
     tips : Quantity, shape (n_positioners, 2)
@@ -35,24 +35,25 @@ class Allocation:
     fiber_type : ndarray of str, shape (n_positioners,)
         Fiber type that each positioner uses.
     in_reach : ndarray of bool, shape (n_given,)
-        Whether at least one positioner reaches each target.
+        Whether each target is in reach of at least one positioner.
     parked_obstacles : bool
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     seconds : dict of str to float
         Computing time of each stage in seconds.
     xy : Quantity, shape (n_targets, 2)
-        Positions on the focal plane: the given targets, followed by the sky positions in gaps that are in use.
+        Positions on the focal plane: first the given targets, then the sky positions in gaps that have a positioner.
     n_given : int
         Number of given targets.
     target_fiber_type : ndarray of str, shape (n_targets,), or None
         Fiber type that each target requires; ``""`` means any type.
     queues : tuple of ndarray or None
-        For ``balanced``: ``indptr`` and targets of all queues, from which the configuration was drawn.
+        For ``balanced``: the queues from which the configuration was drawn, as two arrays ``indptr`` and ``targets``.
+        The queue of positioner ``i`` is ``targets[indptr[i]:indptr[i + 1]]``.
     levels : tuple of Level
-        Name, value and bound of each objective, in strict order of precedence. The bound is an upper limit for all
-        plans with the same values of the earlier objectives; it is NaN if no upper limit is known.
+        Name, value and bound of each objective, in strict order of precedence. The bound is an upper limit of the value
+        for all plans with the same values of the earlier objectives; it is NaN if no upper limit is known.
     unmet : tuple of Shortfall
-        Requirements that are not met; ``str`` converts a requirement to a sentence.
+        Requirements that are not met; ``str`` converts each element to a sentence.
     meta : dict
         Information on how the solution was found.
 

@@ -1,4 +1,4 @@
-"""The class `Answer`, which every allocator returns."""
+"""The class `AllocationAnswer`, which every allocator returns, and the class `Level` for the objectives of a plan."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ class Level(NamedTuple):
     value : float
         Value of the objective in the plan; larger is better.
     bound : float
-        Upper bound of the value over all plans with the same values of the earlier levels; NaN if no bound is known.
+        Upper bound of the value for all plans with the same values of the earlier objectives; NaN if it is unknown.
 
     Examples
     --------
@@ -40,13 +40,14 @@ class AllocationAnswer(NamedTuple):
     Parameters
     ----------
     target_of_positioner : ndarray of int, shape (n_positioners,)
-        Row of the target of each positioner, -1 if it has no target.
+        Row of the target of each positioner, -1 if the positioner has no target.
     handedness : ndarray of str, shape (n_positioners,), optional
         Handedness of each arm, "right" or "left". If it is None, each positioner has its default handedness.
     queues : tuple of ndarray, optional
-        ``indptr`` and targets of the queues of all positioners, if the targets were drawn from queues.
+        If the targets were drawn from queues: two arrays ``indptr`` and ``targets``. The queue of positioner ``i`` is
+        ``targets[indptr[i]:indptr[i + 1]]``.
     levels : list of Level, optional
-        Value and bound of each objective. If it is None, the package computes the values, and the bounds are NaN.
+        Value and bound of each objective. With None, the package computes the values, and the bounds are NaN.
     meta : dict, optional
         Information on how the answer was found.
 

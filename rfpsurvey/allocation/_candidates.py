@@ -33,7 +33,7 @@ class Candidates:
     preselection: Preselection
     """Reachable pairs from which the candidates were made; some pairs may have been omitted."""
     idle_pairs: np.ndarray | None = None
-    """Pairs of positioners whose idle arms collide, shape (2, m); None if only a part of the candidates is given."""
+    """Pairs of positioners whose idle arms collide, shape (2, m); None if the pairs were not computed."""
 
     def __len__(self):
         return len(self.side)
@@ -49,8 +49,8 @@ class Candidates:
     def relaxed(self) -> "Candidates":
         """Return a copy in which some collisions are omitted, so that its best plan gives an upper bound for all plans.
 
-        The collisions of each candidate that represents omitted candidates are removed. The bound is therefore also
-        valid for plans that use omitted candidates.
+        The candidates that can replace omitted candidates (`replaceable`) have no collisions in the copy. The bound is
+        therefore also valid for plans that use omitted candidates.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -71,7 +71,7 @@ def find_candidates(
     """Return the candidates of a problem: all candidates, or only the candidates that `preselect` keeps.
 
     If ``collide`` is false, collisions are ignored, and each pair of a target and a positioner has only one elbow.
-    ``keep_target`` contains one target for each positioner; this target is always kept. If it takes longer than
+    ``keep_target`` contains one target (or -1) for each positioner; this target is always kept. If it takes more than
     ``seconds`` to find the collisions, or if there are more than ``most_pairs`` collisions, `OutOfTimeError` is raised.
     """
     plane = problem.focal_plane
@@ -86,7 +86,7 @@ def find_candidates(
     at_home[idle] = True
     segments = place_segments(problem, own, target, side, idle)
     pairs = find_conflicts(plane, start, segments, seconds, most_pairs)
-    # Collisions of two idle arms, or of an idle arm with an obstacle, do not depend on the plan.
+    # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
     both = at_home[pairs[0]] & at_home[pairs[1]]
     idle_pairs = own[pairs[:, both]]
     pairs = pairs[:, ~both]
@@ -181,7 +181,10 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
 
 
 def _keys(problem, target, held):
-    """Group candidates that count toward the same requirements, and find which groups can replace other groups."""
+    """Return the key of each candidate, and a matrix that states which keys are at least as good as other keys.
+
+    Candidates that count toward the same requirements have the same key.
+    """
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)

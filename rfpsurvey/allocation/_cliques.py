@@ -7,8 +7,8 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left
 
 __all__ = ["cover_by_pairs", "extend"]
 
-# Number of collisions that are processed before the clock is read again; number of cliques that are extended, and of
-# comparisons of candidates.
+# Amount of work before the clock is read again: number of collisions that are covered by cliques, number of cliques
+# that are extended, and number of comparisons of candidates while cliques are extended.
 BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
@@ -24,7 +24,7 @@ def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarr
     edges : ndarray of int, shape (2, m)
         Collisions between candidates of ``rows``.
     deadline : float, optional
-        Time of `time.perf_counter` at which `OutOfTimeError` is raised.
+        Value of `time.perf_counter` at which `OutOfTimeError` is raised.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
     alive : ndarray of bool, shape (n_candidates,)
         Candidates that may be added.
     deadline : float
-        Time of `time.perf_counter` after which the remaining cliques are not extended.
+        Value of `time.perf_counter` after which the remaining cliques are not extended.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
 
 
 def _scramble(values):
-    """Return reproducible pseudo-random integers, so that sums over different sets are almost always different."""
+    """Return reproducible pseudo-random integers for values; their sums for two different sets almost always differ."""
     mixed = (values.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= mixed >> np.uint64(31)
     mixed *= np.uint64(0xBF58476D1CE4E5B9)

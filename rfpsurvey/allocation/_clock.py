@@ -14,16 +14,16 @@ _active = Event()
 
 
 class OutOfTimeError(Exception):
-    """Exception: the deadline passed before a step of the search was complete."""
+    """The deadline passed, or the number of collisions became too large, before a step of the search was complete."""
 
 
 def left(deadline: float) -> float:
-    """Return the number of seconds until a time of `time.perf_counter`; 0 if it has passed or a stop was requested."""
+    """Return the number of seconds until a deadline; 0 if the deadline has passed or a stop was requested."""
     return 0.0 if stop.is_set() else max(deadline - perf_counter(), 0.0)
 
 
 def share(deadline: float, fraction: float) -> float:
-    """Return the time at which a fraction of the remaining time will have passed."""
+    """Return the time at which a given fraction of the time until the deadline will have passed."""
     return perf_counter() + fraction * left(deadline)
 
 
@@ -47,7 +47,7 @@ def end_on_interrupt() -> Iterator[Event]:
     Yields
     ------
     Event
-        It is set if a search was ended early.
+        Event that is set when an interrupt ends a search early.
     """
 
     def handle(*_):

@@ -16,22 +16,22 @@ from rfpsurvey.allocation._solver import maximize, with_errors
 
 __all__ = ["bound_by_clusters", "edges_within", "improve_by_clusters"]
 
-# Number of variables of the program of a cluster: at first, at least, and at most.
+# Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
 SIZE, SMALLEST, LARGEST = 2000, 100, 8000
-# Relative error of the programs for bounds.
+# Allowed relative error of the integer programs that give upper bounds.
 GAP = 2e-4
-# Fraction of the remaining time that the program of one cluster may take.
+# Fraction of the remaining time that the integer program of one cluster may take.
 FOR_ONE = 0.25
 # Successive partitions are rotated by this angle, the golden angle, in radians.
 ANGLE = 2.399963
 
 
 def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarray, deadline: float):
-    """Return an upper bound of the weight of a plan, and a plan in which arms of different clusters may collide.
+    """Return an upper bound of the total weight of a plan, and a plan in which arms of different clusters may collide.
 
-    Cliques with members in several clusters are replaced by the prices of these cliques, and each cluster is solved as
-    an integer program. If a program is not solved before the deadline, the bound from the prices is used for its
-    cluster.
+    The constraints of cliques with members in several clusters are replaced by the prices of these cliques. Each
+    cluster is then an independent integer program. If a program is not solved before the deadline, the bound from the
+    prices is used for its cluster.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     weights : ndarray of float, shape (n_candidates,)
         Weight of each candidate.
     deadline : float
-        Time of `time.perf_counter` at which the search ends.
+        Value of `time.perf_counter` at which the search ends.
 
     Returns
     -------
@@ -115,9 +115,9 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner in a plan without collisions.
     deadline : float
-        Time of `time.perf_counter` at which the search ends.
+        Value of `time.perf_counter` at which the search ends.
     is_best : callable, optional
-        Whether a plan is known to be optimal.
+        Function that returns whether a plan, given as ``chosen``, is known to be optimal.
 
     Returns
     -------
@@ -194,12 +194,12 @@ def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
     options : Options
         All candidates.
     rows : ndarray of int, shape (n,)
-        Some candidates.
+        Indices of candidates.
 
     Returns
     -------
     ndarray of int, shape (2, m)
-        The collisions.
+        Pairs of candidates that collide.
     """
     size = options.indptr[rows + 1] - options.indptr[rows]
     begin = np.cumsum(size) - size

@@ -1,4 +1,4 @@
-"""Optimize the last objective: minimize the collisions between idle arms without a change of other objectives."""
+"""Optimize the last objective: minimize the collisions between idle arms without changing the other objectives."""
 
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
@@ -15,7 +15,7 @@ __all__ = ["separate_idle_arms"]
 
 # Largest number of candidates of the positioners that are changed at the same time.
 SIZE = 2000
-# Fraction of the remaining time for one program.
+# Fraction of the remaining time that one integer program may take.
 FOR_ONE = 0.25
 
 
@@ -32,7 +32,7 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner.
     deadline : float
-        Time of `time.perf_counter` at which the search ends.
+        Value of `time.perf_counter` at which the search ends.
 
     Returns
     -------

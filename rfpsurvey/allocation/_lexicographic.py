@@ -9,14 +9,15 @@ from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
 
-# Successive objectives are combined into one as long as the product of their sizes is below this. Rounding then has no
-# effect.
+# Successive objectives are combined into one as long as the product of their numbers of possible values is below this
+# limit. Rounding errors then have no effect.
 LARGEST = 1e6
 # Ratio of successive weights, and number of proven objectives that are added to the goal of the next objective.
 STEEP, N_STEEP = 8.0, 4
 # In programs with more variables than this, some proven objectives are part of the goal.
 LARGE = 500
-# Settings for objectives that cannot be proven in time: fraction of the time, smallest weight, and allowed gap.
+# Settings for objectives whose optimum cannot be proven in time: fraction of the time that is reserved for them,
+# smallest weight, and allowed gap.
 FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 
 
@@ -33,7 +34,7 @@ class Solution(NamedTuple):
 
 
 class _Pursuit:
-    """The state of the search: the best plan and the values that are proven so far."""
+    """The state of the search: the best plan found so far, and the values of objectives that are proven so far."""
 
     def __init__(self, program: Program, first, limit, *, integral):
         self.program, self.limit = program, limit
@@ -53,7 +54,7 @@ class _Pursuit:
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
         if self.program.problem.any_required:
-            # The matching gives an upper limit of an objective if the plan equals it in all earlier objectives.
+            # The matching gives an upper limit of an objective if the plan is as good in all earlier objectives.
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)
         return np.minimum(self.high, most)
@@ -97,8 +98,8 @@ class _Pursuit:
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
-        # Proven objectives become constraints. Such constraints would make large programs very slow; in large programs,
-        # proven objectives are therefore terms of the goal.
+        # Proven objectives become constraints. Such constraints would make large programs very slow. In large programs,
+        # the last few proven objectives are therefore terms of the goal instead.
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)

@@ -11,7 +11,7 @@ from rfpsurvey.allocation._problem import AllocationProblem
 __all__ = ["improve", "match", "pick", "repair_collisions", "stand", "trim"]
 
 ROUNDS = 10
-# Number of collisions of the candidates that are looked at before the clock is read again.
+# Number of collisions of candidates that are tested before the clock is read again.
 BATCH = 2_000_000
 
 
@@ -23,7 +23,7 @@ def match(candidates: Candidates) -> np.ndarray:
     if problem.any_required:
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, only a few targets per positioner
+    able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets are candidates
     order = able[np.argsort(classes[able], kind="stable")]
     rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
     return target_of
@@ -75,7 +75,11 @@ def repair_collisions(
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
     def order():
-        """Return the positioners: those that count toward no minimum are first; otherwise, the target class decides."""
+        """Return the positioners in the order in which they give up their targets.
+
+        Targets that count toward no minimum are first. Among these targets, and among all other targets, less important
+        targets are first.
+        """
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
     moved, dropped = _repair(options, order(), now, *state, deadline)

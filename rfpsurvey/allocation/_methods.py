@@ -32,7 +32,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
     """Assign the targets of one class after the other; in each class, assign the closest pairs first.
 
-    If subpriorities are given, assign each target of a class, by subpriority, to the closest free positioner.
+    If subpriorities are given, assign each target of a class, in order of subpriority, to the closest free positioner.
     """
     reach, rank, _ = _in_order(problem)
     if problem.subpriority is not None:
@@ -63,7 +63,7 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
 
-    If subpriorities are given, the sum of the subpriorities is maximized instead.
+    If subpriorities are given, the last step maximizes the sum of the subpriorities instead.
     """
     return _search(problem, collide=False, integral=False, squared_cost=True)
 
@@ -82,7 +82,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     first = pick(candidates, trim(problem, before), side)
     chosen, moved, dropped = repair_collisions(candidates, first)
     options, had = candidates.options, before >= 0
-    dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or a maximum
+    dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or the maximum of a requirement
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
     levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
@@ -108,10 +108,10 @@ def _search(problem, **options):
 
 
 def _with_cost(problem):
-    """Return a problem with subpriorities in which each pair has a cost in place of its squared distance."""
+    """If subpriorities are given, return a problem with the cost of each pair in place of its squared distance."""
     if problem.subpriority is None:
         return problem
-    order = np.arange(len(problem.rank))  # also makes the costs of equal subpriorities differ
+    order = np.arange(len(problem.rank))  # rows make the costs of equal subpriorities differ
     cost = problem.subpriority.max(initial=0.0) - problem.subpriority
     cost = np.round(cost / max(cost.max(initial=0.0), 1e-300), 6) + order * (1e-7 / max(len(order), 1))
     return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))
@@ -163,7 +163,10 @@ def _with_watched(problem, target_of):
 
 
 def _fill_quotas(problem, target_of, owner_of):
-    """Meet requirements in place: use idle positioners first, then the positioners of the least important targets."""
+    """Change a plan in place such that it meets the requirements as far as possible.
+
+    The function uses idle positioners first, then the positioners of the least important targets.
+    """
     plane, reach = problem.focal_plane, problem.pairs
     used = np.flatnonzero(target_of >= 0)
     owner_of[target_of[used]] = used

@@ -15,8 +15,8 @@ __all__ = ["Objective", "Program"]
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
 # measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
-# In programs with more variables than this, cliques are extended, within a fraction of the remaining time. In smaller
-# programs, this makes the search slower.
+# In programs with more variables than EXTENDED, cliques are extended for at most a fraction of the remaining time. In
+# smaller programs, extended cliques would make the search slower.
 EXTENDED, FOR_CLIQUES = 5000, 0.05
 
 
@@ -33,9 +33,10 @@ class Objective(NamedTuple):
 class Program:
     """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
 
-    ``others`` are candidates in use of positioners outside the program; these candidates also count toward the
+    ``others`` are the candidates that positioners outside the program use; these candidates also count toward the
     requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a
-    candidate is 1 if the candidate is in use. The variable of a requirement is its number of missing fibers.
+    candidate is 1 if the candidate is in use, and 0 otherwise. The variable of a requirement is the number of fibers
+    that are missing for its minimum.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Program:
         """Return the variables that maximize an objective, and the upper bound of this objective.
 
         The variables are None if no solution is found before the deadline. ``keep`` contains minimum values of the
-        first objectives; ``gap`` is the relative error allowed.
+        first objectives; ``gap`` is the allowed relative error of the maximum.
         """
         matrix, low, high = self.rows
         if len(keep):
@@ -108,9 +109,10 @@ class Program:
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
     def _add(self, row, column, low, high):
-        """Add constraints, with their bounds, whose coefficients are all 1.
+        """Add constraints in which all coefficients are 1; ``low`` and ``high`` are the bounds of the constraints.
 
-        For each coefficient, ``row`` is the index of its constraint, counted from the first added constraint.
+        For each coefficient, ``row`` contains the index of the constraint, counted from the first added constraint, and
+        ``column`` contains the index of the variable.
         """
         n = len(high)
         self._parts.append(csr_array((np.ones(len(column)), (row, column)), shape=(n, self.n)))

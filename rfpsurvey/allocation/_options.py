@@ -36,7 +36,7 @@ ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
-# ``repr`` shows at most this many values of one option.
+# ``repr`` shortens a list of more values than this.
 MOST_SHOWN = 20
 
 
@@ -56,16 +56,17 @@ class AllocationOptions:
         among the positioners that reach it; ties are decided by the distance, then by the row. One target of each queue
         is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs of a positioner and a
         target are assigned in the order of their distance. ``lamost``: in each class, every free positioner nominates
-        its nearest unassigned target, until no nominations are possible. If several positioners nominate a target, it
-        is assigned to the positioner with the fewest unassigned targets (of any class) in reach; ties are decided by
-        the distance, then by the row. The requirements are then filled one after the other: first by idle positioners,
-        then by positioners that give up the least important targets. ``sdss``: network flow maximizes the number of
-        targets, one class after the other, and then minimizes the sum of squared distances from the centers; arms may
-        collide. ``optimal``: the number of targets is maximized, one class after the other, such that no arm with a
-        target collides with a different arm or an obstacle; the optimum is proven. Such an arm also avoids idle arms
-        that are obstacles: parked positioners with equal arms (with ``parked_obstacles``), and disabled and stuck
-        positioners. Among plans of equal value, a plan in which few idle arms collide with each other is preferred;
-        idle arms may still collide with obstacles. ``repair``: local moves remove the collisions of the plan ``start``.
+        its nearest unassigned target, until no nominations are possible. If several positioners nominate a target, the
+        target is assigned to the positioner with the fewest unassigned targets (of any class) in reach; ties are
+        decided by the distance, then by the row. The requirements are then met one after the other: first by idle
+        positioners, then by positioners that give up the least important targets. ``sdss``: network flow maximizes the
+        number of targets, one class after the other, and then minimizes the sum of squared distances from the centers
+        of the positioners; arms may collide. ``optimal``: the number of targets is maximized, one class after the
+        other, such that no arm with a target collides with a different arm or an obstacle; the optimum is proven. An
+        arm with a target also avoids idle arms that are obstacles: arms of parked positioners (if ``parked_obstacles``
+        is True), and arms of disabled and stuck positioners. Among plans of equal value, a plan in which few idle arms
+        collide with each other is preferred; idle arms may still collide with obstacles. ``repair``: local moves remove
+        the collisions of the plan ``start``.
         Any other name refers to an allocator that an installed package provides. A function is called with an
         `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
@@ -75,17 +76,18 @@ class AllocationOptions:
         requirements, but report requirements that are not met.
     sky_separation : Quantity, optional
         Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is known,
-        an angle. If given, the package also finds sky positions at least this far from all targets, including positions
-        that stuck positioners observe. It does so only if a requirement counts ``sky``.
+        an angle. If this distance is given and a requirement counts ``sky``, the package adds sky positions that are at
+        least this far from all targets. The added positions include positions that stuck positioners observe.
     objective : {"priority", "count"}, optional
-        ``priority``: maximize the number of targets, one class after the other. ``count``: maximize the number of all
-        science targets first, then of one class after the other. Only ``sdss`` and ``optimal`` use this option.
+        ``priority``: maximize the number of targets, one class after the other. ``count``: first maximize the number of
+        all science targets, then the number of targets of one class after the other. Only ``sdss`` and ``optimal`` use
+        this option.
     time_limit : Quantity, optional
         Time after which ``sdss`` and ``optimal`` return the best plan that they have found, with its gap; 60 s by
         default. The limit also applies if ``start`` is ``sdss`` or ``optimal``.
     start : Allocation or str, optional
-        Plan from which ``repair`` starts, or the name of the allocator that makes it (not ``repair``). Allocators of
-        other packages can also use this plan.
+        Plan from which ``repair`` starts, or the name of the allocator that makes this plan (any allocator except
+        ``repair``). Allocators of other packages can also use this plan.
     parked_obstacles : bool, optional
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     required : array_like of int or str, optional
@@ -95,7 +97,7 @@ class AllocationOptions:
         this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name, with
         rows in place of identifiers.
     keep_out : Region or list of Region, optional
-        Circles on the sky, made by `Region.cap`, that no arm may cover, such as those around bright stars. In each
+        Circles on the sky, made by `Region.cap`, that no arm may cover, such as circles around bright stars. In each
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
         allocators, an arm that covers a circle is counted as a collision. On the focal plane, an obstacle contains the
         whole image of its circle, even if the center of the circle is outside the field.
@@ -106,16 +108,17 @@ class AllocationOptions:
         ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns each target of a class, in this order, to its closest
         free positioner; ``balanced`` distributes the targets in this order; with ``lamost``, every positioner nominates
         its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize the sum of the
-        subpriorities after all other objectives (``sdss`` then does not minimize squared distances); differences below
-        one millionth of their range are ignored. In large fields, and after the time limit, ``optimal`` only finds an
-        approximate maximum of this sum. ``repair`` tests the targets in this order. The plan then does not depend on
-        the order of targets in the catalog, if identifiers are unique.
+        subpriorities after all other objectives (``sdss`` then does not minimize squared distances). Differences
+        between subpriorities are ignored if they are below one millionth of the range of the subpriorities. In large
+        fields, and after the time limit, ``optimal`` only finds an approximate maximum of this sum. ``repair`` tests
+        the targets in this order. With subpriorities and unique identifiers, the plan does not depend on the order of
+        targets in the catalog.
 
     Raises
     ------
     InputError
-        If a name is unknown, if a requirement cannot be read, if a number is out of range, or if ``keep_out`` is not a
-        circle.
+        If a name is unknown, if a requirement cannot be read, if a number is out of range, or if ``keep_out`` contains
+        a region that is not a circle.
 
     References
     ----------
@@ -181,7 +184,7 @@ class AllocationOptions:
         Parameters
         ----------
         what : str
-            What is planned, for the error message.
+            Text for the error message that names what is planned, such as "a survey".
 
         Raises
         ------
@@ -226,8 +229,9 @@ class AllocationOptions:
         Raises
         ------
         InputError
-            If no instrument is given, and the options contain the requirements of the instrument, an angle,
-            identifiers, or circles on the sky.
+            If no instrument is given, but the options contain a value that requires an instrument or a catalog: the
+            requirements of the instrument, an angle, identifiers of targets, the name of a column of subpriorities, or
+            circles on the sky.
         """
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
@@ -271,7 +275,7 @@ class AllocationOptions:
 
     @property
     def record(self) -> dict:
-        """Return the options as text and numbers, in the form in which files store the options."""
+        """The options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
         requirements = self.requirements
         return {

@@ -20,7 +20,7 @@ ELBOWS = ("right", "left")
 
 
 def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function of an allocator, which is given as this function or as a name (built in or installed)."""
+    """Return the function that runs an allocator; the allocator is given by its name or as a function."""
     if isinstance(given, str) and given in METHODS:
         return METHODS[given]
     return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
@@ -45,7 +45,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
-        if problem.watched is not None:  # the positions of blank sky that stuck fibers observe
+        if problem.watched is not None:  # add the sky positions that stuck fibers observe
             target_of = np.where(problem.watched >= 0, problem.watched, target_of)
         _check_claims(problem, target_of, answer)
     meta = {**(answer.meta or {}), **({"software": plugin.software} if plugin.package else {})}

@@ -12,7 +12,8 @@ from rfpsurvey.focal_plane import Reach
 
 __all__ = ["Preselection", "preselect", "replaceable"]
 
-# Each positioner keeps at least N_BEST of its best targets, and N_SPREAD further targets of the last class of these.
+# Each positioner keeps at least its N_BEST best targets, and N_SPREAD further targets of the same class as the last of
+# the best targets.
 N_BEST, N_SPREAD = 64, 64
 # Number of reachable pairs for which arm poses are computed at the same time.
 BATCH = 1 << 18
@@ -40,7 +41,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     Parameters
     ----------
     problem : AllocationProblem
-        The allocation.
+        The allocation problem.
     collide : bool
         Whether collisions are forbidden. If so, more targets are kept, and targets at which the arm touches an obstacle
         are omitted.
@@ -88,7 +89,7 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
     Returns
     -------
     ndarray of bool, shape (n,)
-        Whether each candidate represents omitted candidates.
+        Whether each candidate can replace omitted candidates in every plan.
     """
     shortened = preselection.shortened
     n_codes = shortened.shape[1]

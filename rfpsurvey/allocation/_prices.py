@@ -1,4 +1,4 @@
-"""Upper bounds from prices of cliques; the bounds are valid even if the search for better prices ends early."""
+"""Upper bounds from prices (Lagrange multipliers) of cliques, valid even if the search for better prices ends early."""
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,13 +11,13 @@ from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["Prices", "weights_of"]
 
-# Widths of the smooth maximum, and number of times that all prices are adjusted for each width.
+# Widths of the smooth maximum, and number of sweeps for each width. A sweep adjusts the prices of all cliques once.
 WIDTHS, N_SWEEPS = (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005), 30
 # The search continues with the next width if the bound decreases by less than this fraction in one sweep.
 SLOW = 2e-5
 # Number of cliques whose prices are adjusted before the clock is read again.
 BATCH = 1 << 15
-# Relative error of the sums of prices, which are added to each bound.
+# Relative rounding error of the sums of prices; this error is added to each bound.
 ROUNDING = 1e-9
 
 
@@ -45,7 +45,7 @@ class Prices:
         return weights - self.matrix.T @ self.price
 
     def bound(self, weights: np.ndarray) -> float:
-        """Return an upper bound of the weight of a plan."""
+        """Return an upper bound of the total weight of a plan."""
         bound = float(kernels.bound_of(self.options.start, self.values(weights), self.price))
         return bound + ROUNDING * (len(self.options.start) + float(self.price.sum()))
 
@@ -76,14 +76,14 @@ class Prices:
 
 
 def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
-    """Return the weights of all candidates for each objective, or None for an objective that is a requirement.
+    """Return the weights of all candidates for each objective, or None for the objective of the requirements.
 
     The weights for a class include the targets of this class and of all earlier classes.
 
     Parameters
     ----------
     problem : AllocationProblem
-        The allocation.
+        The allocation problem.
     options : Options
         The candidates.
     names : list of str
@@ -92,7 +92,7 @@ def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
     Returns
     -------
     list of (ndarray of float or None)
-        The weights.
+        Weights of the candidates, one array per objective.
     """
     n_classes, found = len(problem.classes), []
     offset = len(names) - n_classes - (not problem.science.all())

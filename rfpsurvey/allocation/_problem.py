@@ -56,9 +56,9 @@ class AllocationProblem:
     classes : tuple of float
         Priority of each class, the largest first.
     kind : ndarray of str, shape (n_targets,), optional
-        ``science`` (the default), ``standard`` or ``sky``.
+        Kind of each target: ``science`` (the default), ``standard`` or ``sky``.
     category : ndarray of str, shape (n_targets,), optional
-        Names that requirements refer to; ``""`` means no category.
+        Category of each target, to which requirements can refer; ``""`` means no category.
     fiber_type : ndarray of str, shape (n_targets,), optional
         Fiber type that each target requires; ``""`` means any type.
     is_required : ndarray of bool, shape (n_targets,), optional
@@ -70,8 +70,8 @@ class AllocationProblem:
     start : callable, optional
         ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
-        Row of the sky position that each stuck positioner observes; -1 for other positioners and if the fiber observes
-        no sky.
+        Row of the sky position that each stuck positioner observes; -1 if the positioner is not stuck, or if its fiber
+        observes no sky position.
     tell : callable, optional
         Function that an allocator may call during a long search, with the completed fraction and the name of the stage.
     subpriority : ndarray of float, shape (n_targets,), optional
@@ -132,7 +132,7 @@ class AllocationProblem:
 
     @cached_property
     def priority(self) -> np.ndarray:
-        """Priority of each target; larger values are more important. It is NaN for sky and standards."""
+        """Priority of each target; larger values are more important. It is NaN for sky positions and standards."""
         return locked(np.append(self.classes, np.nan)[self.rank])
 
     @property
@@ -188,7 +188,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets, which are given by rows; the row -1 (no target) has the last class.
+        """Return the classes of targets, which are given by rows; the row -1 (no target) has a class after all others.
 
         Parameters
         ----------
@@ -308,7 +308,7 @@ class AllocationProblem:
         Returns
         -------
         list of Shortfall
-            The requirements that are not met, with the required and actual numbers of targets.
+            The requirements that are not met, with the required number and the actual number of targets.
         """
         found = []
         for group, n in zip(self.groups, self._counts(target_of), strict=True):
@@ -326,12 +326,12 @@ class AllocationProblem:
         return found
 
     def _hint(self, group: Group, possible: int) -> str:
-        """Return the reason why a minimum is not met: an unknown name, or minimums that require too many fibers."""
+        """Return the reason why a minimum is not met: an unknown name or too few fibers; otherwise, empty text."""
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
             return (
-                f"all requirements together need {asked} fibers, but the number of fibers is {there}"
+                f"all requirements together need {asked} fibers, but only {there} fibers are usable"
                 if asked > there and enough
                 else ""
             )

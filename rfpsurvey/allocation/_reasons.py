@@ -37,14 +37,14 @@ IDLE_REASONS = (
     "at every free target in reach the arm would collide",
     "a free target in reach was not assigned",
 )
-"""The reasons as text."""
+"""Text for each `IdleReason`, in the same order."""
 
 
 class IdleReasons(NamedTuple):
     """Reasons why positioners have no target, and the attempts to move each of these positioners to a free target.
 
-    An attempt moves one arm, with the elbow on one of two sides, to a target that no positioner observes; all other
-    arms remain as in the plan.
+    An attempt moves one arm, with a right or a left elbow, to a target that no positioner observes; all other arms
+    remain as in the plan.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ class IdleReasons(NamedTuple):
 
 
 def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms) -> IdleReasons:
-    """Return the reason why a positioner has no target, for each positioner without a target.
+    """Return the reason why each idle positioner has no target, and the attempts to move it to free targets.
 
-    Only the targets that the allocator received are considered, and not the sky positions that were added in gaps.
+    The function considers only the given targets, and ignores sky positions that were added in gaps between targets.
 
     Parameters
     ----------

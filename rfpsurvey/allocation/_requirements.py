@@ -118,14 +118,14 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A requirement that a plan does not meet, with the required and actual numbers of targets.
+    """A requirement that a plan does not meet, with the required number and the actual number of targets.
 
     Parameters
     ----------
     requirement : Requirement or None
         The requirement; None if required targets are missing.
     spectrograph : int or None
-        Spectrograph, if the requirement applies to each spectrograph.
+        Spectrograph in which the requirement is not met; None if the requirement applies to the whole tile.
     requested : int
         Required number of targets; the maximum if the plan contains too many targets.
     found : int

@@ -1,4 +1,4 @@
-"""Find proven plans: remove unnecessary candidates, split the rest into independent parts, and solve each part."""
+"""Find optimal plans: remove unnecessary candidates, divide the others into independent parts, and solve each part."""
 
 from dataclasses import replace
 from functools import partial
@@ -28,10 +28,11 @@ __all__ = ["decide"]
 SMALLEST = 200
 # Parts with more variables than this are not solved as one integer program, but divided into clusters.
 LARGEST = 20_000
-# Fraction of the time that is reserved for the bound on plans with omitted candidates, and for clusters.
+# Fractions of the time that are reserved for the bound on plans that use omitted candidates, and for the programs of
+# clusters.
 FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
-# Fractions of the remaining time for the candidates and their collisions, for prices of one objective, and for the
-# integer programs of the bound of the first objective that is not proven.
+# Fractions of the remaining time: for finding the candidates and their collisions, for adjusting the prices of one
+# objective, and for the integer programs that give the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
@@ -39,15 +40,17 @@ FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
 # and the maximum of the sum.
 PAIRS = (200_000, 350_000, 20_000_000)
 # Largest number of tests of two candidates for a collision: a constant, and the number that is added for each second of
-# the time limit. A positioner has candidates for about MOST_TARGETS targets.
+# the time limit. The estimate of this number assumes candidates for at most MOST_TARGETS targets per positioner.
 TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
-# Smallest time for the candidates in seconds, whatever the time limit.
+# Time in seconds that the search for candidates may always take, even if the time limit is shorter.
 AT_LEAST = 0.1
-# Time in seconds for local moves after the deadline, which give targets to idle positioners.
+# Time in seconds after the deadline for local moves that give targets to idle positioners.
 FOR_LAST = 0.1
-# Number of best targets of each positioner that are used if it takes too long to find all collisions.
+# If it takes too long to find all collisions, only the best targets of each positioner are used. These numbers of best
+# targets per positioner are tried one after the other.
 FEWER = (32, 8, 2, 1)
-# Time in seconds per pair for finding the best targets of each positioner, and additional time per number of targets.
+# Time in seconds per reachable pair for finding the best targets of each positioner: a constant, and the time that is
+# added for each of these best targets.
 PAIR_SECONDS, SORT_SECONDS = 4e-8, 8e-9
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
@@ -58,12 +61,12 @@ ROUNDING = 1e-4
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan found in time, with upper bounds; if ``collide`` is true, arms must not collide."""
+    """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide."""
     deadline = perf_counter() + problem.time_limit
     everything, whole = _candidates_in_time(problem, deadline, collide=collide, squared_cost=squared_cost)
     options = {"integral": integral, "squared_cost": squared_cost}
     n_left_out = everything.preselection.n_left_out if whole else 0
-    # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans with them.
+    # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
     used, found = _search(everything, share(halt, 1 - FOR_BOUND) if n_left_out else halt, collide=collide, **options)
     chosen, bounds, bounding = found.chosen, found.bounds, used
@@ -127,7 +130,7 @@ def _candidates_in_time(problem, deadline, *, collide, squared_cost):
 
 
 def _best_pairs(problem, most):
-    """Return the reachable pairs of each positioner and its best targets."""
+    """Return the reachable pairs of each positioner and its ``most`` best targets."""
     reach = problem.pairs
     n = reach.n_positioners
     start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
@@ -142,7 +145,7 @@ def _best_pairs(problem, most):
 
 
 def _chosen_in(everything, used, chosen):
-    """Return the candidates that are used, as indices in the list of all candidates."""
+    """Convert the chosen candidates from indices in ``used`` to indices in the list of all candidates."""
     if used is everything:
         return chosen
     found = pick(everything, used.options.target[chosen], used.side[chosen])
@@ -158,7 +161,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
     The limit of a class applies to the number of targets of this class and of all earlier classes. The limits are
-    computed for the candidates ``bounding``, unless it is None.
+    computed for the candidates ``bounding``. If ``bounding`` is None, the limits do not change.
     """
     problem = used.problem
 
@@ -231,7 +234,7 @@ def _matching_limits(problem, everything, names):
 def _conditional(problem, names, values, limits, first):
     """Return an upper bound of each objective, given the values of all earlier objectives.
 
-    Objectives before ``first`` have no bound.
+    The bounds of objectives before ``first`` are infinite.
     """
     offset, bounds = _offset(problem, names), limits.copy()
     last = offset + len(problem.classes)
@@ -245,14 +248,14 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
-    # If the idle arm of a positioner is not among the candidates, this is not always a valid plan.
+    # This plan can be invalid if the idle arm of a positioner is not among the candidates.
     start = _plan(used, blind, collide, share(deadline, FOR_REPAIR))
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
-        # Integer programs that the time limit ended leave positioners idle that have targets of later classes.
+        # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
         return used, found._replace(chosen=improve(used, found.chosen, max(deadline, perf_counter() + FOR_LAST)))
     return used, found
 

@@ -11,7 +11,7 @@ from rfpsurvey.focal_plane import Reach
 
 __all__ = ["with_sky"]
 
-# Number of points that are tested for each positioner, and largest number of blank points that are kept of these.
+# Number of points that are tested for each positioner, and largest number of blank points among them that are kept.
 N_TRIALS, N_KEPT = 64, 4
 
 
@@ -26,7 +26,7 @@ class Sky(NamedTuple):
 
 
 def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
-    """Return sky positions at least ``separation`` (mm) from all points, for fiber types (the empty text: any type)."""
+    """Return sky positions at least ``separation`` (mm) from all points, for each fiber type ("" means any type)."""
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
@@ -76,7 +76,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 
 
 def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
-    """If a requirement counts sky positions, add some to the problem, in gaps between targets and ``others``."""
+    """If a requirement counts sky positions, return the problem with sky positions far from targets and ``others``."""
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem

@@ -11,17 +11,20 @@ from rfpsurvey.allocation._clock import left, stop
 
 __all__ = ["maximize", "with_errors"]
 
-# Interval in seconds at which the caller looks for an interrupt while HiGHS runs in a different thread.
+# Interval in seconds at which the caller checks for an interrupt while HiGHS runs in a different thread.
 INTERVAL = 0.1
-# HiGHS stops at its own time limit in most steps. If it has not returned this many seconds later, it is abandoned.
+# Most steps of HiGHS end at the time limit of HiGHS. If a thread of HiGHS still runs this many seconds after the time
+# limit, the thread is abandoned.
 GRACE = 0.1
-# Time in seconds for which the end of the process waits for abandoned threads; they usually end within three seconds.
+# Longest time in seconds for which the process waits for abandoned threads before it ends. The threads usually end
+# within three seconds.
 AT_EXIT = 15.0
-# The reduced costs of HiGHS have errors of at most 1e-7. `with_errors` adds this error of each variable, and an error
-# relative to the bound.
+# The reduced costs of HiGHS have errors of at most 1e-7. `with_errors` adds this error for each variable, and an error
+# that is proportional to the bound.
 ERROR_OF_ONE, ERROR = 1e-7, 1e-6
-# Searches of HiGHS for better solutions in smaller programs. They take up to a third of the time, but programs whose
-# root relaxation gives the optimum do not need them, and for all other programs local moves find better plans.
+# Heuristics of HiGHS that are switched off. They search for better solutions in smaller programs, and take up to a
+# third of the time. Programs whose root relaxation gives the optimum do not need these heuristics. For all other
+# programs, local moves find better plans.
 NOT_USED = ("rins", "rens", "root_reduced_cost")
 
 _abandoned: list[threading.Thread] = []
@@ -50,7 +53,7 @@ def maximize(
     goal, most : ndarray of float, shape (n,)
         Coefficient and upper bound of each variable; the lower bound is 0.
     deadline : float
-        Time of `time.perf_counter` at which the search ends.
+        Value of `time.perf_counter` at which the search ends.
     integral : bool
         Whether the variables must be whole numbers.
     gap : float

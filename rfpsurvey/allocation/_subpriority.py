@@ -10,7 +10,7 @@ __all__ = ["id_numbers", "service_order", "subpriorities", "to_subpriorities"]
 
 
 def id_numbers(ids: np.ndarray) -> np.ndarray:
-    """Return one number per identifier, from which the subpriorities of the target are computed.
+    """Return one number per identifier; the random subpriorities of targets are computed from these numbers.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
 
     Notes
     -----
-    The number of an identifier is the integer itself if the identifier is an integer or represents one as text, and
-    otherwise the hash FNV-1a of the text. The number and the seed are combined by the output function of the generator
+    If an identifier is an integer or the text of an integer, its number is this integer. Otherwise, its number is the
+    hash FNV-1a of the text. The number and the seed are combined by the output function of the generator
     SplitMix64 (Steele, Lea & Flood 2014, doi:10.1145/2660193.2660195).
 
     Examples
@@ -136,7 +136,7 @@ def check_values(values: object, n: int, what: str) -> np.ndarray:
 
 
 def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Return the rows of targets, the largest subpriority first; equal subpriorities are ordered by identifiers.
+    """Return the rows of targets in order of decreasing subpriority; ties are decided by `id_numbers`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Weighted problems: candidates of one tile as arrays, programs with weights and capacities, and prices of sets."""
+"""Weighted problems: candidates of one tile as arrays, integer programs with weights, and bounds from prices."""
 
 from time import perf_counter, time
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class ListCandidates:
     Parameters
     ----------
     keep_target : ndarray of int, shape (n_positioners,)
-        Target of each positioner that is never omitted, or -1.
+        Target of each positioner that is never omitted, or -1 if there is no such target.
     """
 
     def __init__(self, keep_target: np.ndarray):
@@ -93,15 +93,15 @@ class WeightedProblem(NamedTuple):
     column: np.ndarray
     """Sets of candidates as compressed rows."""
     most: np.ndarray
-    """Largest number of candidates of each set that a plan uses."""
+    """Largest number of candidates of each set that a plan may use."""
     first: np.ndarray | None
-    """Candidate of each positioner in a known plan."""
+    """Candidate of each positioner in the plan from which the search starts; None if there is no such plan."""
     nodes: int
     """Largest number of nodes of the search tree."""
     gap: float
     """Allowed relative error."""
     deadline: float
-    """Time of `time.time`, which all processes share, at which the search ends."""
+    """Value of `time.time` at which the search ends; all processes share this clock."""
 
 
 def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
@@ -152,7 +152,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
 
 
 class RowPrices(Prices):
-    """Prices of sets of candidates; a plan uses at most a given number of candidates of each set.
+    """Prices of sets of candidates, of which a plan may use at most a given number of candidates per set.
 
     Parameters
     ----------
@@ -161,9 +161,10 @@ class RowPrices(Prices):
     matrix : csr_array
         Sets of candidates, one per row, with sorted columns.
     most : ndarray of float
-        Largest number of candidates of each set that a plan uses.
+        Largest number of candidates of each set that a plan may use.
     free : ndarray of bool, shape (n_positioners,)
-        Positioners of which some candidates were omitted; in the bound, each of these positioners has a weight of 1.
+        Whether some candidates of each positioner were omitted. In the bound, the weight of such a positioner is at
+        least 1.
     """
 
     def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray):
@@ -173,7 +174,7 @@ class RowPrices(Prices):
         self.price = np.zeros(len(most))
 
     def bound(self, weights: np.ndarray) -> float:
-        """Return an upper bound of the weight of a plan.
+        """Return an upper bound of the total weight of a plan.
 
         Parameters
         ----------
@@ -191,16 +192,16 @@ class RowPrices(Prices):
         return total + float(best.sum()) + ROUNDING * (len(self.start) + total + float(np.abs(best).sum()))
 
     def improve(self, weights: np.ndarray, sweeps: tuple, is_over) -> float:
-        """Adjust the prices, and return the upper bound.
+        """Adjust the prices to reduce the upper bound of the total weight of a plan, and return this bound.
 
         Parameters
         ----------
         weights : ndarray of float, shape (n_candidates,)
             Weight of each candidate, 0 to 1.
         sweeps : tuple of (float, int)
-            Widths of the smooth maximum, and numbers of sweeps.
+            Width of the smooth maximum and number of sweeps, for each stage of the adjustment.
         is_over : callable
-            Whether the time is over.
+            Function that returns whether the time is over.
 
         Returns
         -------

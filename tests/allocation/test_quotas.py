@@ -126,7 +126,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
         kind=["sky"] * 12,
     )
     assert found.n_assigned == 3
-    why = "all requirements together need 11 fibers, but the number of fibers is 3"
+    why = "all requirements together need 11 fibers, but only 3 fibers are usable"
     assert sentences(found.unmet) == [
         f"sky targets: 3 of 5, 2 missing; {why}",
         f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",

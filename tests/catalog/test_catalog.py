@@ -120,7 +120,7 @@ def test_write_then_read(tmp_path, suffix):
     np.testing.assert_array_equal(second.id, first.id)
     assert second.epoch.jyear == pytest.approx(2016)
     assert (path.read_bytes()[:2] == b"\x1f\x8b") == suffix.endswith(".gz")
-    with pytest.raises(rs.InputError, match="exists; ask for it to be overwritten"):
+    with pytest.raises(rs.InputError, match="exists; to replace it, use overwrite=True"):
         first.write(path)
     first.write(path, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]

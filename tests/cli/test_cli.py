@@ -179,7 +179,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
         rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")
     _, out, _ = run("score", tmp_path / "one.ecsv", "--instrument", "sdss_apo")
-    assert "the tile was scored from positions on the focal plane, which need no field center" in out
+    assert "collisions were found from positions on the focal plane, which do not require a field center" in out
 
 
 def test_columns_units_and_toml(run, tmp_path):
@@ -229,7 +229,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
         (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
         (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
         (["--output", "{no}/tile.fits"], "does not exist"),
-        (["--output", "{good}.ecsv"], "exists; ask for it to be overwritten"),
+        (["--output", "{good}.ecsv"], "exists; to replace it, use overwrite=True"),
         (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
         (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
         (["{good}.ecsv", "--unit", "ra"], "--unit must have the form ROLE=UNIT"),

@@ -76,5 +76,5 @@ def test_existing_files_are_kept(run, files, tmp_path):
     output.write_text("mine")
     code, _, err = run(*words_of(files[0], "--realizations", 2, "--output", output))
     assert code == 2
-    assert "exists; ask for it to be overwritten" in err
+    assert "exists; to replace it, use overwrite=True" in err
     assert output.read_text() == "mine"

@@ -148,7 +148,7 @@ def test_text_that_yanny_files_cannot_hold_is_refused(tmp_path, path):
 
 def test_existing_files_are_kept_unless_asked(tmp_path, path):
     plan = plans.read_plan(path)
-    with pytest.raises(rs.InputError, match="exists; ask for it to be overwritten"):
+    with pytest.raises(rs.InputError, match="exists; to replace it, use overwrite=True"):
         plans.write_plan(plan, path)
     plans.write_plan(plan, path, overwrite=True)
     assert_same(plans.read_plan(path), plan)
