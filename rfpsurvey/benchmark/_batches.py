@@ -33,9 +33,9 @@ def benchmark_batches(
     instrument : str, Instrument or FocalPlane, optional
         Name of a preset, instrument or focal plane.
     sizes : sequence of int, optional
-        Numbers of configurations scored in one call. At most 256 different configurations are made; larger batches
-        repeat them. The positions of all tips are kept in memory, for example 640 MB for 10,000 configurations of 4000
-        positioners.
+        Numbers of configurations whose collisions are counted in one call. At most 256 different configurations are
+        made; larger batches repeat these configurations. The positions of all tips are kept in memory, for example
+        640 MB for 10,000 configurations of 4000 positioners.
     workers : sequence of int, optional
         Numbers of threads.
     repeats : int, optional

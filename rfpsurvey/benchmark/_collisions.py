@@ -87,8 +87,9 @@ def benchmark_collisions(
     instrument : str, Instrument or FocalPlane, optional
         Name of a preset, instrument or focal plane.
     methods : sequence of str, optional
-        Methods of `~rfpsurvey.find_collisions` and, for comparison, ``every_pair`` (no broad phase), ``endpoints``
-        (no test for crossings) and ``shapely`` (if it is installed). None: all methods that can run on this machine.
+        Methods of `~rfpsurvey.find_collisions` and, for comparison, ``every_pair`` (distant pairs are not
+        excluded first), ``endpoints`` (no test for crossings) and ``shapely`` (if it is installed). By default, all
+        methods that can run on this machine.
     n_configurations : int, optional
         Number of configurations on which each method runs.
     repeats : int, optional
@@ -104,10 +105,10 @@ def benchmark_collisions(
     Returns
     -------
     QTable
-        Table with a row for each method and ``n_points`` (see `~rfpsurvey.find_collisions`): ``method``, ``n_points``,
-        ``device``, ``time`` (median time per configuration), ``ratio`` of this time to the time of ``exact``,
-        ``n_colliding_true`` (true number of colliding pairs, the same for every method), ``n_missed`` (false negatives)
-        and ``n_spurious`` (false positives), ``misclassified`` (``n_missed`` plus ``n_spurious``, divided by
+        Table with a row for each method and each value of ``n_points`` (see `~rfpsurvey.find_collisions`): ``method``,
+        ``n_points``, ``device``, ``time`` (median time per configuration), ``ratio`` of this time to the time of
+        ``exact``, ``n_colliding_true`` (true number of colliding pairs, the same for every method), ``n_missed`` (false
+        negatives) and ``n_spurious`` (false positives), ``misclassified`` (``n_missed`` plus ``n_spurious``, divided by
         ``n_colliding_true``), ``max_error`` and ``mean_error`` of the distances of the colliding pairs that were found.
         The counts are sums over all configurations.
 

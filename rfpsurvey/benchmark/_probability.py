@@ -50,7 +50,8 @@ def benchmark_probability(
         Name of a preset, instrument or focal plane. The random targets are the default targets of
         `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
-        Numbers of iterations, realizations or points for each method. Give 0 for the methods that are formulas.
+        Efforts of each method: the numbers of iterations, realizations or points for which the method is run. Give 0
+        for the methods that are formulas.
     repeats : int, optional
         Number of runs with different random numbers for each method and effort.
     precision : float, optional
@@ -150,25 +151,26 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare the collision probability of independent targets, for several densities, with that of allocated targets.
+    """Compare collision probabilities of independent targets, for several densities, with that of allocated targets.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
         Name of a preset, instrument or focal plane.
     precision : float, optional
-        Standard error of all values except the empirical one.
+        Standard error of all values except the value for the empirical density.
     n_allocations : int, optional
-        Number of allocations whose combined queues form the empirical density.
+        Number of allocations of random targets. The queues (lists of targets) of all positioners in these allocations
+        form the empirical density.
     rng : int, Generator or None, optional
         Seed or random number generator.
 
     Returns
     -------
     QTable
-        Table with a row for each density: ``density``, ``value``, ``standard_error``, ``bias`` (the difference from the
-        value of allocated targets), and ``factor`` (the ratio to the value of allocated targets). The first row
-        contains the value of allocated targets.
+        Table with a row for each density: ``density``, ``value`` (collision probability), ``standard_error``, ``bias``
+        (the difference from the value of allocated targets), and ``factor`` (the ratio to the value of allocated
+        targets). The first row contains the value of allocated targets.
 
     Raises
     ------

@@ -11,16 +11,16 @@ SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
 
 class Tally:
-    """Counts of targets and visits by class and pass.
+    """Numbers of targets and visits for each class of targets, such as a priority, and for each pass.
 
     Parameters
     ----------
     class_of : ndarray of int
-        Class of each target, by slot.
+        Index of the class of each target, in the order of slots (see `Bookkeeping`).
     names : list of str
         Names of the classes.
     wanted : ndarray of int
-        Requested number of visits of each target, by slot.
+        Requested number of visits of each target, in the order of slots.
     n_passes : int
         Number of passes.
     """
@@ -33,10 +33,10 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Count visits to the targets ``slot`` in the pass ``number``.
+        """Count the visits of a tile in the pass ``number`` to the targets ``slot``.
 
-        ``complete`` lists the targets that now have all of their visits, and ``last`` is the pass of the last visit of
-        each of these targets.
+        ``complete`` lists the targets that have now received all requested visits, and ``last`` is the pass of the last
+        visit to each of these targets.
         """
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
@@ -48,11 +48,12 @@ class Bookkeeping:
     Parameters
     ----------
     visits, priority, kind, category : ndarray or None
-        Columns of the targets; the slot of a target is its index in these columns.
+        Requested number of visits, priority, kind and category of each target; None for a missing column. The *slot*
+        of a target is its index in these arrays.
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Whether each standard and sky position is used; None if no standards and sky positions are used.
+        Whether tiles may use each standard and sky position; None if tiles may use none of them.
     in_turn : bool
         Whether the passes are planned one after the other.
     """
@@ -60,9 +61,9 @@ class Bookkeeping:
     def __init__(self, visits, priority, kind, category, *, n_passes: int, others, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
-        # all tiles with requirements for sky positions and standards may use them
+        # usable standards and sky positions always have one remaining visit, so that every tile may use them
         self.left = self.wanted.copy()
-        # whether visits to each target count; None if the visits to all targets count
+        # whether a visit to each target reduces its remaining visits; None if this is true for all targets
         self.spends = None
         if science is not None and others is not None:
             self.left[~science & others] = 1
@@ -72,14 +73,15 @@ class Bookkeeping:
         classes = category_classes(category, self.wanted)
         if len(classes[1]) > 1:
             self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
-        # the number of the last pass in which each target was visited; if passes are planned in turn, this is the pass
-        # of the last recorded tile, and no array is required
+        # the number of the last pass in which each target was visited; if passes are planned one after the other, this
+        # is the pass of the tile that was recorded last, and no array is required
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
-        """Record a tile of pass ``number``: its field, and the slot of the target of each visit (-1 for blank sky).
+        """Record a tile of pass ``number``, and return the number of its successful visits to science targets.
 
-        Return the number of visits that count.
+        ``in_reach`` states whether a positioner reaches each target of the field. ``slot`` is the slot of the target of
+        each visit (-1 for blank sky), and ``observed`` states whether each visit was successful.
         """
         self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
         slot, observed = slot[slot >= 0], observed[slot >= 0]
@@ -98,7 +100,7 @@ class Bookkeeping:
         return len(slot)
 
     def done(self) -> np.ndarray:
-        """Return the number of visits that count, for each target."""
+        """Return the number of successful visits to each target; 0 for standards and sky positions."""
         done = self.wanted - self.left
         if self.spends is not None:
             done[~self.spends] = 0
@@ -114,7 +116,7 @@ class Bookkeeping:
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the targets in ``slot`` that have no visit that counts, and the outcomes of these targets."""
+        """Return the targets in ``slot`` that were never observed, and the outcomes of these targets."""
         slot = slot[(self.flags[slot] & DONE) == 0]
         code = _outcomes_by_flags(self.flags[slot])
         code[self.left[slot] == 0] = Outcome.NOT_REQUESTED
@@ -122,7 +124,7 @@ class Bookkeeping:
 
 
 def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
-    """Return the outcomes of targets without a visit that counts."""
+    """Return the outcomes of targets that were never observed."""
     code = np.full(len(flags), Outcome.IN_NO_FIELD, dtype=np.uint8)
     code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
     code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED

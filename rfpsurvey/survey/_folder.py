@@ -31,14 +31,14 @@ LINE = re.compile(r"([a-z0-9/]+\.(?:fits|ecsv|npz)),(\d+),([0-9a-f]{64})\n")
 
 
 class RequestFolder:
-    """A folder for the results of long work, which contains its request and is locked while the work is done.
+    """A folder for the results and the request of a long computation; the folder is locked during the computation.
 
     Parameters
     ----------
     path : str or path-like
         Path of the folder, which need not exist.
     request : dict
-        The request of the work; it can only be continued with the same request.
+        The request of the work. Unfinished work can only be continued with the same request.
     resume : bool
         Whether to continue unfinished work.
     """
@@ -46,7 +46,7 @@ class RequestFolder:
     request_name = REQUEST
     """Name of the file of the request."""
     work, parts = "survey", "tiles"
-    """Name of the work in the folder, and name of its parts, for error messages."""
+    """Words for error messages: the kind of work in the folder, and the parts into which the work is divided."""
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
@@ -158,7 +158,7 @@ class Folder(RequestFolder):
         write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
 
     def part(self, tile: int) -> bytes | None:
-        """Return the part (stored result) of the tile in a row of the tiling, or None if there is no valid part."""
+        """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
         name = part_name(tile)
         if name not in self._known:
             return None
@@ -170,7 +170,7 @@ class Folder(RequestFolder):
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored part of a tile is not used."""
-        text = f"tile {tile} (by row) is planned again: {reason}"
+        text = f"the tile in row {tile} of the tiling is planned again: {reason}"
         warn(text)
 
     def put_part(self, tile: int, content: bytes) -> None:
@@ -188,7 +188,7 @@ class Folder(RequestFolder):
             return None
 
     def put_file(self, name: str, content: bytes) -> None:
-        """Write a file, and the folder that contains it."""
+        """Write a file; make the folder that contains the file if this folder does not exist."""
         with self._told():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
@@ -214,7 +214,7 @@ def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> b
     except OSError as error:
         raise InputError(f"{path / name} is damaged ({error.strerror or error})") from None
     if (len(content), hashlib.sha256(content).hexdigest()) != known.get(name):
-        raise InputError(f"{path / name} is damaged (its checksum differs from the checksum of the written file)")
+        raise InputError(f"{path / name} is damaged (its checksum differs from the checksum of the finished file)")
     return content
 
 
@@ -247,7 +247,7 @@ def _belongs(name: str, n_tiles: int) -> bool:
 
 
 def part_name(tile: int) -> str:
-    """Return the name of the file for the tile in a row of the tiling."""
+    """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
 
 

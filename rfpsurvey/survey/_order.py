@@ -9,7 +9,12 @@ __all__ = ["ORDERS", "make_rounds"]
 
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
-    """Return a number for each tile; neighboring tiles of the same group have different numbers."""
+    """Return a number for each tile such that neighboring tiles have different numbers.
+
+    Tiles are neighbors if their centers are closer than ``reach_rad`` and, if ``smallest`` is true, if they belong to
+    the same group. With ``smallest``, each number is as small as possible. Otherwise, it is larger than the numbers of
+    all neighbors in earlier rows.
+    """
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
         index.vectors,
@@ -43,8 +48,8 @@ def _as_given(index, reach_rad, passes):
 ORDERS = {"color": _by_color, "given": _as_given}
 """Functions that return the round of each tile.
 
-The arguments of these functions are the spatial index of the tiles, the largest distance of overlapping tiles, and the
-pass of each tile.
+The arguments of these functions are the spatial index of the tiles, the largest distance (rad) between the
+centers of overlapping tiles, and the pass of each tile.
 """
 
 
@@ -54,6 +59,6 @@ def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order
         return []
     index = SkyIndex(vectors)
     round_of = ORDERS[order](index, reach_rad, passes)
-    # neighbors on the sky follow each other, so that partitions in memory are used again
+    # tiles that are close on the sky are planned in succession, because they use the same partitions of the catalog
     along = index.order[np.argsort(round_of[index.order], kind="stable")]
     return np.split(along, np.cumsum(np.bincount(round_of))[:-1])

@@ -1,4 +1,4 @@
-"""The function that plans surveys."""
+"""The function `plan_survey`, and the validation of its parameters."""
 
 import logging
 from collections.abc import Callable
@@ -56,11 +56,12 @@ def plan_survey(
 ) -> Survey:
     """Plan the tiles of a survey such that each target is observed the requested number of times.
 
-    Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other;
-    an executor plans all other tiles at the same time. The plan does not depend on the executor. Required targets
-    (`AllocationOptions`) take precedence in every tile as long as they have remaining visits. Required targets that are
-    standards or sky positions can be used any number of times, even without requirements. Circles that no arm may cover
-    are obstacles for the tiles whose arms can touch them.
+    Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other.
+    If an executor is given, tiles that do not share targets are planned at the same time. The plan does not depend on
+    the executor. Required targets (`AllocationOptions`) take precedence in every tile as long as they have remaining
+    visits. A standard or sky position that is a required target can be used any number of times, even if the options
+    contain no requirements. Circles that no arm may cover (``keep_out`` of `AllocationOptions`) are obstacles in the
+    tiles whose arms can touch these circles.
 
     Parameters
     ----------
@@ -72,9 +73,9 @@ def plan_survey(
     tiling : Tiling, Table or SkyCoord
         Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
-        The allocator with its options for every tile, or only the allocator; see `AllocationOptions`. Processes
-        require the name of an allocator; a function can only be used in threads. A plan whose search ends at the time
-        limit may not be reproducible.
+        The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If processes plan
+        the tiles, the allocator must be given by its name; a function can only be used in threads. A plan whose search
+        ends at the time limit may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255; by default, the visits of the catalog, or one visit. A tile
         observes a target at most once. The order of the rows of a `PartitionedCatalog` is the order in which its method
@@ -88,20 +89,21 @@ def plan_survey(
     order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
-        is planned first, whatever their passes are. ``joint`` or `JointOptions`: the tiles are first planned one after
-        the other in the order ``color``, and then together, such that the number of visits increases. This order
-        requires the allocator ``optimal`` without requirements and required targets.
+        is planned first, even if its pass is a later one. ``joint`` or `JointOptions`: the tiles are first planned
+        one after the other in the order ``color``, and then together, such that the number of visits increases. This
+        order requires the allocator ``optimal``; requirements and required targets are not supported.
     folder : str or path-like, optional
-        Folder to which each tile is written as FITS, which allows only ASCII text. Without a folder, all visits are
-        kept in memory.
+        Folder to which the visits of each tile are written as a FITS file. FITS allows only ASCII text. Without a
+        folder, the visits of all tiles are kept in memory.
     resume : bool, optional
-        Whether to continue an unfinished survey in the folder. Its tiles are verified, and damaged ones are planned
-        again.
+        Whether to continue an unfinished survey in the folder. The files of its tiles are verified, and tiles whose
+        files are damaged are planned again.
     executor : concurrent.futures.Executor, optional
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished tiles and of all
-        tiles. The rate and the remaining time only include tiles that are planned in this run.
+        Show the progress on the standard error, or call a function with two arguments: the number of finished tiles,
+        and the number of all tiles. The displayed rate and remaining time only include tiles that are planned in this
+        run.
     rng : int, Generator or None, optional
         Seed or random number generator; each tile has its own stream of random numbers. With None, a seed is drawn; it
         is recorded in ``provenance`` and ``survey.json``, and is used to continue the survey.
@@ -124,9 +126,9 @@ def plan_survey(
     -----
     RfpsurveyWarning
         If no target was observed, if required targets were never observed (``summary["unmet"]``), if identifiers occur
-        twice, if no target meets a requirement, if an option has no effect, if the tiles were placed for fields of
-        another size, or if a table of tiles looks like a catalog of targets; on resuming, if the versions of the
-        software differ or files are damaged.
+        twice, if the catalog has no target of a kind or category that a requirement names, if an option has no effect,
+        if the tiles were placed for fields of another size, or if a table of tiles looks like a catalog of targets.
+        When a survey is continued: if the versions of the software differ or files are damaged.
 
     See Also
     --------
@@ -146,7 +148,7 @@ def plan_survey(
     """
     begin = perf_counter()
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume requires the folder of the survey to continue")
+        raise InputError("resume requires the folder of an unfinished survey, got no folder")
     request = prepare_request(
         catalog,
         instrument,

@@ -29,20 +29,23 @@ MARGIN = 1.001
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """Targets, tiles, instrument and options of a survey."""
+    """Targets, tiles, instrument and options of a survey.
+
+    The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`).
+    """
 
     source: object
     tiling: Tiling
     """The tiles of the passes that are planned."""
     number: np.ndarray
-    """Index of the pass of each tile among the planned passes."""
+    """For each tile, the index of its pass in ``passes``."""
     passes: list[int]
     instrument: Instrument
     options: AllocationOptions
     visits: np.ndarray
-    """Requested number of visits of each target, by slot."""
+    """Requested number of visits of each target, in the order of slots."""
     is_required: np.ndarray | None
-    """Whether each target is required, by slot; None if none are required."""
+    """Whether each target is required, in the order of slots; None if no target is required."""
     order: str
     epoch: str | None
     seed: int
@@ -52,7 +55,7 @@ class Request:
 
     @cached_property
     def radius_rad(self) -> float:
-        """Radius of a field; refraction enlarges the field with the lowest altitude the most."""
+        """Radius of the largest field in radians; refraction enlarges the field with the lowest altitude the most."""
         if self.conditions is None:
             return field_radius_rad(self.instrument)
         fields = self._fields()
@@ -76,26 +79,26 @@ class Request:
 
     @cached_property
     def rounds(self) -> list[np.ndarray]:
-        """Tiles (rows) of each round; tiles of a round may be planned at the same time."""
+        """Rows of the tiles of each round; the tiles of a round share no targets and can be planned simultaneously."""
         return make_rounds(self.tiling.vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
 
     @cached_property
     def model(self) -> Model:
-        """The data that all jobs share."""
+        """The data that the jobs of all tiles share."""
         blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
         return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units, self.epoch)
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        # standards and sky positions in use: all if there are requirements, otherwise only those that are required
+        # with requirements, tiles may use all standards and sky positions; otherwise only required ones
         others = True if self.options.requirements else self.is_required
         in_turn = self.order == "color"
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
-        """Return the job that plans a tile (by row); ``left`` is the number of remaining visits of each target."""
-        # blank sky must be away from all targets, including targets without remaining visits
+        """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
+        # blank sky positions must not be close to any target, including targets without remaining visits
         rest = self.options.sky_separation is not None
         field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
         if self.is_required is not None:
@@ -108,7 +111,7 @@ class Request:
 
     @cached_property
     def _places(self) -> list[list]:
-        """Return names, right ascensions, declinations and position angles of all tiles (deg)."""
+        """Names, right ascensions, declinations and position angles of all tiles; the angles are in degrees."""
         table = self.tiling.table
         angles = (table[name].to_value(u.deg).astype(float).tolist() for name in ("ra", "dec", "position_angle"))
         return [np.asarray(table["tile"]).tolist(), *angles]
@@ -120,7 +123,7 @@ class Request:
 
     @cached_property
     def parameters(self) -> dict:
-        """Parameters that a result records."""
+        """The parameters of the survey that are recorded in its provenance and in its folder."""
         return {
             **self.options.record,
             "passes": self.passes,
@@ -135,7 +138,7 @@ class Request:
 
     @cached_property
     def provenance(self) -> dict:
-        """Versions, instrument, catalog and parameters."""
+        """Versions of the software, instrument, catalog, tiling and parameters of the survey."""
         found = {
             "software": self.software,
             "instrument": self.instrument.provenance,
@@ -155,7 +158,7 @@ class Request:
         check_fits_text(columns, "plan without a folder")
 
     def identity(self) -> dict:
-        """Return a dict that identifies the survey."""
+        """Return a dict that identifies the survey, so that only the same survey can be continued in a folder."""
         columns = ("ra", "dec", "position_angle", "pass")
         tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
         names = np.asarray(self.tiling.table["tile"]).astype(str)
@@ -192,8 +195,8 @@ def make_request(
     tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
     if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
-        fields = f"{instrument.name} has fields of {radius:.4g} deg"
-        text = f"the tiles were placed for fields of {made_for:.4g} deg, but {fields}"
+        fields = f"the fields of {instrument.name} have a radius of {radius:.4g} deg"
+        text = f"the tiles were placed for fields with a radius of {made_for:.4g} deg, but {fields}"
         warn(text)
     wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
     if visits is not None and np.ndim(visits):

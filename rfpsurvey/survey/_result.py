@@ -24,7 +24,7 @@ TILES = {
     "n_assigned": "number of positioners with a target",
     "n_science": "number of positioners with a science target",
     "n_standard": "number of positioners with a standard star",
-    "n_sky": "number of positioners on sky",
+    "n_sky": "number of positioners with a sky position",
     "n_colliding": "number of positioners in collision",
     "n_counted": "number of positioners that have a target or are parked",
     "n_colliding_pairs": "number of pairs of arms in collision",
@@ -114,7 +114,7 @@ def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
 
 
 def completeness_table(request, state: Bookkeeping) -> QTable:
-    """Return a table with a row for each pass and, if there are several, for each class of priority and category."""
+    """Return a table with rows for each pass: one for all targets, and one for each class if there are several."""
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
     columns = ("priority", "category") if "category" in state.tallies else ("priority",)
     names = ("n_targets", "n_requested", "n_observed", "n_complete")

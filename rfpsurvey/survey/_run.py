@@ -20,14 +20,15 @@ from rfpsurvey.survey._work import COUNTS, N_FIELD, Done, in_reach, work
 
 __all__ = ["IN_FLIGHT", "run", "told"]
 
-# Number of tiles that are submitted before the first result is awaited.
+# Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
 
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool, together=None) -> Survey:
-    """Plan the tiles, and write them if a path is given.
+    """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None.
 
-    ``together``, if given, plans the tiles first: it returns a request with these plans, and a table.
+    ``together`` is None, or a function that first plans all tiles together. This function returns a request with these
+    plans, and the table of its iterations.
     """
     joint = None
     where = nullcontext()
@@ -73,7 +74,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield, for each tile of ``tiles`` in order, the tile, its field, its result, and whether the result is new."""
+    """Yield each tile in order, with its field, its result, and whether the result was computed in this run."""
     waiting = deque()
     try:
         for tile in tiles.tolist():
@@ -117,7 +118,9 @@ def told(job):
     try:
         yield
     except BrokenExecutor as error:
-        text = "a worker died; tiles that were written are kept: continue the survey with resume=True (--resume)"
+        text = (
+            "a worker process died; the files of finished tiles remain: continue the survey with resume=True (--resume)"
+        )
         raise BrokenExecutor(text) from error
     except Exception as error:
         error.add_note(f"while tile {job.tile} was planned")

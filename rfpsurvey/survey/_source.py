@@ -1,4 +1,8 @@
-"""The targets of a survey, in memory or in partitions. The *slot* of a target is its index in arrays of the state."""
+"""The targets of a survey, in memory or in partitions.
+
+The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`). The *row* of a
+target is its row in the catalog.
+"""
 
 import hashlib
 from collections import OrderedDict
@@ -27,7 +31,7 @@ COLUMNS = ("priority", "kind", "category", "fiber_type")
 
 
 class InMemory:
-    """A catalog that fits into memory; the slot of a target is its position in the index."""
+    """A catalog that fits into memory; the slot of a target is its position in the spatial index."""
 
     def __init__(self, catalog: Catalog):
         self._catalog = catalog
@@ -41,9 +45,11 @@ class InMemory:
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
     ) -> Field:
-        """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot or row), is not 0.
+        """Return the targets in a circle that still require a visit.
 
-        With ``rest=True``, targets without remaining visits are also returned.
+        ``left`` is the number of remaining visits of each target, in the order of slots or, if ``by_row`` is true, in
+        the order of rows. If ``rest`` is true, the field also contains the directions of the targets without remaining
+        visits, as ``targets.others``.
         """
         left = self.to_slots(left) if by_row else left
         slot, others = self._index.near(center, radius_rad, None if rest else left), None
@@ -60,16 +66,16 @@ class InMemory:
         return Field(slot, row, targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
-        """Return the sum of values (by slot) inside circles."""
+        """Return, for each circle, the sum of the values of the targets inside; ``values`` is in the order of slots."""
         return self._index.sum_near(centers, radius_rad, values)
 
     def by_slot(self, name: str) -> np.ndarray | None:
-        """Return a column of the catalog with a value for each slot."""
+        """Return a column of the catalog in the order of slots; None if the catalog does not have this column."""
         column = getattr(self._catalog, name)
         return None if column is None else self.to_slots(column)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Return an array with a value for each row in the order of slots."""
+        """Return the values, which are in the order of the rows of the catalog, in the order of slots."""
         return values[self._index.order]
 
     @property
@@ -87,15 +93,15 @@ class InMemory:
         return self._catalog.id
 
     def ids_by_part(self) -> list[np.ndarray]:
-        """Return the ids of all targets."""
+        """Return a list with one array, the ids of all targets, because a catalog in memory has no partitions."""
         return [self._catalog.id]
 
     def ids_of(self, row: np.ndarray) -> np.ndarray:
-        """Return the ids of targets by row."""
+        """Return the ids of the targets in the given rows of the catalog."""
         return self._catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return an array with a value for each slot in the order of rows."""
+        """Return the values, which are in the order of slots, in the order of the rows of the catalog."""
         out = np.empty_like(values)
         out[self._index.order] = values
         return out
@@ -107,17 +113,17 @@ class InMemory:
 
     @property
     def units(self) -> dict:
-        """Units of the further columns of visits, by name."""
+        """Units of the additional columns (``extra``) of the catalog, by name."""
         return self._catalog.arrays.extra_units
 
     def text_columns(self) -> dict:
-        """Return the text columns of visits; the keys describe the content of the columns."""
+        """Return the text columns of the catalog that are copied to the visits; the keys are used in error messages."""
         columns = {"category": self._catalog.category, **self._catalog.arrays.extra}
         return {f"values of {k!r}": v for k, v in columns.items() if v is not None and v.dtype.kind == "U"}
 
 
 class Partitioned:
-    """A catalog in partitions; the partitions that were read last are kept in memory, and slots are rows."""
+    """A catalog in partitions; the most recently read ones are kept in memory, and the slot of a target is its row."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
         self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch
@@ -130,7 +136,7 @@ class Partitioned:
 
     @cached_property
     def _margin_rad(self) -> float:
-        """Upper limit, in radians, of the motion of targets."""
+        """Upper limit of the distance, in radians, that a target moves until the epoch of the survey."""
         if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
         parts = range(len(self._parts.files))
@@ -148,9 +154,10 @@ class Partitioned:
         return self._kept[k]
 
     def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
-        """Return the targets in a circle for which the number of remaining visits, ``left`` (by slot), is not 0.
+        """Return the targets in a circle that still require a visit.
 
-        With ``rest=True``, targets without remaining visits are also returned.
+        ``left`` is the number of remaining visits of each target, in the order of slots. If ``rest`` is true, the field
+        also contains the directions of the targets without remaining visits, as ``targets.others``.
         """
         found = []
         for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
@@ -170,7 +177,7 @@ class Partitioned:
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of the values of the targets inside each circle.
 
-        ``values`` has one element per slot. Each partition is read at most once.
+        ``values`` is in the order of slots. Each partition is read at most once.
         """
         circles = [self._parts.near(center, radius_rad + self._margin_rad) for center in centers]
         total = np.zeros(len(centers))
@@ -182,7 +189,7 @@ class Partitioned:
         return total
 
     def by_slot(self, name: str) -> np.ndarray | None:
-        """Return a column of the catalog with a value for each slot."""
+        """Return a column of the catalog in the order of slots; None if the catalog does not have this column."""
         return self._parts.column(name)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
@@ -192,7 +199,7 @@ class Partitioned:
     by_row = to_slots
 
     has_twins = False
-    """Assumed to be False, since a test would require all identifiers in memory."""
+    """Whether two targets have the same id. This is not tested, because a test would require all ids in memory."""
 
     @property
     def has_text_ids(self) -> bool:
@@ -201,11 +208,14 @@ class Partitioned:
 
     @property
     def units(self) -> dict:
-        """Units of the further columns of visits, by name."""
+        """Units of the additional columns (``extra``) of the catalog, by name."""
         return self._part(0).units
 
     def text_columns(self) -> dict:
-        """Return no columns, because all partitions would have to be read; writing invalid text raises an error."""
+        """Return an empty dict, because a test of the text columns in advance would require all partitions.
+
+        Text that FITS files cannot contain causes an error when the visits of a tile are written.
+        """
         return {}
 
     def ids(self) -> np.ndarray:
@@ -217,7 +227,7 @@ class Partitioned:
         return (self._parts.part(k).id for k in range(len(self._parts.files)))
 
     def ids_of(self, row: np.ndarray) -> np.ndarray:
-        """Return the ids of targets by row, in ascending order."""
+        """Return the ids of the targets in the given rows of the catalog; the rows must be in ascending order."""
         parts = np.searchsorted(self._first, row, side="right") - 1
         return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
@@ -232,7 +242,7 @@ def _stack(parts: tuple) -> np.ndarray | None:
 
 
 def digest(*columns: np.ndarray | None) -> str:
-    """Return a short digest of columns; columns can be None."""
+    """Return 16 hexadecimal digits that identify the content of columns; a missing column is None."""
     found = hashlib.sha256()
     for column in columns:
         found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))

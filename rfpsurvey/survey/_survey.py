@@ -1,4 +1,4 @@
-"""The class of surveys."""
+"""The class `Survey`, which contains the result of planning a survey."""
 
 import os
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
 
-# Columns that must be in the tables of a folder and in the file of a tile.
+# Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
     ("pass", "priority", "n_targets", "n_requested", "n_observed", "n_complete", "completeness"),
@@ -35,31 +35,35 @@ class Survey:
     ----------
     tiles : QTable
         Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
-        ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets that still require visits),
-        ``n_reachable`` (such targets in reach), ``n_assigned`` (positioners with a target), ``n_science``,
-        ``n_standard``, ``n_sky`` (positioners with a target of this kind), ``n_colliding``, ``n_counted`` (positioners
-        with a target, or parked as obstacles), ``n_colliding_pairs``, ``n_obstacle_collisions``, ``n_unmet``
-        (requirements that are not met; all required targets of a tile count as one requirement), ``n_observed`` (visits
-        that count), ``collision_rate``, ``fiber_use``, ``completeness`` (visits of all tiles to the targets of this
-        field, divided by the requested visits; NaN without targets). Its ``meta`` contains ``summary`` and
+        ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets in the field that still
+        require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
+        (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
+        ``n_colliding``, ``n_counted`` (positioners with a target, or parked as obstacles), ``n_colliding_pairs``,
+        ``n_obstacle_collisions``, ``n_unmet`` (requirements that are not met; all required targets of a tile count as
+        one requirement), ``n_observed`` (successful visits to science targets), ``collision_rate``, ``fiber_use``,
+        ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
+        visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and
         ``provenance``.
     completeness : QTable
-        Table with a row for each pass and class, which describes the state after that pass: ``priority`` and, if there
-        are several, ``category`` (``all`` stands for all values of a column), ``n_targets``, ``n_requested`` and
-        ``n_observed`` (requested visits, and visits made), ``n_complete`` (targets with all requested visits),
-        ``completeness`` (``n_observed`` divided by ``n_requested``).
+        Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
+        priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
+        (number of tiles up to the end of this pass), ``priority`` and, if there are several categories, ``category``
+        (``all`` stands for all values of a column), ``n_targets``, ``n_requested`` and ``n_observed`` (requested
+        visits, and visits made), ``n_complete`` (targets with all requested visits), ``completeness`` (``n_observed``
+        divided by ``n_requested``).
     outcomes : QTable
-        Table with a row for each target: ``target_id``, ``wanted`` and ``observed`` (numbers of requested visits, and
-        of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
+        Table with a row for each target: ``target_id``, ``requested`` and ``observed`` (numbers of requested visits,
+        and of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
     folder : Path, optional
         Folder that contains the visits.
     parts : tuple of ndarray, optional
-        The visits of each tile, if there is no folder.
+        Array of the visits of each tile; None if the visits are in the folder.
     joint : QTable, optional
-        If all tiles were planned together (`JointOptions`), a table with a row for each iteration and level:
-        ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
-        bound of these visits for all plans without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
-        (computing time until the end of the iteration). The entry ``joint`` of the summary contains the last state.
+        If all tiles were planned together (`JointOptions`), a table with a row for each iteration and each priority
+        (for at most eight priorities): ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this
+        priority), ``bound`` (upper bound of ``n_visits`` in any plan without collisions), ``gap``
+        (1 - ``n_visits`` / ``bound``), ``seconds`` (computing time until the end of the iteration). The entry ``joint``
+        of the summary contains the values after the last iteration.
 
     Examples
     --------
@@ -80,15 +84,15 @@ class Survey:
     joint: QTable | None = None
 
     OUTCOMES = OUTCOMES
-    """The outcomes of targets."""
+    """Names of the possible outcomes of a target, in the order of their codes."""
 
     @property
     def summary(self) -> dict:
         """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
 
-        ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of required targets with a
-        visit that counts; ``unmet`` is a list of sentences on the other required targets, one sentence for each
-        outcome.
+        ``n_required`` is the number of required targets, and ``n_required_observed`` is the number of required targets
+        that were observed at least once. ``unmet`` is a list of sentences that name the required targets that were
+        never observed, with one sentence for each outcome.
         """
         return self.tiles.meta["summary"]
 
@@ -99,13 +103,13 @@ class Survey:
 
     @property
     def targets(self) -> QTable:
-        """Table with a row for each visit; for large surveys, read the visits of each tile by `visits`.
+        """Table with a row for each visit of the survey; for large surveys, use `visits`, which reads a single tile.
 
         Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
-        ``dec``, ``in_collision``, ``observed`` (whether the visit counts), ``fiber_type`` if there are several,
-        ``kind`` if the catalog has kinds or blank sky was searched for, and ``priority``, ``category`` and the further
-        columns (``extra``) of the catalog, if it has them. In the columns from the catalog, the values for blank sky
-        are NaN, empty text, False or -1.
+        ``dec``, ``in_collision``, ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the
+        fibers of the instrument have types, ``kind`` if the catalog has kinds or if blank sky positions were added, and
+        ``priority``, ``category`` and the further columns (``extra``) of the catalog, if the catalog has these columns.
+        In the columns from the catalog, the values for blank sky are NaN, empty text, False or -1.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -152,7 +156,7 @@ class Survey:
         return table
 
     def show(self, *, height: int = 1000) -> object:
-        """Return the interactive map of the tiles, as in a report, for a notebook.
+        """Return an interactive map of the tiles for display in a notebook; reports contain the same map.
 
         The map is in a frame that can run the script of the map, but has no access to the notebook or the network.
 
@@ -210,7 +214,8 @@ class Survey:
         if not all((folder / name).is_file() for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
             raise InputError(
-                f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} there): continue it first"
+                f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
+                "survey with resume=True (--resume) before you read it"
             )
         for name in TABLES:
             read_verified(folder, name, known)

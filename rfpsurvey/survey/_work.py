@@ -16,7 +16,7 @@ from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "projection_of", "work"]
 
-# Header cards of a part: names of the counts, and comments.
+# Header cards of the file of a tile, with the name of the count and the comment of each card.
 N_FIELD = "NFIELD"
 COUNTS = {
     N_FIELD: ("n_in_field", "targets in the field with remaining visits"),
@@ -35,7 +35,7 @@ COUNTS = {
 
 VISITS = {
     "target_id": "identifier of the target",
-    "target_row": "row of the target in the catalog, -1 for none",
+    "target_row": "row in the catalog, -1 for blank sky",
     "positioner": "identifier of the positioner",
     "in_collision": "whether the arm collides",
     "observed": "whether the visit counts",
@@ -54,11 +54,11 @@ class Model:
     options : AllocationOptions
         Options of the allocation.
     blank : BlankIds or None
-        Identifiers of blank sky.
+        Identifiers of blank sky positions; None if no blank sky positions are added.
     lost_in_collision : bool
-        Whether visits with a collision do not count.
+        Whether targets whose arms collide count as not observed.
     units : dict
-        Units of further columns of the catalog.
+        Units of the additional columns of the catalog, by name.
     epoch : str or None
         Epoch of the positions.
     """
@@ -84,7 +84,7 @@ class Model:
         return _unpack, (self._packed,)
 
     def cards(self, columns: tuple[str, ...]) -> tuple:
-        """Return the FITS header cards that the parts of all tiles share."""
+        """Return the FITS header cards that are the same in the files of all tiles."""
         units = {"ra": "deg", "dec": "deg", **self.units}
         cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
@@ -128,7 +128,7 @@ class Done(NamedTuple):
 
 
 def work(job: Job) -> Done:
-    """Plan a tile."""
+    """Plan the tile of a job, and return the result."""
     model, field = job.model, job.field
     instrument = model.instrument
     projection, rng = projection_of(job), np.random.default_rng(job.seed)
@@ -143,7 +143,7 @@ def work(job: Job) -> Done:
         "in_collision": colliding,
         "observed": ~colliding if model.lost_in_collision else np.ones(len(colliding), dtype=bool),
     }
-    if model.blank is not None:  # use the same type in every tile
+    if model.blank is not None:  # the identifiers must have the same data type in every tile
         columns["target_id"] = plan.id.astype(model.blank.dtype)
     if instrument.focal_plane.fiber_types != ("",):
         columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]
@@ -177,6 +177,6 @@ def in_reach(job: Job) -> np.ndarray:
 
 
 def projection_of(job: Job):
-    """Return the projection of the field of a job."""
+    """Return the projection from the sky to the focal plane for the tile of a job."""
     place = np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg])
     return job.model.instrument.field_projection(*place, job.conditions)

@@ -26,15 +26,15 @@ class Centers:
     Parameters
     ----------
     coord : SkyCoord, Tiling or Table, optional
-        The only centers that are allowed, such as bright stars or the tiles of an earlier survey. Coverings may then
-        be incomplete. The method ``given`` uses all of these centers in their order; from a tiling or a table it also
-        uses the identifiers, position angles, passes and further columns.
+        List of the allowed centers, such as bright stars or the tiles of an earlier survey. If a list is given,
+        coverings may be incomplete. The method ``given`` uses all of these centers in their order. From a tiling or a
+        table, this method also uses the identifiers, position angles, passes and further columns.
     declination : tuple of Quantity or Quantity, shape (2,), optional
         Lowest and highest declination of a center. For a site at the latitude b and a maximum zenith distance z on
         the meridian, the limits are b - z and b + z.
     position_angle : Quantity, optional
-        Position angle of +y of all tiles, from north toward east. The default is 0 or, for ``given``, the position
-        angle in the list.
+        Position angle of the +y axis of the focal plane, from north toward east, for all tiles. The default is 0 or,
+        for the method ``given``, the position angle of each tile in the list.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Centers:
         limits, vectors = self.limits, self.vectors
         if vectors is not None and len(vectors) == 0:
             inside = "" if limits.anywhere else " inside the limits of declination"
-            raise InputError(f"centers must be at least one finite direction{inside}, got none")
+            raise InputError(f"centers must contain at least one finite direction{inside}, got none")
 
     @cached_property
     def limits(self) -> "Declinations":
@@ -150,7 +150,7 @@ class Declinations:
 
 
 def as_centers(given: object) -> Centers:
-    """Return Centers from Centers, a list of directions, or None."""
+    """Return `Centers` from a list of directions or None; return given `Centers` unchanged."""
     return given if isinstance(given, Centers) else Centers(given)
 
 

@@ -23,10 +23,10 @@ WHEN = ("time", "hour_angle")
 
 
 def when_of(table: QTable) -> str | None:
-    """Return the name of the column with a time or hour angle for each tile; None if there is none."""
+    """Return the name of the column with a time or hour angle for each tile; None if there is no such column."""
     there = [name for name in WHEN if name in table.colnames]
     if len(there) == 2:
-        raise InputError("a tiling with observing conditions must have a column time or hour_angle, got both")
+        raise InputError("a tiling with conditions must have at most one of the columns time and hour_angle, got both")
     return there[0] if there else None
 
 
@@ -57,7 +57,7 @@ def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
 def _times(column, tile) -> np.ndarray:
     """Return the times in a column (of times or text) as text in UTC."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)  # an error follows for times far in the future
+        warnings.simplefilter("ignore", erfa.ErfaWarning)  # times far in the future cause an error later
         if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):
             times = column.utc
         else:

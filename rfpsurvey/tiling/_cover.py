@@ -15,13 +15,13 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["RegionCover", "cover_targets", "in_any", "snap"]
 
-# Spacing of the samples of a region as fractions of the radius of a tile, and their largest number.
+# Spacing of the samples of a region as a fraction of the radius of a tile, and the largest number of samples.
 FINE = 1 / 40
 MOST_SAMPLES = 200_000
 
 
 def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
-    """Cover the targets with the given number of passes, or until a goal is reached or a pass serves no target."""
+    """Add passes until the given number of passes or a goal is reached, or until a pass observes no target."""
     state = TilingState(problem)
     center, reach = problem.circle()
     number, whole = 0, problem.open_ended
@@ -31,7 +31,7 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
         if problem.allowed is not None:
             centers = snap(centers, problem.allowed, points, problem.radius)
         elif not problem.limits.anywhere:
-            # centers outside the limits are moved onto them to serve targets that remain
+            # centers outside the limits of declination are moved onto the limits if they then cover further targets
             outside = problem.limits.distance(centers) > 0
             moved = problem.limits.fit(centers[outside], problem.radius)
             inner = np.arange(np.count_nonzero(~outside))
@@ -50,7 +50,7 @@ class RegionCover:
     region : Region
         Region to cover.
     radius : float
-        Radius of a tile.
+        Radius of a tile in radians.
     exclude : tuple of Region
         Regions that need not be covered.
     """
@@ -60,7 +60,7 @@ class RegionCover:
         self.center, self.reach = circle_around(region)
         self.samples, self.margin = _conservative(region, exclude, self.reach, radius)
         if len(self.samples) == 0:
-            raise InputError("exclude must leave something of the region, but nothing is left")
+            raise InputError("exclude must leave a part of the region to cover, but nothing is left")
         inside = is_inside(region, self.samples) & ~in_any(exclude, self.samples)
         self.look = self.samples[inside] if inside.any() else self.samples
 
@@ -91,7 +91,7 @@ class RegionCover:
 
 
 def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
-    """Mark the unit vectors inside any of the regions."""
+    """Return whether each unit vector is inside at least one of the regions."""
     inside = np.zeros(len(vectors), dtype=bool)
     for region in regions:
         inside |= is_inside(region, vectors)
@@ -99,7 +99,7 @@ def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
 
 
 def _conservative(region, exclude, reach, radius):
-    """Return HEALPix centers that sample the region, and the largest distance of a point from its nearest center."""
+    """Return the HEALPix pixel centers that sample a region, and the largest distance of a point from such a center."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
@@ -110,7 +110,7 @@ def _conservative(region, exclude, reach, radius):
 
 
 def _all_inside(regions, samples, margin):
-    """Mark samples that are inside the regions, together with eight points at the distance ``margin`` around them."""
+    """Return whether each sample, with eight points at the distance ``margin`` around it, is inside the regions."""
     helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]
@@ -122,7 +122,7 @@ def _all_inside(regions, samples, margin):
 
 
 def _needed(index, centers, radius, margin):
-    """Drop the centers of circles that touch no point, or only points that other circles certainly cover."""
+    """Return the centers of circles that touch at least one pixel that no other of the circles covers completely."""
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
     if radius <= 2 * margin:
         return centers[[len(rows) > 0 for rows in touched]]

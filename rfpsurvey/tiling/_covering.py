@@ -1,4 +1,4 @@
-"""Coverings of a circle on the sphere by equal circles, which are proven to have no gaps.
+"""Coverings of a circle on the sphere by equal circles; each covering is tested to have no gaps.
 
 The center of the widest empty circle between points is the circumcenter of a Delaunay triangle, and the Delaunay
 triangles of points on the sphere are the facets of their convex hull.
@@ -54,7 +54,7 @@ def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
 
     hull = ConvexHull(vectors)
     middle = hull.equations[:, :3]
-    # by chords, because cosines are inaccurate for small angles
+    # angles are computed from chords, because cosines are inaccurate for small angles
     half = np.linalg.norm(middle[:, None, :] - vectors[hull.simplices], axis=2).max(axis=1) / 2
     gap = 2 * np.arcsin(np.minimum(half, 1.0))
     away = 2 * np.arcsin(np.minimum(np.linalg.norm(middle - center, axis=1) / 2, 1.0))
@@ -62,16 +62,16 @@ def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
 
 
 def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return the centers of circles that cover a circle without gaps, on the hexagonal lattice of the largest pitch.
+    """Return the centers of circles that cover a given circle, on a hexagonal lattice with the largest possible pitch.
 
     Parameters
     ----------
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Radius of the circle to cover, at most a right angle.
+        Radius of the circle to cover in radians, at most a right angle.
     radius : float
-        Radius of the circles.
+        Radius of the covering circles in radians.
     number : int, optional
         Number of the pass, which determines the shift of the lattice.
 
@@ -90,7 +90,7 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
     def make(pitch):
         return lattice(center, reach + MARGIN * radius, pitch, dither(number))
 
-    # the pitch on a plane; the distortion of the map requires a smaller one
+    # the upper limit is the pitch on a plane; on the sphere, the distortion of the map requires a smaller pitch
     low, high = 0.0, np.sqrt(3) * radius
     pitch = high
     for _ in range(40):
@@ -111,16 +111,16 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
 
 
 def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return the centers of circles that cover a circle without gaps, on a Fibonacci spiral over the whole sphere.
+    """Return the centers of circles that cover a given circle, on a Fibonacci spiral over the whole sphere.
 
     Parameters
     ----------
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Radius of the circle to cover, up to pi.
+        Radius of the circle to cover in radians, up to pi.
     radius : float
-        Radius of the circles.
+        Radius of the covering circles in radians.
     number : int, optional
         Number of the pass, which determines the axis of the spiral.
 

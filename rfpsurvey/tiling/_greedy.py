@@ -21,11 +21,12 @@ _TURN = np.array([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 
 
 def max_density(problem: TilingProblem) -> TilingState:
-    """Place each tile at the center with the largest number of requested visits of the highest priority that is left.
+    """Place each tile where its targets of the highest remaining priority require the largest number of visits.
 
-    If several centers have the same number, the one with the most visits of other priorities is used. The candidate
-    centers form a HEALPix grid finer than a tenth of the radius. For each candidate, the sum of the requested visits in
-    its field is updated after each new tile. The best candidate is then shifted as long as its sum increases.
+    If this number is equal for several centers, the center with the most remaining visits to targets of other
+    priorities is used. The candidate centers form a HEALPix grid finer than a tenth of the radius. For each candidate,
+    the sum of the remaining visits in its field is updated after each new tile. The best candidate is then shifted as
+    long as its sum increases.
     """
     state = TilingState(problem)
     places = _grid(problem) if problem.allowed is None else problem.allowed
@@ -75,7 +76,7 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
         if center is None:
             break
         tries = [center]
-        if state.problem.allowed is None:  # a shift can bring targets within reach
+        if state.problem.allowed is None:  # a small shift of the tile can bring targets within reach of a positioner
             beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
             tries += list(state.problem.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):
@@ -86,7 +87,7 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
 
 
 class _Candidates:
-    """Candidate centers of a tile, and the number of requested visits around each."""
+    """Candidate centers of a tile, and the weighted sum of the remaining visits around each candidate."""
 
     def __init__(self, state: TilingState, vectors: np.ndarray, reach: float):
         self.state, self.reach = state, reach
@@ -99,7 +100,7 @@ class _Candidates:
         most = self.sum.max(initial=0.0)
         if most <= 0.5 * self.state.unit:
             return None
-        # of equal candidates, the one with the first row, independent of the order on the sky
+        # if sums are equal, the candidate in the first row is used, independent of the order of the spatial index
         top = np.flatnonzero(self.sum >= most - min(1e-9, 1e-2 * self.state.unit))
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
@@ -120,7 +121,7 @@ class _Candidates:
 
 
 def _grid(problem: TilingProblem) -> np.ndarray:
-    """Return HEALPix centers, finer than a tenth of the radius, within a radius of targets."""
+    """Return HEALPix pixel centers, closer than a tenth of the radius, that have a target within one radius."""
     fine = _healpix.nside_for(GRID * problem.radius / 1.0233)  # the side of a pixel is 1.0233 / nside
     coarse = max(_healpix.nside_for(problem.radius) // 2, 1)
     near = _near_targets(problem, _healpix.centers(coarse, np.arange(12 * coarse**2)), _healpix.pixel_radius(coarse))
@@ -150,7 +151,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Shift a center by decreasing steps as long as the number of requested visits inside the tile increases."""
+    """Shift a center by decreasing steps as long as the number of remaining visits inside the tile increases."""
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:
@@ -165,7 +166,10 @@ def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
 
 
 def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Climb the gradient of the density, smoothed by a Gaussian of half the radius, until the step is small."""
+    """Move a center along the gradient of the smoothed density of targets until the step is small.
+
+    The density is smoothed by a Gaussian whose standard deviation is half the radius of a tile.
+    """
     problem = state.problem
     sigma = SIGMA * problem.radius
     weight = state.weight

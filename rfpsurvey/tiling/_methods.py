@@ -15,7 +15,7 @@ GIVEN = "given"
 # Coverings of a region, which require no targets.
 COVERINGS = {"hexagonal": hexagonal, "spiral": spiral}
 
-# Each takes a TilingProblem and returns a TilingState.
+# Each method is a function that takes a TilingProblem and returns a TilingState.
 METHODS = {
     **{name: partial(cover_targets, make=make) for name, make in COVERINGS.items()},
     "max_density": max_density,

@@ -16,7 +16,8 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["sdss"]
 
-# As fractions of the radius: the largest distance of a target outside a tile, and the size of the cells.
+# Fractions of the radius of a tile: the largest distance between the edge of a tile and a target outside that the flow
+# can assign to the tile, and the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
 # The cost of a visit is almost 0 inside the field, and increases from 1 to 3 beyond its edge. The last value is the
@@ -36,7 +37,7 @@ def sdss(problem: TilingProblem) -> TilingState:
 
 
 def _fewest(problem: TilingProblem) -> TilingState:
-    """Find the smallest number of tiles by bisection."""
+    """Find, by bisection, the smallest number of tiles that reaches the completeness, and return its tiles."""
     goal = problem.completeness
     most = problem.n_tiles or 10**6
     n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
@@ -102,7 +103,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
             high = pitch
         if low and high - low < 1e-3 * low:
             break
-        # the number is proportional to 1 / pitch^2
+        # the number of tiles is proportional to 1 / pitch^2
         guess = pitch * np.sqrt(max(len(centers), 0.5) / n)
         pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
     if not low:
@@ -137,7 +138,7 @@ class _Cells:
 
 
 def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
-    """Return the cost of a visit at a distance from the center of its tile."""
+    """Return the cost of a visit to a target at a given distance from the center of the tile."""
     away = distance / radius
     beyond = EDGE_COST + STEEP * (away - 1) / OUTSIDE
     return np.where(away <= 1, INSIDE_COST * away**2, np.where(away <= 1 + OUTSIDE, beyond, UNASSIGNED))
@@ -168,7 +169,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
 
 
 def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
-    """Assign cells to tiles at the lowest cost; return cell, tile and amount of each flow, and the total cost."""
+    """Assign cells to tiles at the lowest cost; return cell, tile and number of visits of each flow, and total cost."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
 
@@ -200,7 +201,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
 
 
 def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:
-    """Search by decreasing steps for a center with a smaller cost of the assigned cells, and return the best center."""
+    """Return the center that minimizes the cost of the assigned cells, found by steps of decreasing length."""
 
     def price(places):
         chord = np.linalg.norm(vectors[None] - places[:, None], axis=2)
@@ -219,7 +220,7 @@ def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, ra
 
 
 def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:
-    """Move centers to the nearest allowed ones."""
+    """Return the allowed center that is nearest to each center; by default, all centers are allowed."""
     if problem.allowed is None:
         return centers
     from scipy.spatial import cKDTree

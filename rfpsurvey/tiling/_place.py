@@ -60,8 +60,9 @@ def place_tiles(
     """Place the tiles of a survey.
 
     A tile is a circle with the field radius of the instrument. As in a survey, an allocator and the collisions of
-    arms determine which targets a tile observes. If ``fibers`` or ``radius`` is given, or there is no instrument, a
-    tile can observe any of its targets, up to the number of fibers. The completeness is then an upper limit, as
+    arms determine which targets a tile observes. Ideal fibers are used instead if no ``allocator`` is
+    given and, in addition, ``fibers`` or ``radius`` is given or there is no instrument. A tile can then observe any of
+    its targets, up to the number of fibers, and the completeness is an upper limit, as
     ``summary["completeness_means"]`` states. A tile observes each target at most once. Only science targets are
     counted.
 
@@ -81,17 +82,17 @@ def place_tiles(
         first. ``sdss``: tiles are placed together by network flow; by default, as many tiles as a hexagonal lattice
         has. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
-        Number of passes of coverings. Each pass covers everything, with shifted tiles, even if no target is left. With
-        ``completeness`` or ``n_tiles``, passes are added until this goal is reached, and tiles that serve no target are
-        omitted.
+        Number of passes of the methods ``hexagonal`` and ``spiral``. Each pass covers the whole field with shifted
+        tiles, even if no visits remain. If ``completeness`` or ``n_tiles`` is given, passes are instead added until
+        this goal is reached, and tiles that observe no target are omitted.
     n_tiles : int, optional
         Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
     completeness : float, optional
         Fraction of the requested visits that the tiles must provide, above 0 and at most 1. When this fraction is
         reached, no more tiles are placed.
     fibers : Fibers or int, optional
-        Largest number of targets that a tile observes, and their minimum separation. Without an allocator, the fibers
-        reach any target of the field.
+        Largest number of targets that a tile observes. `~rfpsurvey.tiling.Fibers` can also set the minimum separation
+        of these targets. Without an allocator, the fibers reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
         Allocator of the positioners, which determines the targets that a tile observes, as in `plan_survey`; see
         `AllocationOptions`. The default is ``lamost``. A target whose arm collides is not observed, see
@@ -103,14 +104,15 @@ def place_tiles(
         Constraints on the centers of tiles, such as a list of bright stars or limits of declination, and the position
         angle of tiles; see `~rfpsurvey.tiling.Centers`.
     exclude : Region or list of Region, optional
-        Regions whose targets or area are not counted. Tiles may overlap them.
+        Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
-        Requested number of visits of each target, shape (n,) or one number; by default, the visits of the catalog, or
-        one visit.
+        Requested number of visits of each target, shape (n,), or one number for all targets; by default, the visits of
+        the catalog, or one visit.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function after each tile: with the number of tiles and
-        ``n_tiles`` if that is given, otherwise with the completeness reached and its goal. Methods that try several
-        numbers of tiles restart the progress for each number.
+        Show the progress on the standard error, or call a function after each tile. If ``n_tiles`` is given, the
+        arguments of the function are the number of tiles so far and ``n_tiles``; otherwise, the arguments are the
+        completeness so far and its goal. Methods that try several numbers of tiles restart the progress for each
+        number.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers.
 
@@ -119,9 +121,9 @@ def place_tiles(
     Tiling
         The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
         columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
-        that the tile observes) and ``completeness`` (after the tile). A survey with the same allocator reaches the
-        completeness of the last tile if it plans the tiles in this order (``order="given"``), and nearly the same
-        completeness in another order.
+        that the tile observes) and ``completeness`` (of the survey after this tile). A survey with the same allocator
+        reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``), and
+        nearly the same completeness in another order.
 
     Raises
     ------
@@ -203,7 +205,7 @@ def place_tiles(
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
-            raise InputError("give min_separation or an allocator, which has positioners of its own, not both")
+            raise InputError("min_separation must not be given with an allocator, whose positioners set the separation")
         neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
     seed = to_seed(rng)
     if by_positioners:
@@ -247,7 +249,7 @@ def place_tiles(
 
 
 def _place_on_region(region, method, radius_rad, passes, where, exclude, summary, given):
-    """Cover a region."""
+    """Return the tiling of a region."""
     if method not in COVERINGS and method != GIVEN:
         raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
     for name, value in given.items():
@@ -273,7 +275,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
 
 
 def _regions(exclude) -> tuple[Region, ...]:
-    """Return a tuple of regions from one region, several, or None."""
+    """Return a tuple of regions from one region, several regions, or None."""
     regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
         raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
@@ -281,7 +283,7 @@ def _regions(exclude) -> tuple[Region, ...]:
 
 
 def _angles(where: Centers, method: str) -> np.ndarray:
-    """Return the position angle of all tiles or of each tile, in degrees."""
+    """Return an array of position angles in degrees, with one angle for each tile or one for all tiles."""
     if method == GIVEN and where.position_angle is None:
         return where.tiling.table["position_angle"].to_value(u.deg)
     return np.array([where.angle_deg])
@@ -293,7 +295,7 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
     sentences = []
     goal = problem.completeness
     if goal is not None and state.completeness < goal - 1e-12:
-        limit = "" if problem.n_tiles is None or n < problem.n_tiles else f", which is all that n_tiles={n} allows"
+        limit = "" if problem.n_tiles is None or n < problem.n_tiles else f"; n_tiles={n} allows no more tiles"
         sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
     if n_away:
         sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
@@ -320,9 +322,10 @@ def _wanted(catalog, visits, exclude):
 
 
 def _levels(priority, wanted, order):
-    """Return the priority class of each target, by position (0: highest priority); None if there is a single class.
+    """Return the priority class of each target (0: highest priority); None if there is a single class.
 
-    If there are more than `MOST_LEVELS` priorities, neighboring priorities share a class.
+    The targets are in the order of the spatial index. If there are more than `MOST_LEVELS` priorities, neighboring
+    priorities share a class.
     """
     if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
         return None
@@ -350,7 +353,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     if neighbors is not None:
         some = np.flatnonzero(wanted > 0)
         indptr, other = neighbors
-        # only neighbors that still require a visit are too close
+        # only neighbors with requested visits can be too close
         near = (
             np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
         )
@@ -361,7 +364,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
 
 
 def _table(vectors, number) -> QTable:
-    """Return a table of new tiles."""
+    """Return a table of tiles with the given centers and pass numbers."""
     n = len(vectors)
     ra, dec = to_ra_dec(vectors)
     return QTable(
@@ -370,7 +373,7 @@ def _table(vectors, number) -> QTable:
 
 
 def _finish(table, angles, summary, columns) -> Tiling:
-    """Return the tiling with its summary."""
+    """Return the tiling after the position angles, further columns and the summary are added to its table."""
     table, n = table.copy(), len(table)
     table["position_angle"] = np.resize(angles, n).astype(float) * u.deg
     for name, values in columns.items():

@@ -14,7 +14,7 @@ __all__ = ["TilingProblem", "TilingState"]
 
 @dataclass(frozen=True)
 class TilingProblem:
-    """The problem of placing tiles; angles are in radians, and targets have the order of the spatial index."""
+    """The problem of placing tiles; angles are in radians, and the *position* of a target is its index in ``index``."""
 
     radius: float
     index: SkyIndex
@@ -31,25 +31,25 @@ class TilingProblem:
     limits: Declinations = field(default_factory=Declinations)
     """Limits of the declinations of the centers of tiles."""
     n_beyond: int = 0
-    """Number of visits that no tile within the limits can make; ``wanted`` does not include them."""
+    """Number of requested visits that no tile within the limits can make; ``wanted`` does not include these visits."""
     tiles: Tiling | None = None
     """List of the centers of tiles and their passes, for the method that evaluates an existing tiling."""
     level: np.ndarray | None = None
-    """Class of the priority of each target, 0 for the highest; None if all targets have the same priority."""
+    """Priority class of each target, 0 for the highest priority; None if all targets have the same priority."""
     tell: Callable | None = None
     """Function that is called after each tile with the number of tiles and the completeness."""
 
     @property
     def open_ended(self) -> bool:
-        """Whether tiles are added until no visits remain."""
+        """Whether neither a number of tiles nor a completeness is given as the goal."""
         return self.n_tiles is None and self.completeness is None
 
     def circle(self) -> tuple[np.ndarray, float]:
-        """Center and radius of a circle around the targets."""
+        """Return the center and the radius of a circle around the targets with requested visits."""
         vectors = self.index.vectors[self.wanted > 0]
         center = vectors.sum(axis=0)
         length = np.linalg.norm(center)
-        # targets all over the sky have no center
+        # targets all over the sky may have no mean direction
         center = center / length if length > 1e-6 * len(vectors) else np.array([0.0, 0.0, 1.0])
         chord = np.linalg.norm(vectors - center, axis=1).max()
         return center, float(2 * np.arcsin(min(chord / 2, 1.0)))
@@ -67,7 +67,7 @@ class TilingState:
     chances: np.ndarray | None = None
     """Number of later tiles that cover each target; None if it is unknown."""
     rows: list = field(default_factory=list)
-    """Center and pass of each tile, unobserved targets in its field, targets it observes, completeness after it."""
+    """A tuple for each tile: center, pass, targets that require a visit, targets that it observes, completeness."""
 
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)
@@ -89,7 +89,7 @@ class TilingState:
         return np.where(self.problem.level == self.leading(weight), weight, weight * self.unit)
 
     def leading(self, weight: np.ndarray | None = None) -> int:
-        """Return the class of the highest priority among the targets for which tiles are placed."""
+        """Return the class of the highest priority among the targets for which tiles are still placed."""
         if self.problem.level is None:
             return 0
         weight = self.left * ~self.hopeless if weight is None else weight
@@ -113,9 +113,10 @@ class TilingState:
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)
 
     def observe(self, center: np.ndarray, number: int | None = None, *, every: bool = False) -> np.ndarray:
-        """Place a tile and return the positions of its targets; without targets, place it only if ``every`` is true.
+        """Place a tile, and return the positions of the targets that it observes.
 
-        By default, the number of the pass is 1 plus the number of tiles with the same center.
+        A tile that observes no target is placed only if ``every`` is true. By default, the number of the pass is 1 plus
+        the number of earlier tiles with the same center.
         """
         problem = self.problem
         near = problem.index.near(center, problem.radius, self.left)

@@ -20,7 +20,7 @@ __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 @check_keywords
 @dataclass(frozen=True)
 class Fibers:
-    """The largest number of targets that a tile observes, and the condition for an observed target.
+    """The largest number of targets that a tile observes, and conditions for the targets that it can observe.
 
     Parameters
     ----------
@@ -28,9 +28,11 @@ class Fibers:
         Largest number of targets that a tile observes; by default the number of positioners that are neither disabled
         nor stuck.
     min_separation : Quantity, optional
-        Minimum separation of the targets of a tile, an angle; for ideal fibers only.
+        Minimum angular separation of the targets that a tile observes. It applies only to ideal fibers, which reach
+        any target of the field, and is not allowed with an allocator.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, as in `~rfpsurvey.plan_survey`; for allocators only.
+        Whether targets whose arms collide count as not observed, as in `~rfpsurvey.plan_survey`. It applies only if an
+        allocator plans the tiles.
 
     Raises
     ------
@@ -75,9 +77,9 @@ class FreeFibers:
     fibers : int
         Largest number of targets.
     priority : ndarray or None
-        Priorities by position.
+        Priority of each target, in the order of the spatial index.
     neighbors : tuple of ndarray or None
-        As `neighbors_within` returns them.
+        Pairs of targets that are too close to each other, as `neighbors_within` returns them.
     """
 
     def __init__(self, fibers: int, priority: np.ndarray | None, neighbors: tuple | None):
@@ -133,13 +135,13 @@ class FocalPlaneFibers:
     options : AllocationOptions
         The allocator and its options, as `AllocationOptions.for_instrument` returns them.
     catalog : Catalog
-        The targets, by row.
+        The targets.
     index : SkyIndex
-        Index of the catalog.
+        Spatial index of the targets.
     fibers : Fibers
         Largest number of targets, and whether targets whose arms collide are lost.
     angles : ndarray
-        Position angle in radians, one for all tiles or one for each.
+        Position angles in radians: one value for each tile, or one value for all tiles.
     seed : int
         Seed of the random numbers; each tile has its own stream.
     """
@@ -203,13 +205,16 @@ class FocalPlaneFibers:
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each direction, the other directions that are closer than an angle, as (indptr, indices)."""
+    """Return, for each direction, the other directions that are closer than an angle.
+
+    The result is the arrays ``indptr`` and ``indices`` of compressed rows.
+    """
     from scipy.spatial import cKDTree
 
     chord = 2 * np.sin(min(separation_rad, np.pi) / 2)
     pairs = cKDTree(vectors).query_pairs(chord, output_type="ndarray")
     distance = np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=1)
-    pairs = pairs[distance < chord]  # the tree also returns those exactly at the distance
+    pairs = pairs[distance < chord]  # the tree also returns pairs exactly at this distance
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     indptr = np.searchsorted(both[:, 0], np.arange(len(vectors) + 1))

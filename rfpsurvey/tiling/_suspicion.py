@@ -31,5 +31,5 @@ def warn_of_targets(table, n_targets: int) -> None:
         columns = ", ".join(found[:3] or table.colnames[:5])
         warn(
             f"the {number_of(len(table), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
-            "one tile each; if they are targets, give a list of tiles, such as place_tiles or 'rfpsurvey tile' makes"
+            "one tile per row; if they are targets, give a list of tiles instead (see place_tiles or 'rfpsurvey tile')"
         )

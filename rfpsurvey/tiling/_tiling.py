@@ -20,7 +20,7 @@ from rfpsurvey.tiling._conditions import convert_when
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
 
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
-# Common names, compared without case, in order of preference.
+# Common names of the columns, in order of preference. Upper case and lower case are not distinguished.
 NAMES = {
     "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
     "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
@@ -38,9 +38,9 @@ class Tiling:
     Parameters
     ----------
     table : QTable
-        Columns ``tile`` (integer or text, unique), ``ra`` and ``dec`` (ICRS), ``position_angle`` (of +y, from north
-        toward east) and ``pass`` (integer); further columns are kept. ``meta["summary"]`` describes how the tiling
-        was made.
+        Columns ``tile`` (integer or text, unique), ``ra`` and ``dec`` (ICRS), ``position_angle`` (of the +y axis, from
+        north toward east) and ``pass`` (integer); further columns are kept. ``meta["summary"]`` describes how the
+        tiling was made.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class Tiling:
         names, times = np.unique(tile, return_counts=True)
         if (times > 1).any():
             again = np.argmax(times > 1)
-            raise InputError(f"every tile must have an id of its own, but {names[again]} occurs {times[again]} times")
+            raise InputError(f"every tile must have a unique id, but {names[again]} occurs {times[again]} times")
         table = self.table.copy()
         _refuse_twins(tile, angles, number, table)
         for name, values in {"tile": tile, "pass": number}.items():
@@ -122,20 +122,20 @@ class Tiling:
         Parameters
         ----------
         conditions : ObservingConditions or None
-            The conditions. The table may have a column ``hour_angle`` (of the center; numbers without a unit are in
-            hours) or ``time`` (midpoint of the exposure; text is in UTC), which replaces the time or hour angle of the
-            conditions for each tile.
+            The conditions of all tiles. The table may have a column ``hour_angle`` (of the center; numbers without a
+            unit are in hours) or ``time`` (midpoint of the exposure; text is in UTC). The values in this column replace
+            the time or hour angle of ``conditions``.
 
         Returns
         -------
         Tiling
-            The tiling; its files contain the conditions. Its column ``hour_angle`` is in degrees, and its column
-            ``time`` is text (UTC).
+            The tiling with the conditions, which `write` stores in the file. The column ``hour_angle`` is in degrees,
+            and the column ``time`` is text (UTC).
 
         Raises
         ------
         InputError
-            If ``conditions`` has another type, if the table has both columns, or if a time or hour angle is not valid.
+            If ``conditions`` has a wrong type, if the table has both columns, or if a time or hour angle is not valid.
 
         Examples
         --------
@@ -170,10 +170,10 @@ class Tiling:
             ``posang``; 0 by default). Other columns are kept. A DataFrame of pandas or Polars and an Arrow table
             are accepted; their angles are in degrees unless ``units`` specifies other units.
         columns : dict, optional
-            Role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns with other
-            names.
+            Dict from role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns whose
+            names are not common.
         units : dict, optional
-            Role to unit, for columns without a unit, for example ``{"ra": "deg", "dec": "deg"}``.
+            Dict from role to unit, for columns without a unit, for example ``{"ra": "deg", "dec": "deg"}``.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Tiling:
         n, found = len(table), {}
         for role in ("ra", "dec", "position_angle"):
             if role in names:
-                # the finder knows only the roles of a catalog; the role "ra" is used for every angle
+                # `Finder` supports only the columns of a catalog; therefore, its role "ra" is used for every angle
                 as_angle = {"ra": names[role]}
                 unit = {"ra": units[role]} if role in units else {}
                 found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
@@ -336,7 +336,7 @@ def _find(table, columns):
 
 
 def _integers(column, tile):
-    """Return passes as int64."""
+    """Return the pass of each tile as an integer; raise an error if a value is not a whole number."""
     values = to_plain(column)
     try:
         numbers = values.astype(float)
@@ -351,7 +351,7 @@ def _integers(column, tile):
 
 
 def _refuse_twins(tile, angles, number, table):
-    """Raise an error if two tiles of a pass (and of a program, if tiles have programs) agree to 1e-8 deg."""
+    """Raise an error if two tiles of a pass (and program) have the same center and position angle to 1e-8 deg."""
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
     columns = [angles["ra"], angles["dec"], angles["position_angle"]]

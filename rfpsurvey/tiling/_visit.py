@@ -12,10 +12,10 @@ __all__ = ["visit_all", "visit_given"]
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
     """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.
 
-    By default, a tile is omitted if none of its targets still requires a visit; with ``every``, a tile is omitted only
-    if no visit of its targets was requested. The number of remaining targets of a tile can only decrease. Therefore,
-    only the number of the tile with the largest known number is computed again; if this number does not change, the
-    tile is observed next.
+    By default, a tile is omitted if none of its targets still requires a visit. If ``every`` is true, a tile is omitted
+    only if no visits to its targets were requested. The tile with the most remaining targets is observed next. Because
+    the number of remaining targets of a tile can only decrease, the targets are counted again only for the tile with
+    the largest earlier count. If this count has not changed, no other tile has more remaining targets.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))

@@ -150,7 +150,7 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
     (folder / "tiles" / "000" / "000040.fits").write_bytes(b"a part without a line")
     (folder / "tiles" / "000" / ".rfpsurvey-x1b2").mkdir()
     (folder / "tiles" / "000" / ".rfpsurvey-x1b2" / "000041.fits").write_bytes(b"half of a")
-    with pytest.raises(rs.InputError, match=r"is not finished \(16 tiles there\): continue it"):
+    with pytest.raises(rs.InputError, match=r"is not finished \(16 tiles planned so far\); continue"):
         rs.Survey.read(folder)
     with pytest.warns(rs.RfpsurveyWarning, match=r"000003.fits is missing"):
         plan(case, folder, resume=True)
@@ -167,7 +167,7 @@ def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, und
     lines = (folder / "index.csv").read_text().splitlines(keepends=True)
     line = f"tiles/000/000007.fits,{len(content_of)},{hashlib.sha256(content_of).hexdigest()}\n"
     (folder / "index.csv").write_text("".join(line if "000007" in old else old for old in lines))
-    with pytest.warns(rs.RfpsurveyWarning, match=r"tile 7 \(by row\) is planned again"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the tile in row 7 of the tiling is planned again"):
         plan(case, folder, resume=True)
     assert content(folder) == undisturbed
 
@@ -274,7 +274,7 @@ def test_a_worker_that_dies_is_told(case, tmp_path, undisturbed):
             for pid in list(executor._processes):
                 os.kill(pid, signal.SIGKILL)
 
-        with pytest.raises(BrokenExecutor, match="a worker died; tiles that were written are kept"):
+        with pytest.raises(BrokenExecutor, match="a worker process died; the files of finished tiles remain"):
             plan(case, tmp_path / "survey", executor=executor, progress=kill)
     plan(case, tmp_path / "survey", resume=True)
     assert content(tmp_path / "survey") == undisturbed

@@ -268,7 +268,7 @@ def test_what_is_told_is_told_once(sky, small):
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
         ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
-        ((sky, wide), {}, "placed for fields of 1 deg, but small has fields of 0.4"),
+        ((sky, wide), {}, "with a radius of 1 deg, but the fields of small have a radius of 0.4"),
     ):
         with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
             flat.plan_survey(arguments[0], small, arguments[1], **options)

@@ -350,7 +350,7 @@ def test_few_targets(method, coord):
         ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
         (
             {"instrument": "lamost", "allocator": "lamost", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
-            "give min_separation or an allocator",
+            "min_separation must not be given with an allocator",
         ),
         ({"centers": 5}, "centers must be a SkyCoord, a Tiling or a Table, got 5"),
         ({"rng": -1}, "rng must be a seed"),

@@ -15,19 +15,20 @@ class FixedTile(NamedTuple):
     """The plan of a tile that was already observed."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner, or -1."""
+    """Slot of the target of each positioner; -1 if the positioner has no target."""
     side: np.ndarray
     counted: np.ndarray
     """Whether the visit of each positioner counts."""
 
 
 def fixed_tiles(request) -> dict[int, FixedTile]:
-    """Return the tiles (by row) whose plans are given by the option ``fixed``.
+    """Return the plans of the tiles that the option ``fixed`` contains, as a dict from the row of a tile to its plan.
 
     Raises
     ------
     InputError
-        If the survey does not belong to the instrument or the catalog, or if a target was observed too often.
+        If the fixed survey has another instrument or other targets, if it has no tile of the tiling, or if it contains
+        more visits of a target than requested.
     """
     given = request.joint.fixed
     if given is None:
@@ -39,7 +40,9 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         name = request.instrument.name
         raise InputError(f"fixed must be a survey with the instrument {name!r}, got a survey with another instrument")
     if plane.positioner.handedness == "both":
-        raise InputError("fixed needs positioners of one handedness, because a survey does not record the elbows")
+        raise InputError(
+            "fixed needs positioners of one handedness, because a survey does not record to which side an arm bends"
+        )
     side = -1 if plane.positioner.handedness == "left" else 1
     slot_of_row = np.argsort(request.source.to_slots(np.arange(len(request.source))), kind="stable")
     ids, left = request.source.ids(), request.open_state().left.astype(np.int64)
@@ -61,7 +64,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         if (left[slot[own]] < 0).any() or (request.open_state().left[slot[own]] == 0).any():
             worst = slot[own][np.argmin(left[slot[own]])]
             row = int(np.flatnonzero(slot_of_row == worst)[0])
-            raise InputError(f"the targets of fixed must not have more visits than requested, got target {ids[row]}")
+            raise InputError(f"fixed must not have more visits of a target than requested, got too many of {ids[row]}")
         found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
     if not found:
         raise refusal("fixed must be a survey with at least one tile of the tiling", given)
@@ -71,7 +74,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
 def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:
     """Return the candidates of a fixed tile, one for each positioner.
 
-    ``slots`` contains the slots of the targets of the field of the tile. Visits that do not count are omitted.
+    ``slots`` lists the slots of all targets in the field of the tile. Visits that do not count are omitted.
     """
     n = len(fixed.slot)
     order = np.argsort(slots, kind="stable")

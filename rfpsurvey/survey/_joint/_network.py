@@ -1,4 +1,7 @@
-"""All tiles of a survey as one problem: candidates of all positioners, and the sets that limit their use."""
+"""All tiles of a survey as one problem: candidates of all positioners, and sets that limit the use of candidates.
+
+A *candidate* is a possible target of a positioner, with the elbow of the arm. The idle arm is also a candidate.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,15 +25,15 @@ class Network:
     """Index of the target of each candidate; -1 for idle arms."""
     side: np.ndarray
     rank: np.ndarray
-    """Class of the target of each candidate; idle arms have the number of classes as their class."""
+    """Priority class of the target of each candidate, 0 for the highest priority; ``n_classes`` for idle arms."""
     first: np.ndarray
-    """First positioner of each tile, followed by the number of positioners."""
+    """First positioner of each tile, followed by the number of positioners of all tiles."""
     free: np.ndarray
-    """Positioners of which some candidates were omitted."""
+    """Whether some candidates of each positioner were omitted."""
     matrix: csr_array
-    """Sets of candidates: cliques of each tile, and the candidates of each target."""
+    """Sets of candidates, one per row: cliques (of which a plan uses at most one candidate), then sets of targets."""
     most: np.ndarray
-    """Largest number of candidates of each set that a plan uses."""
+    """Largest number of candidates of each set that a plan may use."""
     slot: np.ndarray
     """Slot of each target."""
     visits: np.ndarray
@@ -40,7 +43,7 @@ class Network:
     """Positioner and target of each reachable pair; collisions are ignored."""
     rank_of_target: np.ndarray
     n_cliques: int
-    """Number of cliques, which are the first sets."""
+    """Number of cliques, which are the first rows of ``matrix``."""
 
     @cached_property
     def own(self) -> np.ndarray:
@@ -49,15 +52,15 @@ class Network:
 
     @cached_property
     def columns(self) -> csc_array:
-        """The sets, compressed by candidates."""
+        """The matrix of the sets in a format in which the sets of each candidate are found quickly."""
         return self.matrix.tocsc()
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
-        """Return the number of visits of each class."""
+        """Return the number of visits to each priority class; ``chosen`` is the candidate of each positioner."""
         return np.bincount(self.rank[chosen], minlength=self.n_classes + 1)[: self.n_classes]
 
     def holds(self, chosen: np.ndarray) -> bool:
-        """Return whether a plan has no collisions and visits no target too often."""
+        """Return whether the plan ``chosen`` has no collisions, and no target has more visits than requested."""
         own = np.arange(len(self.start) - 1)
         inside = (chosen >= self.start[:-1]) & (chosen < self.start[1:])
         x = np.zeros(len(self.target))
@@ -75,9 +78,9 @@ class Network:
         return len(np.unique(key)) == len(key) and bool((number <= self.visits).all())
 
     def matching(self, level: int, most_edges: int) -> float:
-        """Return the largest number of visits of the classes 0 to ``level`` if arms may collide.
+        """Return the largest possible number of visits to the classes 0 to ``level`` if collisions are ignored.
 
-        With more than ``most_edges`` pairs, a simpler bound is returned.
+        If there are more than ``most_edges`` reachable pairs, a simpler upper bound is returned.
         """
         own, target = self.pairs
         keep = self.rank_of_target[target] <= level
@@ -101,10 +104,10 @@ class Network:
 
 
 def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, class_of: np.ndarray) -> Network:
-    """Return the network of all tiles.
+    """Return the network of all tiles from the candidates of each tile.
 
-    ``slots`` contains, for each tile, the slots of the targets of its field. ``visits`` and ``class_of`` are the
-    requested numbers of visits and the classes of all targets, by slot.
+    ``slots`` contains, for each tile, the slots of the targets in its field. ``visits`` and ``class_of`` are the
+    requested number of visits and the priority class of each target, in the order of slots.
     """
     used = np.unique(np.concatenate([np.empty(0, np.int64), *slots]))
     n_classes = int(class_of.max(initial=0)) + 1

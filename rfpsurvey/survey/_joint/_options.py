@@ -20,31 +20,33 @@ __all__ = ["JointOptions", "as_joint", "check_joint"]
 class JointOptions:
     """Options of a joint plan, in which all tiles of a survey are planned together; see `plan_survey`.
 
-    The search ends when the gap is small enough, after the given number of iterations, or when the time is over.
+    The search ends when the gap is small enough, after the given number of iterations, or at the time limit.
 
     Parameters
     ----------
     gap : float, optional
-        The search ends when, for each priority, the number of visits to targets with at least this priority is at most
-        this fraction below its upper bound.
+        The search ends when, for every priority, the relative difference between the number of visits and its upper
+        bound is at most this value. The visits of a priority are all visits to targets with at least this priority.
     iterations : int, optional
         Largest number of iterations. With 0, visits are only moved between tiles along augmenting paths, and the first
         bounds are computed.
     time_limit : Quantity, optional
-        Time after which the search ends, without the time for planning the tiles one after the other. By default, the
-        time is not limited. A plan whose search ends at the time limit may not be reproducible.
+        Time after which the search ends. It does not include the time for planning the tiles one after the other. By
+        default, the time is not limited. A plan whose search ends at the time limit may not be reproducible.
     fixed : Survey, str or path-like, optional
-        A survey, or its folder, whose tiles were already observed. Tiles of the new survey that have the same
-        identifiers keep the plans of these tiles. The instrument of this survey must be the same, and the catalog must
-        contain the targets of this survey in the same rows. Positioners with the handedness ``both`` are not supported.
+        An earlier survey, or its folder, whose tiles were already observed. A tile of the new survey that has the same
+        identifier as a tile of the earlier survey keeps the plan of the earlier survey. Both surveys must have the same
+        instrument, and the catalog must contain the targets of the earlier survey in the same rows. Positioners with
+        the handedness ``both`` are not supported.
     inform : callable, optional
         Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
         of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting
-        paths, and ``bound`` is the upper bound so far. Each is a list of numbers, one for each priority; a number
-        includes all higher priorities.
+        paths, and ``bound`` is the upper bound so far. Each value is a list with one number for each priority; the
+        number for a priority includes the visits to targets of all higher priorities.
     patch_size : int, optional
-        Number of pairs of a positioner and a target that one integer program contains at first, 10 to 100000. Larger
-        programs give better plans and bounds, and take longer.
+        Initial number of pairs of a positioner and a target in one integer program, 10 to 100000. The search increases
+        this number when the plan and the bounds hardly improve. Larger programs give better plans and bounds, but take
+        longer.
 
     Raises
     ------
@@ -107,7 +109,7 @@ class JointOptions:
 
 
 def as_joint(order: object) -> JointOptions | None:
-    """Return the options of a joint plan for the given order; None for all other orders."""
+    """Return the options of the joint plan that ``order`` requests; None if it requests no joint plan."""
     if isinstance(order, JointOptions):
         return order
     return JointOptions() if isinstance(order, str) and order == "joint" else None

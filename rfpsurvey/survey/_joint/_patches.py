@@ -1,4 +1,4 @@
-"""Patches of the sky: positioners of all tiles that are close to each other, and their weighted problems."""
+"""Patches of the sky, which are groups of nearby positioners of all tiles, and an integer program for each patch."""
 
 import numpy as np
 
@@ -7,15 +7,16 @@ from rfpsurvey.survey._joint._network import Network
 
 __all__ = ["Patches", "divide"]
 
-# Plans whose weights differ by less than this may be taken for equal. The weights of classes differ by at least 1.
+# Plans whose total weights differ by less than this value may be treated as equal. The weights of different classes
+# differ by at least 1.
 PRECISION = 0.5
 
 
 def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
     """Divide positioners into patches of at most about ``size`` candidates, and return the patch of each positioner.
 
-    The positioners are divided at medians along coordinates that are rotated at random. The patch of positioners
-    without a choice is -1.
+    The positioners are divided at medians along coordinates that are rotated at random. Positioners with only one
+    candidate belong to no patch, which is indicated by -1.
     """
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     load = np.diff(network.start)
@@ -43,7 +44,7 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
 
 
 class Patches:
-    """The patches of one division, and the sets of candidates that connect them."""
+    """The patches of one division, and the sets that contain candidates of several patches."""
 
     def __init__(self, network: Network, label: np.ndarray):
         self.network, self.label = network, label
@@ -58,7 +59,7 @@ class Patches:
         np.minimum.at(low, row[inside], of_entry[inside])
         np.maximum.at(high, row[inside], of_entry[inside])
         self.crosses = low < high
-        # positioners without a choice always use their only candidate
+        # positioners with only one candidate always use this candidate
         only = network.start[:-1][label < 0]
         x = np.zeros(len(network.target))
         x[only] = 1.0
@@ -101,8 +102,8 @@ class Patches:
     def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
         """Return whether a better plan of a patch may exist.
 
-        In a better plan, a positioner that does not yet observe a target of the best class in its reach observes a
-        target that has remaining visits (``unmet``).
+        A better plan requires a positioner that does not yet observe a target of the best class in its reach, and a
+        target with remaining visits (``unmet``) in reach of a positioner of the patch.
         """
         network, members = self.network, self._members[patch]
         rows, ends = self.candidates(patch)
@@ -112,7 +113,7 @@ class Patches:
         return bool(unmet[network.target[rows]].any())
 
     def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
-        """Return the candidates of a patch that can be used if no other arm moves, and the problem of the patch.
+        """Return the candidates of a patch that are possible if no arm outside of it moves, and its integer program.
 
         ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
         """
@@ -139,7 +140,7 @@ class Patches:
         return rows, WeightedProblem(start, weight[rows], *args)
 
     def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
-        """Return the problem of a patch without the sets that connect patches."""
+        """Return the integer program of a patch without the sets that contain candidates of several patches."""
         network = self.network
         rows, ends = self.candidates(patch)
         part = network.columns[:, rows]
@@ -156,5 +157,5 @@ class Patches:
         return WeightedProblem(start, value[rows[open_ones]], *args)
 
     def value_of_rest(self, value: np.ndarray) -> float:
-        """Return the sum of the values of positioners without a choice."""
+        """Return the sum of the values of the positioners that have only one candidate."""
         return float(value[self._only].sum())

@@ -1,4 +1,4 @@
-"""Plans of all tiles improved by augmenting paths, which move visits between tiles."""
+"""The improvement of a plan of all tiles by augmenting paths, which move visits between tiles."""
 
 from collections.abc import Callable
 
@@ -9,9 +9,10 @@ from rfpsurvey.survey._joint._network import Network
 
 __all__ = ["Paths"]
 
-# Largest numbers of positioners of a path, one after the other; short paths are found much faster.
+# Largest number of positioners in a path. The search uses these depths one after the other, because short paths are
+# found much faster.
 DEPTHS = (4, 16, 64, 256)
-# Largest number of passes over the targets of a class for each depth.
+# Largest number of times that the search considers all targets of a class for each depth.
 PASSES = 20
 
 
@@ -35,21 +36,21 @@ class Paths:
         )
 
     def improve(self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool]) -> np.ndarray:
-        """Return a plan with at least as many visits, in which visits to earlier classes take precedence.
+        """Return a plan with at least as many visits as ``chosen``; visits to higher priorities take precedence.
 
         Parameters
         ----------
         chosen : ndarray of int, shape (n_positioners,)
-            Candidate of each positioner.
+            Candidate of each positioner in the given plan.
         rng : numpy.random.Generator
-            Generator of the order of the targets.
+            Generator of the random order in which the search considers the targets.
         is_over : callable
             Function that returns True when the time limit has passed.
 
         Returns
         -------
         ndarray of int, shape (n_positioners,)
-            Candidate of each positioner.
+            Candidate of each positioner in the improved plan.
         """
         network, chosen = self.network, chosen.astype(np.int64)
         used = np.bincount(chosen, minlength=len(network.target))

@@ -36,27 +36,27 @@ class PlannedRequest(Request):
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool):
         """Return the job that makes a tile from its known plan."""
-        if tile in self.fixed:  # its targets may be complete by now
+        if tile in self.fixed:  # the targets of this tile may have no remaining visits
             job = super().job(tile, self.open_state().left, as_file=as_file)
             return given_plan(self, job, self.fixed[tile])
         return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
 
 
 class Together:
-    """The joint plan of a survey.
+    """A function object that plans all tiles of a survey together.
 
     Parameters
     ----------
     executor : Executor or None
-        Executor for the programs.
+        Executor that plans tiles and solves integer programs in parallel.
     progress : bool or callable
-        As in `plan_survey`.
+        Whether and how to show the progress, as in `plan_survey`.
     """
 
     def __init__(self, executor, progress):
         self._executor, self._progress = executor, progress
         self.rest = progress
-        """Progress for the tiles that are written after the search."""
+        """The parameter ``progress`` for the tiles that are written after the search."""
 
     def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
         """Return a request with the plans of all tiles, and the table of iterations."""
@@ -64,7 +64,7 @@ class Together:
         stored = None if folder is None else read_state(folder)
         fixed = fixed_tiles(request)
         tell, steps = self._progress, n + most + 1
-        if callable(tell):  # the calls for both parts of the work have the same total
+        if callable(tell):  # the search and the writing of the tiles report the same total number of steps
             self.rest = partial(_tell, self._progress, steps, steps + n)
             tell = partial(_tell, self._progress, 0, steps + n)
         with Progress(tell, steps, "steps") as tell:
@@ -93,7 +93,7 @@ class Together:
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:
-    """Pass the progress of a part of the work to a function."""
+    """Report the progress of one part of the work, which begins after ``before`` of ``total`` steps."""
     progress(before + done, total)
 
 
@@ -111,7 +111,7 @@ def _store(folder, network, search) -> None:
 
 
 def table_of(search: Search, names: list[str]) -> QTable:
-    """Return the table of iterations, with a row for each iteration and level; the last state is in its meta."""
+    """Return a table with a row for each iteration and level; its meta contains the values after the last iteration."""
     rows = []
     for step in search.steps:
         for k, level in enumerate(search.levels.tolist()):

@@ -1,4 +1,8 @@
-"""The search for a joint plan: prices, integer programs for patches of the sky, and upper bounds."""
+"""The search for a joint plan: prices, integer programs for patches of the sky, and upper bounds.
+
+A *level* is a priority class together with all classes of higher priority. A plan may use only a limited number of
+candidates of each set; the *price* of a set is the multiplier of this constraint in the upper bound.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -18,22 +22,23 @@ __all__ = ["Search", "Step"]
 
 # Widths of the smooth maximum, and the number of sweeps over all prices for each width.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
-# Fraction of the time limit for the prices before the first iteration.
+# Fraction of the time limit that is available for the prices before the first iteration.
 FOR_PRICES = 0.15
-# Largest number of classes of priority for which bounds are computed.
+# Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
-# Largest number of nodes of the search tree of a program for a plan, and for a bound.
+# Largest number of nodes of the search tree of an integer program that improves a plan, and of one that gives a bound.
 NODES, NODES_OF_BOUND = 300, 100
-# Allowed relative error of a program for a bound; its bound is valid for any error.
+# Allowed relative error of an integer program that gives a bound; the bound is valid whatever the error is.
 GAP = 2e-4
-# Largest number of pairs for which the matching without collisions is computed.
+# Largest number of reachable pairs for which the matching that ignores collisions is computed.
 MOST_EDGES = 4_000_000
-# The weight of the least important class is at least this many times the sum of all terms that decide between plans of
-# equal value.
+# Upper limit of the sum of all terms that decide between plans of equal value, as a fraction of the weight of the least
+# important class.
 TIE = 0.4
-# Largest ratio of the weights of the first and the last class.
+# Largest ratio of the weights of the most and the least important class.
 STEEPEST = 1e6
-# The size of the patches grows by this factor after an iteration that changes little.
+# The size of the patches grows by the factor GROWTH after an iteration that closes less than the fraction LITTLE of the
+# gap of every level. The largest size is LARGEST times the initial size.
 GROWTH, LITTLE, LARGEST = 1.5, 0.05, 10.0
 
 
@@ -43,12 +48,12 @@ class Step(NamedTuple):
     iteration: int
     seconds: float
     visits: np.ndarray
-    """Visits of each level (a class together with all classes before it)."""
+    """Number of visits of each level."""
     bound: np.ndarray
 
 
 class Search:
-    """A plan of all tiles that is improved by iterations, and upper bounds.
+    """A plan of all tiles and upper bounds of its numbers of visits, which are improved in iterations.
 
     ``chosen`` is the candidate of each positioner in the first plan; ``directions`` are unit vectors of the centers
     of all positioners.
@@ -62,7 +67,7 @@ class Search:
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
-        # Bounds are not computed again with patches of a size that did not lower them.
+        # A bound is computed again only with patches that are larger than those that did not lower this bound.
         self._next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
@@ -75,7 +80,7 @@ class Search:
 
     @property
     def prices(self) -> list:
-        """Prices of the sets for each level, or None."""
+        """Prices of the sets for each level; None for a level without prices."""
         return [None if one is None else one.price for one in self._prices]
 
     def restore(self, state) -> None:
@@ -91,7 +96,7 @@ class Search:
 
     @property
     def visits(self) -> np.ndarray:
-        """Visits of each level: a class and all classes before it."""
+        """Number of visits of each level."""
         return np.cumsum(self.network.counts(self.chosen))[self.levels]
 
     def chosen_targets(self) -> np.ndarray:
@@ -101,7 +106,7 @@ class Search:
 
     @property
     def gaps(self) -> np.ndarray:
-        """Relative difference of the visits and the upper bound of each level."""
+        """Relative difference between the number of visits of each level and its upper bound."""
         return 1.0 - self.visits / np.maximum(np.maximum(self.bounds, self.visits), 1.0)
 
     @property
@@ -116,15 +121,15 @@ class Search:
         return small or self.iteration >= self.options.iterations or self.out_of_time()
 
     def out_of_time(self) -> bool:
-        """Return whether the time is over."""
+        """Return whether the time limit has passed."""
         return self.seconds >= self.options.seconds
 
     def _out_of_time_for_prices(self) -> bool:
-        """Return whether the time for the first prices is over."""
+        """Return whether the time for the prices before the first iteration has passed."""
         return self.seconds >= FOR_PRICES * self.options.seconds
 
     def _deadline(self) -> float:
-        """Return the time of `time.time` at which the search ends."""
+        """Return the value of `time.time` at which the search ends."""
         return time() + self.options.seconds - self.seconds
 
     def begin(self, tell: Callable | None = None) -> None:
@@ -141,7 +146,7 @@ class Search:
             tell(self)
 
     def iterate(self, executor: Executor | None) -> None:
-        """Improve the plan and the bounds once."""
+        """Run one iteration, which can improve the plan and lower the bound of one level."""
         before = self.visits, self.bounds.copy()
         rng = np.random.default_rng([self.seed, self.iteration])
         label = divide(self.network, self.directions, int(self.size), rng)
@@ -171,7 +176,7 @@ class Search:
         self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))
 
     def _weights(self, level):
-        """Return the weight of each candidate for the number of visits of a level."""
+        """Return the weight of each candidate: 1 if its visit belongs to the level, otherwise 0."""
         return (self.network.rank <= self.levels[level]).astype(float)
 
     def _prices_of(self, level) -> RowPrices:
@@ -188,7 +193,7 @@ class Search:
     def _bound(self, level, patches, executor):
         """Lower the bound of a level by solving the patches as integer programs.
 
-        Prices replace the sets that connect patches.
+        In these programs, prices replace the sets that contain candidates of several patches.
         """
         prices, network = self._prices_of(level), self.network
         if network.free.any():
@@ -205,13 +210,13 @@ class Search:
             self.bounds[level] = min(self.bounds[level], np.floor(total))
 
     def _class_weights(self, most):
-        """Return weights of the classes such that earlier classes take precedence."""
+        """Return the weights of all classes and of idle arms (0), such that higher priorities take precedence."""
         n = self.network.n_classes
         ratio = min(float(most + 1), STEEPEST ** (1.0 / max(n - 1, 1)))
         return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
 
     def _improve(self, patches, executor):
-        """Improve the plan patch by patch; patches that no set of candidates connects are solved at the same time."""
+        """Improve the plan patch by patch; patches without a common set of candidates are solved at the same time."""
         network = self.network
         load = network.matrix @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         price = self._prices[-1]

@@ -1,4 +1,4 @@
-"""The first plan of the tiles, one after the other, and the candidates of all tiles."""
+"""The first plan, in which the tiles are planned one after the other, and the candidates of all tiles."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -21,13 +21,13 @@ class TilePlan(NamedTuple):
     """The plan of a tile."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner, or -1."""
+    """Slot of the target of each positioner; -1 if the positioner has no target."""
     side: np.ndarray
     """Elbow of each positioner: +1 is right, -1 is left."""
 
 
 def _plan(job: Job):
-    """Return the target of each positioner, as an index of the targets of the field, and its elbow."""
+    """Plan a tile, and return the target (an index of the targets of the field) and the elbow of each positioner."""
     plan = plan_field(
         job.model.instrument, projection_of(job), job.field.targets, job.model.options, np.random.default_rng(job.seed)
     )
@@ -81,14 +81,14 @@ def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tu
         options = replace(request.options, allocator=ListCandidates(keep))
         jobs.append(_bare(job)._replace(model=_model(request, options)))
     found = map_in_order(executor, _list, jobs)
-    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners without a choice are in no patch
+    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # fixed positioners are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(found) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
     return make_network(list(tiles), slots, state.left, class_of(request, state.left)), np.concatenate(vectors)
 
 
 def class_of(request, wanted: np.ndarray) -> np.ndarray:
-    """Return the class of each target, by slot; the classes are the distinct priorities, the largest first."""
+    """Return the class of each target in the order of slots; the classes are the distinct priorities, largest first."""
     priority = request.source.by_slot("priority")
     if priority is None:
         return np.zeros(len(wanted), dtype=np.int64)
@@ -106,7 +106,7 @@ def class_names(request) -> list[str]:
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
-    """Return the candidate of each positioner in the plans of all tiles; without a candidate, a positioner is idle."""
+    """Return the candidate of each positioner in the plans; a positioner is idle if its target is no candidate."""
     slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
     place = np.searchsorted(network.slot, slot)
     target = np.where(slot >= 0, place, -2)
@@ -127,7 +127,7 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 
 
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
-    """Return the job with an allocator that returns the plan of the tile."""
+    """Return a copy of the job whose allocator returns the given plan."""
     allocator = GivenPlan(_rows(job.field.slot, plan.slot), plan.side)
     return job._replace(model=_model(request, replace(request.options, allocator=allocator)))
 

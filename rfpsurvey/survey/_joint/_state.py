@@ -16,7 +16,7 @@ class State(NamedTuple):
     """The state of a search after an iteration."""
 
     plans: list
-    """Slots and elbows of each tile."""
+    """For each tile, the slots of the targets and the elbows of all positioners."""
     bounds: np.ndarray
     next_size: np.ndarray
     size: float
@@ -25,11 +25,11 @@ class State(NamedTuple):
     steps: np.ndarray
     """Iteration, seconds, visits and bounds of each step, one row per step."""
     prices: list
-    """Prices of each level, or None."""
+    """Prices of each level; None for a level without prices."""
 
 
 def write_state(folder, plans: list, search) -> None:
-    """Write the state of a search."""
+    """Write the state of a search to the folder of a survey."""
     columns = {
         "slot": np.concatenate([plan.slot for plan in plans]),
         "side": np.concatenate([plan.side for plan in plans]),
@@ -48,7 +48,7 @@ def write_state(folder, plans: list, search) -> None:
 
 
 def read_state(folder) -> State | None:
-    """Return the state of a search; None if there is none, or if it is damaged."""
+    """Return the stored state of a search; None if the folder contains no state, or if the state is damaged."""
     content = folder.file(STATE)
     if content is None:
         return None
@@ -61,6 +61,6 @@ def read_state(folder) -> State | None:
         prices = [found.get(f"price{k}") for k in range(len(found["bounds"]))]
         return State(plans, found["bounds"], found["next_size"], size, int(iteration), seconds, found["steps"], prices)
     except (InputError, ValueError, KeyError, OSError) as error:
-        text = f"the joint plan begins again, because its state cannot be read: {error}"
+        text = f"the search for a joint plan starts again, because its stored state cannot be read: {error}"
         warn(text)
         return None
