@@ -30,10 +30,11 @@ class CatalogArrays:
     repeated_ids : bool
         Whether any two targets have the same identifier.
     extra : dict
-        Values of the columns ``extra``, without their units, by their names in results; for example, a column ``ra``
-        becomes ``target_ra``.
+        Values of the extra columns of the catalog, without units. The keys are the names of the columns in results;
+        for example, the key of a column ``ra`` is ``target_ra``.
     extra_units : dict
-        Units of the columns ``extra`` as text, which is empty for a column without a unit.
+        Units of the extra columns as text, with the same keys as ``extra``. The text is empty for a column without a
+        unit.
 
     Examples
     --------

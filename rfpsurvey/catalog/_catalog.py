@@ -39,7 +39,7 @@ class Catalog:
     Parameters
     ----------
     coord : SkyCoord, shape (n,)
-        Positions in any frame. Proper motions, if known, are given as differentials of the coordinates.
+        Positions in any frame. The SkyCoord may contain proper motions.
     id : array_like, shape (n,), optional
         Identifiers, integers or text; the row numbers by default.
     priority : array_like of float, shape (n,), optional
@@ -142,7 +142,7 @@ class Catalog:
         return len(self.coord)
 
     def __getstate__(self):
-        # Another process computes the arrays again, so that they are not copied.
+        # The arrays are not copied to another process, which computes them again.
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
@@ -204,20 +204,20 @@ class Catalog:
             ``priority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized. A DataFrame of
             pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
-            Column name for each role, for columns with other names, for example ``{"id": "star"}``. A minus, as in
-            ``{"priority": "-rank"}``, reverses the sign of a column in which smaller numbers are more important.
+            Columns whose names are not recognized. The keys are recognized names; for example, ``{"id": "star"}`` uses
+            the column ``star`` as ``id``. A minus, as in ``{"priority": "-rank"}``, reverses the sign of a column in
+            which smaller numbers are more important.
         units : dict, optional
-            Unit for each role, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If no
-            column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, with a
-            warning. There is no warning for DataFrames, which cannot have units. ``meta["assumed_units"]`` lists the
-            columns with an assumed unit.
+            Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
+            no column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, and
+            a warning is issued. There is no warning for DataFrames, which cannot have units. ``meta["assumed_units"]``
+            lists the columns with an assumed unit.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
-            Value for each role that replaces missing values (masked or NaN), as in ``{"priority": 0}``. The roles can
-            be ``priority``, ``visits``, ``kind``, ``category`` and ``fiber_type``. A minus in ``columns`` does not
-            change the sign of this value.
+            Values that replace missing values (masked or NaN) of ``priority``, ``visits``, ``kind``, ``category`` or
+            ``fiber_type``, as in ``{"priority": 0}``. A minus in ``columns`` does not change the sign of these values.
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
 
@@ -230,7 +230,7 @@ class Catalog:
         ------
         InputError
             If coordinates are missing or have a wrong unit, if coordinates have no unit although other columns have
-            one, or if priorities or visits are missing in some rows and ``fill`` contains no value for missing ones.
+            one, or if some rows have no priority or no number of visits, and ``fill`` does not replace these values.
 
         Examples
         --------
@@ -358,7 +358,7 @@ class Catalog:
         Returns
         -------
         Catalog
-            The same targets at the new epoch; if no target moves, the same catalog is returned.
+            The same targets at the new epoch. A catalog without proper motions is returned unchanged.
 
         Raises
         ------

@@ -54,7 +54,7 @@ UNITS = {
     "x": u.mm,
     "y": u.mm,
 }
-# Text that marks missing numbers, in addition to empty text.
+# Text that marks missing values (case is ignored).
 NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
 # Roles whose missing values can be filled, and whether their values are numbers.
 FILLED = {"priority": True, "visits": True, "kind": False, "category": False, "fiber_type": False}
@@ -239,7 +239,10 @@ class Finder:
         """Return the exception for a required column that is missing."""
         text = f"there is no column for {what}; {self.listing()}"
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
-            return InputError(f"{text}; give the frame of these coordinates, as frame='galactic' or --frame galactic")
+            return InputError(
+                f"{text}; give the frame of the longitudes and latitudes, for example frame='galactic' or "
+                "--frame galactic"
+            )
         role = what.split()[0]
         remedy = (
             f"; state its name, for example columns={{{role!r}: ...}} or --column {role}=..."

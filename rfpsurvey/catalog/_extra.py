@@ -55,7 +55,10 @@ def extra_columns(columns: object, n: int) -> QTable | None:
 
 
 def result_name(name: str) -> str:
-    """Return a unique name for a column of results; names that differ in case only are the same, as in FITS."""
+    """Return the name of an extra column in results: the prefix ``target_`` is added to names in ``RESERVED``.
+
+    The comparison of names ignores case, because FITS does not distinguish column names that differ only in case.
+    """
     while name.lower() in RESERVED:
         name = f"target_{name}"
     return name
@@ -83,7 +86,8 @@ def _plain(column, name):
         return np.where(missing, "", values.astype(str))
     if missing.any() and kind == "i" and np.abs(values[~missing].astype(float)).max(initial=0) >= MOST_EXACT:
         raise InputError(
-            f"column {name!r} in keep must not have missing values, because its integers have no exact float values"
+            f"column {name!r} in keep must not have missing values: missing values become NaN, but floats cannot "
+            "represent the integers of this column exactly"
         )
     if missing.any():
         values = np.where(missing, np.nan, values.astype(float))

@@ -19,7 +19,7 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
     """Convert an object to an astropy table; also return whether tables of this type cannot have units.
 
     If the index of a DataFrame has names, it becomes columns with these names. An index without names becomes the
-    column ``id`` if ``index_as_id`` is true and no column has this role.
+    column ``id`` if ``index_as_id`` is true and no column contains identifiers.
     """
     if isinstance(given, Table):
         return given, False

@@ -50,9 +50,10 @@ class SkyIndex:
         center : ndarray, shape (3,)
             Unit vector.
         radius_rad : float
-            Angular radius.
+            Angular radius, in radians.
         left : ndarray, shape (n,), optional
-            Value of each position; directions with the value 0 are omitted.
+            Value for the direction at each position, such as a number of remaining visits. Directions with the value 0
+            are omitted.
 
         Returns
         -------

@@ -35,7 +35,7 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
     motion : ndarray, shape (n, 2)
         Proper motion in longitude (with the cosine of the latitude) and in latitude, radians per year.
     years : ndarray, shape (n,)
-        Time.
+        Time during which each star moves, in years.
 
     Returns
     -------

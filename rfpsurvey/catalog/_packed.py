@@ -1,4 +1,4 @@
-"""Read catalogs in packed form, as wheels contain them; ``data/wheel.py`` packs catalogs and describes the form."""
+"""Read the packed catalogs that wheels of the package contain; ``data/wheel.py`` writes and describes this format."""
 
 import bz2
 import json

@@ -38,7 +38,7 @@ class PartitionedCatalog:
     folder : str or path-like
         Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
     columns, units : dict, optional
-        As in `Catalog.from_table`; positions are in degrees unless specified otherwise.
+        As in `Catalog.from_table`. Positions without a unit are assumed to be in degrees, without a warning.
     frame : str, optional
         As in `Catalog.from_table`.
     fill : dict, optional
@@ -51,8 +51,8 @@ class PartitionedCatalog:
     Raises
     ------
     InputError
-        If pyarrow or a column is missing, if the folder contains no partitions, if pixels overlap, or if a file cannot
-        be read.
+        If pyarrow or a column is missing, if the folder contains no partitions, if partitions overlap, or if a file
+        cannot be read.
 
     See Also
     --------
@@ -159,7 +159,7 @@ def partition_catalog(
     Parameters
     ----------
     catalog : Catalog, SkyCoord, Table or DataFrame
-        The targets at their epoch.
+        The targets. Positions are written at the epoch of the catalog.
     folder : str or path-like
         Folder to create; it must not exist. If writing fails, no incomplete folder remains.
     order : int, optional
@@ -169,7 +169,7 @@ def partition_catalog(
     Returns
     -------
     PartitionedCatalog
-        The same targets, sorted along the HEALPix curve.
+        The same targets, sorted by HEALPix pixel (nested).
 
     Raises
     ------
@@ -222,7 +222,7 @@ def partition_catalog(
 
 
 def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Catalog:
-    """Convert a catalog, coordinates, a table, a DataFrame or all partitions to a catalog."""
+    """Convert a Catalog, PartitionedCatalog, SkyCoord, table or DataFrame to a Catalog."""
     if isinstance(catalog, PartitionedCatalog):
         return catalog.read()
     if isinstance(catalog, str | os.PathLike):

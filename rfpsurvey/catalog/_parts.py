@@ -51,7 +51,7 @@ class Partitions:
 
     @cached_property
     def files(self) -> list[tuple[int, int, Path]]:
-        """Order, pixel and file of each partition, sorted along the HEALPix curve."""
+        """HEALPix order, pixel and file of each partition, sorted by the position of the pixel in the nested scheme."""
         found = []
         for path in sorted(self.catalog.folder.rglob("*")):
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
@@ -115,13 +115,13 @@ class Partitions:
         return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self.files])
 
     def near(self, center: np.ndarray, radius_rad: float) -> np.ndarray:
-        """Return the partitions that a circle can touch."""
+        """Return the indices of the partitions that can contain targets inside a circle on the sky."""
         vectors, radii = self.circles
         half_chord = 0.5 * np.linalg.norm(vectors - center, axis=1)
         return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def part(self, k: int) -> Catalog:
-        """Return the targets of a partition; if there are no identifiers, they are the row numbers in the catalog."""
+        """Return the targets of partition k; targets without identifiers get their row numbers in the whole catalog."""
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])
@@ -145,7 +145,7 @@ class Partitions:
         return self.part(0).id.dtype.kind
 
     def column(self, name: str) -> np.ndarray | None:
-        """Return a column of the whole catalog."""
+        """Return a column of the whole catalog, or None if the catalog does not have this column."""
         if name != "id" and getattr(self.part(0), name) is None:
             return None
         return np.concatenate([getattr(self.part(k), name) for k in range(len(self.files))])

@@ -37,8 +37,8 @@ def synthetic_catalog(
         ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, in which the number of
         points is also random. ``poisson_disc``: random sequential addition of points that are at least
         ``min_separation`` apart. If neither ``n_targets`` nor ``density`` is given, points are added until fewer than
-        one trial in a thousand is accepted. ``clustered``: a Thomas process of clusters with a Gaussian profile, whose
-        centers and members are Poisson distributed.
+        one trial in a thousand is accepted. ``clustered``: a Thomas process, in which the number of clusters and the
+        number of targets in each cluster are Poisson distributed, and each cluster has a Gaussian profile.
     center : SkyCoord or str
         Center of the circle; text is read as in `plan_tile`.
     radius : Quantity
@@ -115,13 +115,13 @@ def _expected_number(kind, cap, n_targets, density):
 
 
 def _area(cap):
-    """Return the solid angle of a circle in steradian."""
+    """Return the solid angle (sr) of a circle on the sky with the angular radius ``cap`` (rad)."""
     return 4 * np.pi * np.sin(cap / 2) ** 2
 
 
 def _points(rng, cap, n):
-    """Return independent uniform points around +z."""
-    # sin^2(theta / 2) of uniform points in a circle is uniform
+    """Return n independent random points, uniformly distributed in a circle of radius ``cap`` (rad) around +z."""
+    # for points that are uniform in a circle, sin^2(distance from the center / 2) is uniform
     half = np.sin(cap / 2) * np.sqrt(rng.random(n))
     azimuth = 2 * np.pi * rng.random(n)
     sine = 2 * half * np.sqrt(1 - half**2)
@@ -160,7 +160,10 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     if expected is None:
         return points
     if len(points) < wanted:
-        raise InputError(f"{wanted} targets at least {min_separation} apart do not fit; about {len(points)} do")
+        raise InputError(
+            f"{wanted} targets at least {min_separation} apart do not fit into the circle; "
+            f"about {len(points)} targets fit"
+        )
     return points[: int(wanted)]
 
 
@@ -181,8 +184,8 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
     if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
-    # Clusters with centers outside the circle also have members inside. A margin of 6 sigma omits a fraction of 1e-8 of
-    # these.
+    # Clusters with centers outside the circle also have members inside the circle. A margin of 6 sigma omits a fraction
+    # of 1e-8 of these members.
     wide = min(cap + 6 * sigma, np.pi)
     parents = _points(rng, wide, rng.poisson(expected / cluster_size * _area(wide) / _area(cap)))
     parents = np.repeat(parents, rng.poisson(cluster_size, len(parents)), axis=0)

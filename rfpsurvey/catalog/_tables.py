@@ -59,8 +59,8 @@ def _ids(find: Finder) -> np.ndarray | None:
     ids = find.labels("id")
     if ids is not None and ids.dtype.kind == "U" and (ids == "").any():
         warn(
-            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; columns={{'id': ...}} or "
-            "--column id=... names another column"
+            f"column {find.name_of('id')!r} (id) is empty in {rows_of(ids == '')}; to use another column, give "
+            "columns={'id': ...} or --column id=..."
         )
     return ids
 
@@ -124,7 +124,7 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
 
 
 def _check_frame(frame: str) -> None:
-    """Raise an error if a frame depends on an observer or a time, such as altaz."""
+    """Raise an error if a frame, such as altaz, depends on an observer or on a time."""
     try:
         SkyCoord(0 * u.deg, 0 * u.deg, frame=frame).transform_to("icrs")
     except Exception as error:  # a frame can raise any exception
@@ -205,7 +205,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         worst = years[moves & ~usable]
         raise InputError(
             f"column {name!r} (epoch) must hold Julian years for targets with a proper motion, "
-            f"but {len(worst)} of these targets have none, such as {worst[0]:g}"
+            f"but {len(worst)} of these targets have other values, such as {worst[0]:g}"
         )
     if not usable.any():
         return None
@@ -214,7 +214,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:
-    """Return the kind of each target, which follows from its category; for example, sky_boss is of the kind sky."""
+    """Return the kind of each target according to its category; for example, sky_boss implies the kind sky."""
     lower = np.char.lower(category)
     kind = np.full(len(lower), "science", dtype="U8")
     kind[np.char.startswith(lower, "standard") | np.char.startswith(lower, "std")] = "standard"

@@ -33,7 +33,7 @@ class Arms:
     """The poses of all positioners in mm and radians; NaN for arms that are absent."""
 
     find_angles: Callable[[], np.ndarray] | None
-    """Function that returns the joint angles theta and phi, shape (2, n); it is called when they are first used."""
+    """Function that returns the joint angles theta and phi, shape (2, n), called when the angles are first used."""
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
@@ -165,15 +165,19 @@ def to_tips(tips, n):
 
 
 def check_tips(columns, points, side, *, clip=False):
-    """Mark positioners with a target, and targets out of reach, which raise an error unless ``clip`` is true."""
+    """Return whether each positioner has a target, and whether this target is out of reach.
+
+    Unless ``clip`` is true, the function raises an error if a target is out of reach or requires a pose beyond the
+    joint limits.
+    """
     plane, n = columns.plane, len(columns.plane)
     assigned, far = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
     bounds = columns.bounds if columns.joints is None else columns.bounds_of(None, None, side)
     if arms.check(points, columns.geometry, bounds, assigned, far) and not clip:
         k = int(np.flatnonzero(far)[0])
         raise InputError(
-            f"{int(far.sum())} tips are out of reach; the first is the tip of positioner {plane.id[k]}: "
-            f"{np.hypot(*(points[k] - columns.xy[k])):.7g} mm from its center, "
+            f"{int(far.sum())} tips are out of reach; the first is the tip of positioner {plane.id[k]}: its "
+            f"distance from the center of the positioner is {np.hypot(*(points[k] - columns.xy[k])):.7g} mm, "
             f"must be {columns.inner_radius[k]:.4f} to {columns.outer_radius[k]:.4f} mm"
         )
     if not joints_free(columns, side):
@@ -188,7 +192,7 @@ def check_tips(columns, points, side, *, clip=False):
 
 
 def joints_free(columns, side):
-    """Return whether joint limits allow positioners to reach all points of their patrol areas with the given elbows."""
+    """Return whether joint limits leave the full patrol areas within reach, for the given sides of the elbows."""
     if columns.joints_free_for(1.0) and columns.joints_free_for(-1.0):
         return True
     return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
@@ -212,7 +216,7 @@ def place_tips(columns, points, side, clipped):
 
 
 def to_sides(columns, points, handedness):
-    """Return +1 for right and -1 for left elbows; None means the default elbows of the focal plane."""
+    """Return +1 for right-handed and -1 for left-handed arms; by default, the focal plane determines the handedness."""
     if handedness is None:
         return columns.sides(points)
     n = len(columns.plane)
@@ -240,7 +244,7 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return the cosine and sine of the angle of each capsule; idle arms have the angle for the first fiber."""
+    """Return the cosine and sine of the angle from each fiber to its capsule; idle arms use their first fiber."""
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
@@ -262,7 +266,11 @@ def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
 
 
 def _cells(points, rows):
-    """Return a grid of about as many cells as points: x0, y0, size, nx, ny, and the rows of the points by cell."""
+    """Sort points into a grid of about as many cells as points.
+
+    Returns x0, y0, size, nx and ny of the grid, the index of the first point of each cell in the sorted list, and the
+    rows of the points, sorted by cell.
+    """
     low = points.min(axis=1, initial=np.inf) if len(rows) else np.zeros(2)
     wide, high = np.ptp(points, axis=1) if len(rows) else np.ones(2)
     size = max(np.sqrt(wide * high / max(len(rows), 1)), max(wide, high) / (len(rows) + 1), 1e-6)

@@ -68,7 +68,7 @@ class CollisionCounts:
 
     @property
     def rate_assigned(self) -> np.ndarray:
-        """Fraction of the assigned positioners in collision, for each configuration; NaN if no target is assigned."""
+        """Fraction of assigned positioners in collision, for each configuration; NaN if no positioner is assigned."""
         return _ratio(self.n_in_collision_assigned, self.n_assigned)
 
     def __len__(self):
@@ -110,7 +110,7 @@ def count_collisions(
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
         Handedness of each arm in all configurations; by default, the handedness of the positioner.
     fiber_type : array_like of str, shape (n,), optional
-        Fiber type in use in all configurations, for arm models that depend on it.
+        Fiber type that each positioner uses in all configurations, as in `find_collisions`.
     parked_obstacles : bool, optional
         As in `find_collisions`.
     method : {"exact", "cuda"}, optional
@@ -210,7 +210,7 @@ def _processor(columns, setup):
 
 
 def _on_processor(columns, setup, points, side):
-    """Count the collisions of a chunk; also return the number of collisions per positioner and of tips out of reach."""
+    """Return the counts of a chunk, the number of collisions per positioner, and the number of tips out of reach."""
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     bounds = columns.bounds
@@ -230,7 +230,11 @@ def _device(columns, setup):
 
 
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
-"""For each method, the chunk size, and a function that returns a function (points, side) -> (counts, times, far)."""
+"""For each method, the number of configurations per task, and a function that makes the counting function.
+
+The counting function has the arguments (points, side). It returns the counts of each configuration, the number of
+collisions of each positioner, and the number of tips out of reach.
+"""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
@@ -265,7 +269,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the segment that can collide for each target in a queue, shape (4, m)."""
+    """Return the start of each queue, and the colliding segment of the arm at each target of a queue, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
@@ -302,7 +306,7 @@ def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
 
 
 def _turned(segments, first, used):
-    """Rotate the capsules of idle arms: their angles refer to the fibers in use instead of the first fibers."""
+    """Rotate the capsules of idle arms, so that their angles refer to the fibers in use instead of the first fibers."""
     (c, s), (used_c, used_s) = first, used
     x, y = segments[2:] - segments[:2]
     x, y = c * x - s * y, s * x + c * y
@@ -318,7 +322,10 @@ def make_workspace(plane) -> batch.Workspace:
 
 
 def _sides_of_chunk(columns, points, side, start):
-    """Return the elbows of a chunk: one row, or one row per configuration if elbows depend on the joint limits."""
+    """Return the sides of the elbows (+1 or -1) in the configurations of a chunk, as rows of an array.
+
+    There is a single row for all configurations, or one row per configuration if the sides depend on the joint limits.
+    """
     if side is not None and joints_free(columns, side):
         return side
     rows = [columns.sides(p) if side is None else side[0] for p in points]

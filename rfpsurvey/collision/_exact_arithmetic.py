@@ -25,7 +25,7 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
     columns : FocalPlaneArrays
         The positioners.
     segments : ndarray, shape (4, n)
-        Segments that can collide, or cores of outlines.
+        Segments that can collide, or the cores of outlines: segments from the elbow along the eccentric arm.
     a, b : int
         Indices of the two arms along the last axis of ``segments``.
     i, j : int
@@ -65,9 +65,10 @@ def distance_exactly(first, second) -> float:
 def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, separation: float | Fraction) -> bool:
     """Return whether the gap between the outlines of two positioners is less than ``separation``, without rounding.
 
-    ``first`` and ``second`` are the cores (x0, y0, x1, y1) of the positioners i and j. A polygon is the convex hull of
-    its vertices, whose positions relative to the elbow or center are rounded to double precision. If the radii and the
-    separation are 0, polygons that overlap or cross collide, and polygons that only touch do not collide.
+    ``first`` and ``second`` are the segments (x0, y0, x1, y1), from the elbow along the eccentric arm, that determine
+    the poses of the positioners i and j. A polygon is the convex hull of its vertices, whose positions relative to the
+    elbow or center are rounded to double precision. If the radii and the separation are 0, polygons that overlap or
+    cross collide, and polygons that only touch do not collide.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]
@@ -85,7 +86,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
 
 def touches_exactly(columns, i: int, segment, j: int) -> bool:
-    """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps it.
+    """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps this obstacle.
 
     ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). Obstacles are numbered from
     0: first the circles, then the polygons.
@@ -108,7 +109,7 @@ def touches_exactly(columns, i: int, segment, j: int) -> bool:
 
 
 def _placed_vertices(outline, i, core):
-    """Return the vertices of all parts of a positioner, as points with rational coordinates."""
+    """Return the vertices of all parts of the outline of a positioner, as points with rational coordinates."""
     placed = np.empty((4, outline.n_vertices))
     place_outline(outline, i, *map(float, core), placed)
     return [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
@@ -137,12 +138,12 @@ def _polygons_closer(first, second, limit):
 
 
 def _edges(polygon):
-    """Return the edges of a convex polygon; both directions of a segment are edges."""
+    """Return the edges of a convex polygon; a polygon with two vertices has two edges with opposite directions."""
     return list(zip(polygon, polygon[1:] + polygon[:1], strict=True))
 
 
 def _separated(first, second):
-    """Return whether the line through an edge of a convex polygon separates this polygon from another one."""
+    """Return whether the line through an edge of a convex polygon separates this polygon from another polygon."""
     if len(first) == 1:
         return False
     return any(all(_orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))

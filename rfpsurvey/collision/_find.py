@@ -44,35 +44,39 @@ def find_collisions(
     """Find the pairs of arms that are closer to each other than the minimum separation D.
 
     Two positioners collide if and only if the distance between their colliding segments is strictly less than D;
-    crossing segments have the distance 0. An arm collides with an obstacle if its distance from the edge of the circle
-    is less than the clearance d of the arm.
+    crossing segments have the distance 0. An arm collides with an obstacle if the distance from the arm to the edge of
+    the obstacle is less than the clearance d of the arm.
 
     Parameters
     ----------
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
-        Position of the fiber of each positioner, NaN for positioners without a target. The handedness and
-        options of an allocation are used. Known poses can be given as ``Arms``.
+        Position of the fiber of each positioner, NaN for positioners without a target. An allocation also determines
+        ``handedness``, ``fiber_type`` and ``parked_obstacles``. Known poses can be given as ``Arms``.
     theta, phi : Quantity, shape (n,), optional
         Joint angles instead of ``tips``; NaN for positioners without a target. They may exceed the joint limits.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
-        Handedness of each arm; by default, the handedness of the positioner; not allowed with ``theta`` and ``phi``.
+        Handedness of each arm; by default, the handedness of the positioner. This parameter must not be given with
+        ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
-        Fiber type in use, for arm models that depend on it.
+        Fiber type that each positioner uses; by default, the first type of the positioner. The fiber type matters if
+        it determines the position of the fiber or the angle of the colliding segment.
     parked_obstacles : bool, optional
         Whether positioners with equal arms and without a target are parked, and count as obstacles. Idle positioners
-        with unequal arms avoid all other arms and are ignored. For an allocation, the option of the allocation is used.
+        with unequal arms avoid all other arms and are ignored.
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
-        ``exact``: distances with a proven error limit, and rational arithmetic where the error could matter.
-        ``sampled``: the least distance between ``n_points`` points on either arm; it misses some pairs barely closer
-        than D, and also some crossings if n_points <= 1 + length of the arm / (sqrt(2) D). ``sweep``: the distance
-        between the areas that the two arms sweep from their parked poses, sampled by ``n_points`` poses each. Both
+        ``exact``: distances with a proven error limit, and rational arithmetic for pairs whose result this error could
+        change. ``sampled``: the smallest distance between ``n_points`` points on one arm and ``n_points`` points on the
+        other arm. This method misses some pairs that are only slightly closer than D, and also some crossings if
+        n_points <= 1 + length of the arm / (sqrt(2) D). ``sweep``: the distance between the areas that the two arms
+        sweep on the way from their parked poses to the given poses; each area is sampled by ``n_points`` poses. Both
         joints rotate at the same time, in the shorter direction (regardless of hard stops). There are no false
-        negatives, but many false positives. ``scipy``: minimization by SciPy, which is slow. ``cuda``: the distances
-        of ``exact`` on a GPU (requires ``rfpsurvey[cuda]``).
+        negatives, but many false positives. ``scipy``: minimization by SciPy, which is slow. ``cuda``: the distances of
+        ``exact``, computed on a GPU (requires ``rfpsurvey[cuda]``).
     n_points : int, optional
-        Number of points on an arm (``sampled``) or of poses on its path (``sweep``), 2 to 10,000.
+        Number of points on each arm (``sampled``), or number of poses of each arm on its path (``sweep``), from 2 to
+        10,000.
 
     Returns
     -------
@@ -132,7 +136,10 @@ def find_collisions(
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
-    """Return segments (4, n), flags, and a function that computes all poses, which only a few methods call."""
+    """Return colliding segments (4, n), flags of assigned and of parked arms, and a function that computes all poses.
+
+    Only a few methods call this function.
+    """
 
     def poses():
         return place_arms(plane, tips, **given, parked_obstacles=parked_obstacles)
@@ -154,7 +161,7 @@ def _posed_segments(plane, tips, given, parked_obstacles):
 
 
 def touching(plane, segments, pairs, owner=None):
-    """Return the pairs (segment, obstacle) that touch, their distances, and the number of borderline pairs.
+    """Return the pairs (segment, obstacle) that collide, their distances, and the number of borderline pairs.
 
     ``owner`` contains the positioner of each segment; it is None if there is one segment for each positioner.
     """

@@ -18,7 +18,7 @@ __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return (first, second, squared distance) of pairs closer than the minimum separation, within rounding."""
+    """Return (first, second, squared distance) of all pairs that, within rounding errors, may collide."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
@@ -32,7 +32,11 @@ def find_pairs(segments, pairs, limits):
 
 
 def make_scorer(columns, setup):
-    """Return a function (points, side) -> (counts, times, number of tips out of reach); its data stay on the GPU."""
+    """Return a function that counts the collisions of configurations on the GPU, where the function keeps its data.
+
+    The function has the arguments (points, side). It returns the counts of each configuration, the number of collisions
+    of each positioner, and the number of tips out of reach.
+    """
     _require_device()
     n, limits = len(columns.plane), setup.limits
     g, bounds = columns.geometry, columns.bounds
@@ -85,6 +89,6 @@ def make_scorer(columns, setup):
 def _require_device():
     if not cuda.is_available():
         raise InputError(
-            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), but found no GPU "
-            "that works; with NUMBA_ENABLE_CUDASIM=1 in the environment, numba simulates a small GPU"
+            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), but found no "
+            "working GPU; with NUMBA_ENABLE_CUDASIM=1 in the environment, numba simulates a small GPU"
         )

@@ -105,7 +105,7 @@ def cuda(case: Configuration) -> Found:
 
 
 METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
-"""Methods by name; each is a function from a `Configuration` to `Found`."""
+"""Methods by name; each method is a function that takes a `Configuration` and returns a `Found`."""
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +149,7 @@ def _require_segments(case, method):
 
 
 def _capsule_angles(posed):
-    """Return cosine and sine of the angle from each fiber to the end of its segment."""
+    """Return the cosine and sine of the angle, at each elbow, from the fiber to the end of the colliding segment."""
     (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
     scale[scale == 0] = 1  # capsules whose length is 0

@@ -23,7 +23,7 @@ class CollisionReport:
     distances : Quantity, shape (k,)
         Distances between the arms of these pairs.
     obstacle_pairs : ndarray of int, shape (m, 2)
-        Pairs of rows (positioner, obstacle) closer than the clearance.
+        Pairs of a positioner and an obstacle (row numbers) whose distance is less than the clearance.
     obstacle_distances : Quantity, shape (m,)
         Distances from the arms to the edges of the obstacles.
     in_collision : ndarray of bool, shape (n,)
@@ -36,8 +36,8 @@ class CollisionReport:
     n_borderline : int or None, optional
         Number of pairs so close to the limit that rounding errors could change the result. A pair consists of two arms,
         or of an arm and an obstacle. ``exact`` and ``cuda`` decide pairs of arms in rational arithmetic, and all
-        methods decide pairs with an obstacle in this way. The number is None if the method has no proven error limit,
-        and 0 if no two arms can touch.
+        methods decide pairs with an obstacle in this way. The number is None if the method has no proven error limit.
+        If no two arms can touch, the number is not None and includes only pairs with an obstacle.
 
     Examples
     --------

@@ -60,14 +60,14 @@ def compare_allocators(
     QTable
         Table with a row for each allocator. Columns: ``allocator``; ``science``, ``standard``, ``sky`` (number of
         fibers on each kind of target); the number of fibers on targets of each priority class, if there are from two to
-        eight classes; ``missing`` (number of additional fibers that the requirements demand); ``colliding`` (number of
-        positioners in collision), ``pairs`` (number of colliding pairs) and ``at_obstacles`` (number of collisions with
-        obstacles); ``usable`` (number of science fibers without a collision); ``loss`` (fraction by which ``usable`` is
-        smaller than the number of science fibers of the best plan that ignores collisions; it can be negative for
-        allocators that ignore requirements); ``gap`` (relative difference between the objective of the plan and its
-        proven upper bound; NaN without a proven bound); ``seconds`` (time for finding the targets in reach and for the
-        allocation, without compilation). ``meta`` contains the unmet requirements of each allocator, and the
-        provenance.
+        eight classes; ``missing`` (number of fibers that the requirements demand, but that the plan lacks);
+        ``colliding`` (number of positioners in collision), ``pairs`` (number of colliding pairs) and ``at_obstacles``
+        (number of collisions with obstacles); ``usable`` (number of science fibers without a collision); ``loss``
+        (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
+        collisions; it can be negative for allocators that ignore requirements); ``gap`` (relative difference between
+        the objective of the plan and its proven upper bound; NaN without a proven bound); ``seconds`` (time for finding
+        the targets in reach and for the allocation, without compilation). ``meta`` contains the unmet requirements of
+        each allocator, and the provenance.
     dict of str to Tile
         For the name of each allocator, the tile that this allocator planned. This dict is returned only if
         ``return_tiles`` is true.

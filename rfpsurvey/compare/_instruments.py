@@ -103,7 +103,8 @@ def compare_instruments(
     instruments : list of Instrument or str, optional
         Instruments, names of presets, or paths of TOML files; by default all of `available_instruments`.
     center : SkyCoord, scalar or shape (n_fields,), optional
-        Field centers for a catalog; by default the mean direction of the catalog.
+        Field centers for a catalog, by default the mean direction of the catalog; or the center of all synthetic
+        fields, by default ICRS (0, 0) deg.
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`.
     targets_per_positioner : float, optional
@@ -120,7 +121,7 @@ def compare_instruments(
     rng : int, Generator or None, optional
         Seed or random number generator.
     executor : concurrent.futures.Executor, optional
-        Executor that plans fields in parallel; only the column ``seconds`` depends on it.
+        Executor that plans fields in parallel; only the column ``seconds`` depends on the executor.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished fields and the
         total number of fields.
@@ -153,7 +154,8 @@ def compare_instruments(
     Raises
     ------
     InputError
-        If a name is unknown or occurs twice, if a field has no target, or if `plan_tile` raises an error.
+        If a name is unknown, if two instruments have the same name, if a field has no target, or if `plan_tile` raises
+        an error.
 
     See Also
     --------

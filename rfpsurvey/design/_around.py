@@ -131,7 +131,9 @@ def design_improvements(table: QTable) -> QTable:
     gain = {name: -plain[name] if aim == "min" else plain[name] for name, aim in objectives.items()}
     row, found = rows[0], []
     if not all(np.isfinite(values[row]) for values in gain.values()):
-        raise InputError(f"{table['instrument'][row]} has no {' and '.join(objectives)}: {table['reason'][row]}")
+        raise InputError(
+            f"{table['instrument'][row]} has no values of {' and '.join(objectives)}: {table['reason'][row]}"
+        )
     for name, other in zip(objectives, reversed(objectives), strict=True):
         known = np.isfinite(gain[name]) & (gain[other] >= gain[other][row])
         best = max(np.flatnonzero(known), key=lambda k: (gain[name][k], gain[other][k], k == row))

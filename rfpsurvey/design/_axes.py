@@ -27,7 +27,7 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
     for name, values in axes.items():
         wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
         if wrong.size:
-            what = "of at least 0" if name == "clearance" else "above 0"
+            what = "at least 0" if name == "clearance" else "above 0"
             raise InputError(f"{name} must be finite and {what}, got {wrong.flat[0]:g}")
         if values.ndim > 1 or values.size == 0:
             raise InputError(f"{name} must be one value or a one-dimensional array, got the shape {values.shape}")
@@ -49,7 +49,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
         raise InputError(f"n_designs must be a whole number from 1 to {MOST:.0e}, got {n_designs!r}")
     for name, values in axes.items():
         if len(values) > 2 or (len(values) == 2 and not values[0] < values[1]):
-            raise InputError(f"if n_designs is given, {name} must be one value or its limits (low, high), got {values}")
+            raise InputError(f"if n_designs is given, {name} must be one value or two limits (low, high), got {values}")
     low, high = (np.array([values[k] for values in axes.values()]) for k in (0, -1))
     points = np.zeros((n_designs, len(axes)))
     free = low < high

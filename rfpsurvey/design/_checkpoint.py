@@ -31,7 +31,7 @@ class Checkpoint:
     designs : ndarray of float, shape (n, 4)
         All designs, in the order in which they are computed.
     resume, overwrite : bool
-        Whether to continue or to replace an existing file.
+        Whether to continue the scan in an existing file, and whether to replace an existing file.
     """
 
     def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):

@@ -62,9 +62,9 @@ def explore_designs(
     central_arm : Quantity, scalar or shape (k,)
         Length of the central arm. All combinations of the values of the parameters form a grid of designs.
     ratio : float or array_like of float, shape (k,)
-        Ratio of the lengths of the eccentric and the central arm.
+        Length of the eccentric arm divided by the length of the central arm.
     pitch : Quantity, scalar or shape (k,)
-        Distance between neighboring centers.
+        Distance between the centers of adjacent positioners.
     clearance : Quantity, scalar or shape (k,)
         Radius around the eccentric arm that must be free of other arms: half the minimum separation if ``step`` is 0.
     n_designs : int, optional
@@ -81,7 +81,7 @@ def explore_designs(
     rng : int, Generator or None, optional
         Seed or random number generator; each design has its own stream of random numbers.
     executor : concurrent.futures.Executor, optional
-        Executor that computes designs in parallel, in threads or processes; the result does not depend on it.
+        Executor that computes designs in parallel, in threads or processes; the result does not depend on the executor.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished designs and the
         total number of designs.

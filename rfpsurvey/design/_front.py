@@ -33,7 +33,7 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]
-    start = np.searchsorted(a, a, side="left")  # first row with this first value, and with the best second
+    start = np.searchsorted(a, a, side="left")  # first row with the same first value; its second value is the best
     least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before start
     front = np.zeros(len(table), dtype=bool)
     front[order] = (b == b[start]) & (b < least)

@@ -18,7 +18,7 @@ If the reach is larger, a positioner has hundreds of neighbors; such designs are
 """
 N_LINES = 256
 DEPTHS = 4
-"""Classes of points: within reach of 0, 1, 2 and at least 3 positioners."""
+"""Number of classes of points: within reach of 0, 1, 2, and at least 3 positioners."""
 
 
 @dataclass(frozen=True)

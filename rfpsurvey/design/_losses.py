@@ -40,7 +40,7 @@ class Loss(NamedTuple):
     n_unproven: int = 0
     """Number of searches that the time limit ended."""
     gap: float = 0.0
-    """Upper limit of the fraction by which unfinished searches overestimate the loss; NaN if there is no limit."""
+    """Upper limit of this loss minus the loss that complete searches would give; NaN if there is no limit."""
 
 
 class Skies(NamedTuple):
@@ -86,7 +86,7 @@ def optimal(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of a LAMOST plan after ``repair``, relative to the best plan that ignores collisions."""
+    """Compute the loss of a plan by the allocator ``repair``, relative to the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
@@ -122,7 +122,7 @@ def in_box(lattice: Lattice) -> bool:
 
 
 def _compare(lattice, skies, method):
-    """Compute the loss as the difference in assigned targets between plans with and without collisions."""
+    """Compute the loss of plans by a method, relative to the numbers of fibers in plans that ignore collisions."""
     limit = skies.time_limit * u.s
 
     def look(points, plane, core):
@@ -136,17 +136,21 @@ def _compare(lattice, skies, method):
 
 
 def _gap(blind, plan):
-    """Return the proven upper limit of the fraction of the fibers of a patch that a better plan could add."""
+    """Return a proven upper limit of the number of fibers that a better plan could add, per assigned fiber.
+
+    Fibers are assigned in the plan ``blind``, which ignores collisions.
+    """
     most = min(blind.levels[0].bound, plan.levels[0].bound)
     return max(most - plan.levels[0].value, 0.0) / max(blind.levels[0].value, 1.0)
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Return the fraction of the fibers in the center of a patch that is lost, over all realizations.
+    """Return the loss in the center of a patch, averaged over all realizations of the targets.
 
-    Positioners near the edge of a patch have fewer neighbors and are not counted. If no fiber is lost, the error is as
-    large as if one fiber were lost. If ``whole`` is true, each fiber is either lost or not lost, and the error is
-    always at least as large as for one lost fiber.
+    For each realization, ``look`` returns the number of assigned fibers, the expected number of lost fibers, whether
+    the time limit ended a search, and the gap (see `Loss`). Positioners near the edge of a patch have fewer neighbors
+    and are not counted. If no fiber is lost, the error is as large as if one fiber were lost. If ``whole`` is true,
+    each fiber is either lost or not lost, and the error is always at least as large as for one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch

@@ -28,20 +28,20 @@ class LossOptions:
         Definition of the loss, see `~rfpsurvey.design.explore_designs`; by default the definition that the method uses
         or, without a method, ``independent``.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
-        Method: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for ``allocated``; exact for
-        each realization), ``optimal`` (for ``collision_free``; a proven optimum) or ``repair`` (for ``collision_free``;
-        a plan by the method of LAMOST, whose collisions are removed by local moves). ``auto`` selects the fastest
-        method that is accurate enough for a design: for ``independent``, ``surrogate`` if the design is within its
-        range and the result is at least 0.01, otherwise ``quadrature``; for ``allocated``, ``conditional``; for
-        ``collision_free``, ``optimal``.
+        Method that computes the loss: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for
+        ``allocated``; exact for each realization), ``optimal`` (for ``collision_free``; a proven optimum) or ``repair``
+        (for ``collision_free``; local moves remove the collisions of a plan by the allocator ``lamost``). ``auto``
+        selects the fastest method that is accurate enough for a design: for ``independent``, ``surrogate`` if the
+        design is within the range of this method and the result is at least 0.01, otherwise ``quadrature``; for
+        ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
     targets_per_positioner : float, optional
         Mean number of Poisson-distributed targets per positioner; four by default.
     target_density : Quantity, optional
         Number of Poisson-distributed targets per area of the focal plane, instead of ``targets_per_positioner``. The
-        number per positioner then increases with the pitch.
+        number of targets per positioner then increases with the pitch.
     n_skies : int, optional
-        Number of realizations of the targets, with 91 positioners each, over which ``conditional``, ``optimal`` and
-        ``repair`` average.
+        Number of realizations of the targets over which ``conditional``, ``optimal`` and ``repair`` average the loss.
+        Each realization counts 91 positioners.
     time_limit : Quantity, optional
         Time limit of each search of ``optimal``.
 

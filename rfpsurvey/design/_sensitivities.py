@@ -32,15 +32,15 @@ def design_sensitivities(
         Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored. The design of an
         instrument is also ignored if `~rfpsurvey.design.explore_around` added it to the scan.
     figures : sequence of str, optional
-        Columns to explain.
+        Columns whose variance is explained.
 
     Returns
     -------
     QTable
-        Table with a row for each pair of an explained column and a parameter that varies, and a row ``rest`` for each
-        explained column. Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to 1; NaN for values
-        that do not vary), and ``slope`` (change of the values in percent if the parameter grows by one percent). The
-        slope is computed at the mean of the scan, from a fit that is linear in all parameters.
+        Table with a row for each pair of an explained column and a parameter that varies, and a row ``rest`` for the
+        unexplained variance of each column. Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to
+        1; NaN for values that do not vary), and ``slope`` (change of the values in percent if the parameter grows by
+        one percent). The slope is computed at the mean of the scan, from a fit that is linear in all parameters.
 
     Raises
     ------

@@ -26,7 +26,7 @@ class Start:
     """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return the designs and the instrument's own design, the row of this design, and a record for ``meta``."""
+        """Return the designs with the design of the instrument, the row of this design, and a record for ``meta``."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}
@@ -48,7 +48,8 @@ def start_of(model: Instrument) -> Start:
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:
         raise InputError(
-            f"the displacement of an arm of {model.name} within a step must be less than the total length of both arms"
+            f"the displacement of an arm of {model.name} within a motor step must be less than the total length of "
+            "both arms"
         )
     design = np.array([central_arm, eccentric_arm / central_arm, facts["pitch"], clearance])
     return Start(model.name, design, float(np.arcsin(max(moved, 0.0)) / 2))

@@ -183,7 +183,7 @@ def test_a_missing_column_has_a_remedy():
         rs.InputError, match=r"are: x; state its name, for example columns=.'ra': .... or --column ra=..."
     ):
         rs.Catalog.from_table(Table({"x": [1.0]}))
-    with pytest.raises(rs.InputError, match="give the frame of these coordinates, as frame='galactic'"):
+    with pytest.raises(rs.InputError, match="give the frame of the longitudes and latitudes, for example frame="):
         rs.Catalog.from_table(Table({"l": [1.0], "b": [1.0]}))
 
 

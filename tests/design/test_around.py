@@ -139,5 +139,5 @@ def test_an_instrument_without_a_loss_has_no_improvements():
     with pytest.warns(rs.RfpsurveyWarning, match="have no values"):
         table = rs.design.explore_around("lamost", clearance=13 * MM, n_nodes=2, pitch=[25, 40] * MM)
     table["loss"][table["instrument"] != ""] = np.nan
-    with pytest.raises(rs.InputError, match="lamost has no coverage and loss"):
+    with pytest.raises(rs.InputError, match="lamost has no values of coverage and loss"):
         rs.design.design_improvements(table)
