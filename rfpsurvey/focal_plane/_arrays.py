@@ -1,4 +1,4 @@
-"""A focal plane as numbers without units: read-only columns in mm and radians, and the input of collision kernels."""
+"""The columns of a focal plane as read-only arrays without units (mm, radians), and the input of collision kernels."""
 
 from copy import copy
 from functools import cached_property
@@ -19,9 +19,9 @@ from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make
 __all__ = ["FocalPlaneArrays"]
 
 IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "annuli", "geometry", "bounds", "angles")
-"""Names of the arrays that depend on the fiber types in use."""
+"""Names of the arrays that depend on the fiber type that each positioner uses."""
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
-"""Names of arrays that take long to compute and do not depend on the fiber types in use."""
+"""Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
 
 
 class FocalPlaneArrays:
@@ -39,15 +39,15 @@ class FocalPlaneArrays:
     xy : ndarray of float, shape (n, 2)
         Centers of the positioners, mm.
     central_arm, eccentric_arm : ndarray of float, shape (n,)
-        Arm lengths, mm. The eccentric arm is the distance from the elbow to the fiber in use.
+        Arm lengths, mm. The eccentric arm is measured from the elbow to the fiber that the positioner uses.
     inner_radius, outer_radius : ndarray of float, shape (n,)
-        Radii of the patrol areas of the fibers in use, mm.
+        Radii of the patrol area of the fiber that each positioner uses, mm.
     largest_radius : ndarray of float, shape (n,)
         Largest outer radius of the patrol areas of all fibers of each positioner, mm.
     equal_arms : ndarray of bool, shape (n,)
         Whether both arms have the same length.
     arm_reach : ndarray of float, shape (n,)
-        Largest distance of the colliding segment from the center, mm.
+        Largest distance from the center of a positioner to a point of its arm that can collide, mm.
     usable : ndarray of bool, shape (n,)
         Whether each positioner may have a target: it is neither disabled nor stuck.
     stuck : ndarray of float, shape (n, 2)
@@ -65,16 +65,17 @@ class FocalPlaneArrays:
     first_index : ndarray of int, shape (n,)
         Index of ``first_type`` in ``fiber_types``.
     fiber_index : ndarray of int, shape (n,)
-        Index of the fiber type in use in ``fiber_types``: ``first_index``, unless `using` sets other indices.
+        Index in ``fiber_types`` of the fiber type that each positioner uses. It equals ``first_index``, unless `using`
+        sets other indices.
     neighbors : ndarray of int, shape (k, 2)
-        Pairs of positioners to test for collisions, including pairs that can collide only because of rounding.
+        Pairs of positioners to test for collisions, including pairs that can collide only because of rounding errors.
     obstacle_pairs : ndarray of int, shape (k, 2)
         Pairs of rows (positioner, obstacle) that can touch; circles are numbered first, then polygons.
     n_sharing : ndarray of int, shape (n,)
-        Largest number of other positioners that can share a target with each positioner.
+        For each positioner, an upper limit of the number of other positioners that can reach one of its targets.
     separation, clearance, length : float
-        Minimum separation of two arms, clearance of an arm, and length of the colliding segment (0 means the segment
-        from the elbow to the fiber), mm.
+        Minimum separation of two arms, clearance of an arm, and length of the segment that can collide, mm. The length
+        0 means that the segment extends from the elbow to the fiber.
 
     Examples
     --------
@@ -193,7 +194,7 @@ class FocalPlaneArrays:
         return locked(np.array([self.plane.fiber_types.index(name) for name in self.first_type.tolist()]))
 
     def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Return the indices of fiber types; empty text stands for the first fiber type of the positioner."""
+        """Return the indices of names in ``fiber_types``; ``""`` means the first fiber type of the positioner."""
         found = self.first_index.copy() if own is None else self.first_index[own]
         for k, name in enumerate(self.plane.fiber_types):
             found[fiber_type == name] = k
@@ -204,11 +205,11 @@ class FocalPlaneArrays:
         return self.first_index
 
     def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
-        """Return the arrays for fiber types in use, given as indices in ``fiber_types``; None means the first types."""
+        """Return the arrays for positioners that use the fiber types ``fiber`` (indices); None changes nothing."""
         if fiber is None:
             return self
         for name in SHARED:
-            getattr(self, name)  # computed once
+            getattr(self, name)  # computed here, so that the copy does not compute it again
         other = copy(self)
         for name in IN_USE if self.fibers is not None else ("angles",):
             other.__dict__.pop(name, None)
@@ -236,7 +237,7 @@ class FocalPlaneArrays:
         return locked(pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs)
 
     def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """Mark pairs whose arms, when stretched toward each other, are within the minimum separation plus ``slack``."""
+        """Return whether the arms of each pair can come closer than the minimum separation plus ``slack`` (mm)."""
         distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
         return distance < self.arm_reach[pairs].sum(axis=1) + self.separation + slack
 
@@ -259,7 +260,7 @@ class FocalPlaneArrays:
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
     def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
-        """Return the elbow with which each positioner in ``own`` reaches its target: +1 is right, -1 is left."""
+        """Return the handedness with which each positioner in ``own`` reaches its point: +1 is right, -1 is left."""
         return sides(self, points, own, fiber)
 
     @cached_property
@@ -278,25 +279,25 @@ class FocalPlaneArrays:
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Squared limits of the distance between the center and the tip of each positioner."""
+        """Limits of the squared distance (mm^2) between the center and the fiber tip of each positioner."""
         return self.bounds_of(None)
 
     def bounds_of(
         self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
     ) -> arms.Bounds:
-        """Return limits for rows of positioners, indices of fiber types, and elbows (1: right, -1: left)."""
+        """Return `bounds` for the positioners ``own``, their fiber types, and their handedness (1: right, -1: left)."""
         inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
 
     @cached_property
     def reach_slack(self) -> float:
-        """Upper limit of the rounding error of the distance of a tip from its center."""
+        """Upper limit (mm) of the rounding error of the distance between fiber tip and center of a positioner."""
         return 1e-12 * float(self.largest_radius.max() + np.abs(self.xy).max())
 
     @cached_property
     def touch_slack(self) -> float:
-        """Upper limit of the error of the gap between two stretched arms, which is valid for all arm lengths."""
+        """Upper limit (mm) of the error of the distance between two extended arms, for arms of any length."""
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
@@ -306,7 +307,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def longest(self) -> float:
-        """Upper limit of the length of a colliding segment."""
+        """Upper limit (mm) of the length of a segment that can collide."""
         length = {arms.ELBOW_TO_TIP: self.longest_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[self.model]
         # almost equal arms are treated as equal, which displaces their elbow
         return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
@@ -323,16 +324,16 @@ class FocalPlaneArrays:
 
     @cached_property
     def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
-        """All neighbors of each positioner: the start of each row, and the neighbors (an array that is never empty)."""
+        """All neighbors of each positioner in compressed rows (CSR): the start of each row, and the neighbors."""
         return both_ways(self.neighbors, len(self.plane))
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the angle of each capsule for the fiber types in use."""
+        """Cosine and sine of the angle at the elbow from the fiber in use to the capsule, for each positioner."""
         return self.angles_of(np.arange(len(self.plane)), self.fiber_index)
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the angle at the elbow between fiber and capsule, for the listed positioners."""
+        """Return cosine and sine of the angle at the elbow from fiber to capsule, for the positioners ``own``."""
         angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
         if self.fibers is not None:
             angle = angle - self.fibers.angle[fiber, own]
@@ -340,26 +341,26 @@ class FocalPlaneArrays:
 
     @cached_property
     def joints(self) -> Joints | None:
-        """Zero points and limits of the joints; None if joint angles are equal to the angles that the kernels use."""
+        """Zero points and limits of joints; None if the columns of zero points, fibers and limits are all None."""
         plane = self.plane
         own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
         lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length
         return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether all positioners reach their whole patrol areas with the given elbow (+1: right, -1: left)."""
+        """Return whether joint limits let all positioners reach their whole patrol areas with handedness ``side``."""
         numbers = self.plane.positioner.numbers
         return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
 
     @cached_property
     def joints_free(self) -> bool:
-        """Whether all positioners reach their whole patrol areas with the default elbow, within the joint limits."""
+        """Whether joint limits let all positioners reach their whole patrol areas with the default handedness."""
         return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
 
     def joints_allow(
         self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return whether joint limits allow positioners (rows) to reach ``points`` (mm) with an elbow (+1 or -1)."""
+        """Return whether joint limits let each positioner in ``own`` reach its point (mm) with handedness ``side``."""
         return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
@@ -377,7 +378,7 @@ class FocalPlaneArrays:
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return rows and indices of fiber types; None stands for all rows, or for the fiber types in use."""
+        """Return ``own`` (None: all rows) and ``fiber`` (None: the fiber types that the positioners use)."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 
@@ -394,5 +395,5 @@ class FocalPlaneArrays:
         return find_idle(self)
 
     def idle(self, parked_obstacles: bool) -> Idle:
-        """Return the poses of arms without a target: arms that cannot move, and parked arms if these are obstacles."""
+        """Return the poses of arms that cannot move and, if ``parked_obstacles`` is true, of parked arms."""
         return self.plane.arrays._idle[bool(parked_obstacles)]

@@ -24,7 +24,7 @@ def check_columns(plane) -> None:
     if not np.isfinite(xy).all():
         raise InputError(f"xy must be finite, got {int((~np.isfinite(xy)).any(axis=1).sum())} rows that are not finite")
     if len(np.unique(xy, axis=0)) < n:
-        raise InputError("two positioners have the same center")
+        raise InputError("xy must be different for all positioners, but two positioners have the same center")
     spectrograph, fiber_type = plane.spectrograph, plane.fiber_type
     columns = {
         "id": np.arange(n) if plane.id is None else to_labels(plane.id, "id"),
@@ -123,8 +123,8 @@ def _check_fibers(plane, n):
         bad = np.flatnonzero(np.where(has, ~((length > 0) & (length < 1e6)), length >= 1e6))
         if len(bad):
             raise InputError(
-                f"fiber_xy of {name!r} must be finite, away from the elbow and within 1 km of it for each positioner "
-                f"with this fiber, got {points[bad[0]].tolist()} mm for positioner {plane.id[bad[0]]}"
+                f"fiber_xy of {name!r} must be finite, away from the elbow and within 1 km of the elbow for each "
+                f"positioner with this fiber, got {points[bad[0]].tolist()} mm for positioner {plane.id[bad[0]]}"
             )
 
 
@@ -142,7 +142,7 @@ def _check_joints(plane, n):
             bad, what = ~np.isfinite(angles).all(axis=1), "two finite angles"
         else:
             bad = ~((low < high) & np.isfinite(high - low) | np.isnan(low) & np.isnan(high))
-            what = "(low, high) with low < high, or NaN twice,"
+            what = "(low, high) with low < high, or (NaN, NaN),"
         if bad.any():
             k = np.flatnonzero(bad)[0]
             raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for {plane.id[k]}")

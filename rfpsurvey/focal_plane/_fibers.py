@@ -21,7 +21,7 @@ class Fibers:
     angle : ndarray of float, shape (k, n)
         Angle from the mechanical axis of the eccentric arm to the direction of the fiber, in radians.
     missing : ndarray of bool, shape (k, n)
-        Whether a positioner lacks the fiber.
+        Whether a positioner lacks the fiber of each type.
     """
 
     def __init__(self, plane, first_index: np.ndarray):
@@ -51,10 +51,10 @@ class Joints:
     Attributes
     ----------
     inner, outer : ndarray of float, shape (k, n)
-        Least and greatest distance of the fiber from the center that the limits of phi allow, mm; 0 and infinity where
-        they allow all distances.
+        Smallest and largest distance between fiber and center that the limits of phi allow, mm. The values are 0 and
+        infinity if the limits of phi do not restrict this distance, or cannot be replaced by limits of this distance.
     free : dict of float to ndarray of bool, shape (n,)
-        Whether the limits allow all points between ``inner`` and ``outer``, for the elbow 1 (right) and -1 (left).
+        Whether the limits allow all points between ``inner`` and ``outer``, for the handedness 1 (right) and -1 (left).
     """
 
     def __init__(self, plane, fibers: Fibers | None, l1: np.ndarray, l2: np.ndarray):
@@ -84,7 +84,10 @@ class Joints:
         return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
 
     def home(self, home, fiber, *, folded: bool):
-        """Return the angles of parked positioners, within the joint limits, or of folded arms if ``folded``."""
+        """Return the joint angles of parked positioners: the angles ``home``, or folded arms if ``folded`` is true.
+
+        An angle beyond the joint limits is replaced by the nearest limit.
+        """
         own = np.arange(self.limits.shape[1])
         angles = np.repeat(np.asarray(home)[:, None], len(own), axis=1)
         if folded:
@@ -97,7 +100,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return joint angles in the range of 360 deg above the lower limit, or above -180 deg if there is no limit."""
+        """Return joint angles, from the lower joint limit (-180 deg if there is no limit) to 360 deg above it."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -105,12 +108,12 @@ class Joints:
         return found
 
     def allowed(self, theta, phi, own):
-        """Return whether joint angles are within the joint limits of positioners, which are given by rows."""
+        """Return whether joint angles are within the joint limits of the positioners in the rows ``own``."""
         low, high, phi_low, phi_high = self.limits[:, own]
         return _within(theta, low, high) & _within(phi, phi_low, phi_high)
 
     def _allow_all(self, side):
-        """Return whether a positioner reaches its whole patrol area with an elbow (1: right, -1: left)."""
+        """Return whether each positioner reaches its whole patrol area with a handedness (1: right, -1: left)."""
         low, high, phi_low, phi_high = self.limits
         offset = self.phi_zero if self.angle is None else self.phi_zero + self.angle
         first, last = (-np.pi, 0.0) if side < 0 else (0.0, np.pi)
@@ -118,17 +121,16 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance between fiber and center, where this is possible.
+        """Replace limits of phi by limits of the distance between fiber and center; mark positioners with new limits.
 
-        The result is True for each positioner for which this is possible. If theta is free, the limits allow a ring,
-        because the distance of the fiber from the center depends on phi alone. The replacement is possible only if the
-        allowed part of phi is one interval.
+        The replacement is possible if theta is free and the allowed values of phi form one interval. The points in
+        reach then form a ring, because the distance between fiber and center depends only on phi.
         """
         low, high, phi_low, phi_high = self.limits
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)
         start = -np.pi if side < 0 else 0.0
         with np.errstate(invalid="ignore"):
-            # phi from the start of the range of this elbow, [0, pi]; intervals may continue beyond 2 pi
+            # phi from the start of the range of this handedness, [0, pi]; intervals may continue beyond 2 pi
             first = np.mod(phi_low + offset - start, 2 * np.pi)
             last = first + (phi_high - phi_low)
         before, after = first <= np.pi, last >= 2 * np.pi
@@ -138,7 +140,7 @@ class Joints:
         squared = np.sort(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(phi), axis=0)
         possible = one.all(axis=0) & (high - low >= 2 * np.pi)
         inner, outer = np.sqrt(np.maximum(squared, 0.0))
-        # an end of the range is not a limit of the distance
+        # an interval that ends at phi = 0 or 180 deg limits the distance no more than the arm lengths do
         near, far = (begin, end) if side < 0 else (np.pi - end, np.pi - begin)
         self.inner = np.where(possible & (near > 1e-9), inner, self.inner)
         self.outer = np.where(possible & (far < np.pi - 1e-9), outer, self.outer)
@@ -146,7 +148,7 @@ class Joints:
 
 
 def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inner and outer radii of patrol areas (mm), for positioners (by row) and the fiber types in use."""
+    """Return the inner and outer radii of patrol areas (mm) for the positioners ``own`` and fiber types ``fiber``."""
     own, fiber = columns.rows_of(own, fiber)
     l1 = columns.central_arm[own]
     l2 = columns.eccentric_arm[own] if columns.fibers is None else columns.fibers.length[fiber, own]
@@ -156,7 +158,7 @@ def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, 
         return inner, outer
     kind = 0 if columns.fibers is None else fiber
     low, high = columns.joints.inner[kind, own], columns.joints.outer[kind, own]
-    if side is not None:  # these limits are for the default elbow
+    if side is not None:  # these limits are for the default handedness
         usual = np.asarray(side) == (-1.0 if columns.plane.positioner.handedness == "left" else 1.0)
         low, high = np.where(usual, low, 0.0), np.where(usual, high, np.inf)
     return np.maximum(inner, low), np.minimum(outer, high)

@@ -33,9 +33,10 @@ class FocalPlane:
     positioner : Positioner
         Geometry common to all positioners.
     id : array_like of int or str, shape (n,), optional
-        Identifiers, text without blanks; the row numbers by default.
+        Unique identifiers: integers, or text without blanks. By default, the row numbers.
     spectrograph : array_like of int, shape (n,) or (n, n_types), optional
-        Spectrograph of each fiber, with one column for each fiber type if these differ; 0 by default.
+        Spectrograph that each positioner feeds; 0 by default. If fibers of different types feed different
+        spectrographs, the array has one column for each fiber type.
     fiber_type : array_like of str, shape (n,), optional
         Fiber types of each positioner, joined by ``+``, such as ``"BOSS+APOGEE"``.
     central_arm, eccentric_arm : Quantity, shape (n,), optional
@@ -52,13 +53,14 @@ class FocalPlane:
         for a fiber that a positioner lacks. Names that no positioner lists in ``fiber_type``, such as the names of
         metrology fibers, are allowed: these fibers take no targets, and `forward` computes their positions.
     zero_points : Quantity, shape (n, 2), optional
-        Direction of the central arm at theta = 0, counter-clockwise from +x, and angle from the central arm to the
-        mechanical axis of the eccentric arm at phi = 0; 0 by default.
+        Zero points of theta and phi, 0 by default. The zero point of theta is the direction of the central arm at
+        theta = 0, counter-clockwise from +x. The zero point of phi is the angle from the central arm to the mechanical
+        axis of the eccentric arm at phi = 0.
     theta_range, phi_range : Quantity, shape (n, 2), optional
         Joint limits of each positioner; NaN where the limits of ``positioner`` apply.
     hidden : Quantity, shape (k, 3), optional
-        Circles (x, y, radius) where fibers receive no light, such as the circles behind dots. Targets inside are out of
-        reach; arms may cover these circles. Collision probabilities do not take them into account.
+        Circles (x, y, radius) where fibers receive no light, such as the circles behind dots. Targets inside a circle
+        are out of reach, but arms may cover a circle. Collision probabilities do not take the circles into account.
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
         Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
         polygon that is not convex into convex polygons.
@@ -67,7 +69,7 @@ class FocalPlane:
     ------
     InputError
         If the length of a column differs from that of ``xy``, if an identifier occurs twice or contains blanks, if two
-        positioners have the same center, or if the position of a fiber of a positioner is not given.
+        positioners have the same center, or if ``fiber_xy`` lacks the position of a fiber that a positioner has.
 
     Notes
     -----
@@ -76,8 +78,8 @@ class FocalPlane:
     points to the fiber. A target that does not require a fiber type is observed with the first fiber type of a
     positioner.
 
-    Idle positioners are parked and are obstacles if their two arms have equal lengths. If the arms of ``positioner``
-    have equal lengths, a positioner is also parked if its own arm lengths differ by at most 5 % of their sum.
+    An idle positioner whose two arms have equal lengths is parked and is an obstacle. If the arms of ``positioner``
+    have equal lengths, this also applies to a positioner whose own arm lengths differ by at most 5 % of their sum.
 
     Examples
     --------
@@ -137,7 +139,7 @@ class FocalPlane:
         if len(pairs) == 0:
             return 1
         distance = np.hypot(*(self.arrays.xy[pairs[:, 0]] - self.arrays.xy[pairs[:, 1]]).T)
-        # a median of distances of which the larger ones are not found, here as infinity, cannot make the result 3
+        # Distances above 4/3 of the largest distance of a pair are infinite here; they do not change the result.
         nearest = nearest_within(self.arrays.xy, 4 / 3 * distance.max())
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
 
@@ -167,12 +169,12 @@ class FocalPlane:
         Returns
         -------
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
-            Sparse matrix whose ``indptr`` and ``indices`` list the targets of each positioner, ascending.
+            Sparse matrix whose ``indptr`` and ``indices`` list the targets that each positioner reaches, ascending.
 
         Raises
         ------
         InputError
-            If ``xy`` does not have a unit of length or this shape, or if the focal plane lacks one of the fiber types.
+            If ``xy`` is not a length of the shape ``(n_targets, 2)``, or if the focal plane lacks a fiber type.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
@@ -182,7 +184,7 @@ class FocalPlane:
         Parameters
         ----------
         theta, phi : Quantity, shape (n,)
-            Joint angles; NaN for positioners without a position.
+            Joint angles; a NaN results in a NaN position.
         fiber_type : str or array_like of str, shape (n,), optional
             Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
 
@@ -194,7 +196,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the angles do not have this shape, or if the focal plane does not have the fiber.
+            If the angles do not have the shape ``(n,)``, or if the focal plane does not have the fiber.
 
         Examples
         --------
@@ -227,16 +229,16 @@ class FocalPlane:
         Returns
         -------
         theta : Quantity, shape (n,)
-            Angles of the central arms in deg, within 360 deg above the low joint limit or, without limits, above
-            -180 deg. An angle is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner
+            Angles of the central arms in deg, from the lower joint limit (-180 deg if there is no limit) to 360 deg
+            above it. An angle is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner
             lacks the fiber.
         phi : Quantity, shape (n,)
-            Angles of the eccentric arms, in the same form.
+            Angles of the eccentric arms in deg, with the corresponding range and NaN for the same positioners.
 
         Raises
         ------
         InputError
-            If the points do not have this shape, or if the focal plane does not have the fiber.
+            If the points do not have the shape ``(n, 2)``, or if the focal plane does not have the fiber.
         """
         return _kinematics.inverse(self, xy, fiber_type, handedness)
 
@@ -258,17 +260,17 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the points are not lengths of this shape.
+            If ``xy`` does not have a unit of length or the shape ``(n, 2)``.
         """
         return np.diff(self.arrays.reach(to_points_mm(xy, "xy")).indptr)
 
     @property
     def footprint(self) -> u.Quantity:
-        """Area of the convex hull of the centers."""
+        """Area of the convex hull of the centers of the positioners."""
         return footprint_of(self).volume * u.mm**2
 
     def coverage(self, *, n_points: int = 2**20, rng: int | np.random.Generator | None = 0) -> np.ndarray:
-        """Return the fractions of the footprint within reach of exactly 0, 1, 2, and more positioners.
+        """Return the fractions of the footprint that exactly 0, 1, 2, ... positioners reach.
 
         Parameters
         ----------
@@ -281,7 +283,7 @@ class FocalPlane:
         Returns
         -------
         ndarray of float, shape (k,)
-            Fraction within reach of exactly 0, 1, ..., k - 1 positioners; the sum is 1.
+            Fractions of the footprint that exactly 0, 1, ..., k - 1 positioners reach; the sum is 1.
 
         Raises
         ------
@@ -323,7 +325,7 @@ class FocalPlane:
         pitch : Quantity
             Distance between neighboring centers.
         rings : int, optional
-            Number of rings around the central cell: 3 rings (rings + 1) + 1 cells.
+            Number of rings around the central cell. The lattice has 3 rings (rings + 1) + 1 cells.
         count : int, optional
             Number of cells; the cells nearest the origin are used. Ties are decided by the angle from +x,
             counter-clockwise.
@@ -336,7 +338,7 @@ class FocalPlane:
         rows_along : {"x", "y"}, optional
             Direction of the closest-packed rows.
         **columns
-            Further columns of the `FocalPlane`.
+            Further arguments of `FocalPlane`, such as ``fiber_type``.
 
         Returns
         -------
@@ -370,7 +372,7 @@ class FocalPlane:
             Table with a row for each positioner, columns ``x`` and ``y`` (with units) and, optionally, ``id``,
             ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``stuck_theta`` and
             ``stuck_phi`` (pose of a stuck positioner, NaN for others). Rows with a finite ``obstacle_radius`` are
-            fixed circles, not positioners.
+            circular obstacles, not positioners.
         positioner : Positioner, optional
             Geometry common to all positioners. Without it, ``table.meta["positioner"]`` must contain the arguments of
             a `Positioner`, with quantities as text, such as ``{"central_arm": "8.25 mm", ...}``.
@@ -393,6 +395,6 @@ class FocalPlane:
         Returns
         -------
         QTable
-            Table with a row for each positioner, followed by a row for each obstacle.
+            Table with a row for each positioner, followed by a row for each circle in ``obstacles`` and ``hidden``.
         """
         return _tables.to_table(self)

@@ -11,19 +11,19 @@ __all__ = ["Idle", "find_idle"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Poses of arms without a target; NaN for arms that avoid all other arms and are therefore not obstacles."""
+    """Poses of arms without a target; a pose is NaN if the arm avoids all other arms and is thus not an obstacle."""
 
     theta: np.ndarray
     phi: np.ndarray
     segments: np.ndarray
-    """Elbows and tips, shape (4, n)."""
+    """Positions of elbows and fiber tips in mm, shape (4, n): x and y of the elbow, x and y of the tip."""
     parked: np.ndarray
     """Whether each positioner is usable and parked as an obstacle."""
 
 
 NEARLY_EQUAL = 0.05
-"""If the nominal arms have equal lengths, measured arms are parked if their lengths differ by at most this fraction of
-their sum."""
+"""Largest difference between two measured arm lengths, as a fraction of their sum, with which an idle positioner is
+parked. The value applies if the nominal arm lengths are equal."""
 
 
 def find_idle(columns) -> dict[bool, Idle]:

@@ -13,9 +13,9 @@ MODELS = {
     "elbow_to_tip": arms.ELBOW_TO_TIP,
     "capsule": arms.CAPSULE,
     "fiber_tip": arms.FIBER_TIP,
-    "outline": arms.CAPSULE,  # the core of an outline
+    "outline": arms.CAPSULE,  # the core of an outline is a segment along the arm
 }
-"""Number of each arm model in the kernels."""
+"""Number by which the kernels identify each arm model."""
 
 
 def forward(plane, theta, phi, fiber_type) -> u.Quantity:

@@ -43,7 +43,8 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     if rows_along == "y":
         xy = xy[:, ::-1].copy()
     r = np.hypot(*xy.T)
-    # Distances on a lattice can be equal. They are compared in units of the pitch, without their rounding errors.
+    # Several cells can have the same distance from the origin. Rounded distances in units of the pitch are compared, so
+    # that rounding errors have no effect.
     keep = (np.round(r / step, 9) >= np.round(hole / step, 9)) & (np.round(r / step, 9) <= np.round(edge / step, 9))
     cells = np.column_stack([q, k])
     for cell in vacant:

@@ -18,7 +18,8 @@ def find_limits(columns) -> collisions.Limits:
     if shape is None:
         return collisions.limits(columns.separation, columns.longest, size, polygons=polygons)
     outline = make_outline(shape, columns.xy, columns.central_arm)
-    # no two points of a pair at the minimum separation are farther from each other than this
+    # ``largest`` is an upper limit of the distance between a point of one arm and a point of another arm, if the two
+    # arms are at the minimum separation
     arms_apart = columns.longest + outline.offset + float(columns.central_arm.max())
     largest = columns.separation + outline.offset + 2 * arms_apart
     error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
@@ -28,7 +29,7 @@ def find_limits(columns) -> collisions.Limits:
 def find_obstacle_slack(columns) -> float:
     """Return an upper limit of the rounding error of the distance between an arm and an obstacle that it touches."""
     size = float(columns.obstacles[:, 2].max(initial=0.0)) + columns.clearance + columns.longest
-    for polygon in columns.obstacle_polygons:  # their vertices can be far from the arms
+    for polygon in columns.obstacle_polygons:  # the vertices of a polygon can be far from the arms
         size = max(size, 2 * float(np.hypot(*polygon.T).max()) + columns.longest)
     outline = columns.limits.outline
     if outline.start.size == 1:

@@ -1,4 +1,4 @@
-"""Find the pairs of targets and positioners in reach within the joint limits; the edges of patrol areas are exact."""
+"""Find which positioners reach which targets within the joint limits, with exact tests at edges of patrol areas."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "make_grid", "sides"]
 
-# Number of targets that are tested together; a small number limits the memory that is used in addition to the pairs.
+# Number of targets that are tested together. A small number limits the memory for temporary arrays.
 BLOCK = 1 << 18
 
 
@@ -24,7 +24,7 @@ class Reach:
     Parameters
     ----------
     indptr : ndarray of int, shape (n_targets + 1,)
-        Start of the pairs of each target, followed by the total number of pairs.
+        Index of the first pair of each target, followed by the total number of pairs.
     owner : ndarray of int, shape (n_pairs,)
         Row of the positioner of each pair, ascending within a target.
     r2 : ndarray of float, shape (n_pairs,)
@@ -130,7 +130,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 
 def find_reach(plane, points, accepts) -> Reach:
-    """Return the reachable pairs of targets in mm; ``accepts`` is a result of `accepted_types`."""
+    """Return the pairs of targets (``points``, mm) and positioners in reach; `accepted_types` returns ``accepts``."""
     kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
     parts = []
     for kind in kinds.tolist():
@@ -158,7 +158,7 @@ def _find_pairs(columns, points, accepts) -> Reach:
     """Return the reachable pairs of targets and positioners for the fiber types in use."""
     plane, positioners = columns.plane, (columns.annuli, columns.offers)
     indptr, n = np.zeros(len(points) + 1, dtype=np.int64), 0
-    # Arrays that are too short are made again, and the pairs are listed again.
+    # If an array is too short for the pairs, a longer array is made and the search is repeated.
     *_, start, order = columns.grid
     expected = max(2.0, len(order) / (len(start) - 1))
     owner, r2 = (np.empty(int(expected * len(points)) + 1024, dtype) for dtype in (np.int64, np.float64))
@@ -194,9 +194,9 @@ def _find_pairs(columns, points, accepts) -> Reach:
 
 
 def sides(columns, points, own=None, fiber=None) -> np.ndarray:
-    """Return the elbow with which each positioner (or the rows ``own``) reaches its point: +1 is right, -1 is left.
+    """Return the handedness with which each positioner (or each row in ``own``) reaches its point: +1 right, -1 left.
 
-    If the handedness allows both elbows, the elbow is right, unless the joint limits allow only the left elbow.
+    If the positioners can have both, the result is right, unless the joint limits allow only left.
     """
     handedness = columns.plane.positioner.handedness
     side = np.full(len(points), -1.0 if handedness == "left" else 1.0)
@@ -210,7 +210,7 @@ def sides(columns, points, own=None, fiber=None) -> np.ndarray:
 
 
 def elbow_names(side: np.ndarray) -> np.ndarray:
-    """Return the names of elbows: right for +1, left for -1."""
+    """Return the handedness of arms as text: ``right`` for +1, ``left`` for -1."""
     return np.where(side < 0, "left", "right")
 
 

@@ -25,7 +25,7 @@ POLYGONS = "obstacle_polygons_mm"
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
-    """Return the arguments of `FocalPlane` for a table."""
+    """Return the arguments of `FocalPlane` that a table contains."""
     if not isinstance(table, Table):
         raise InputTypeError(f"table must be an astropy Table or QTable, got {type(table).__name__}")
     names = table.colnames
@@ -148,7 +148,7 @@ def _positioner_from_meta(meta) -> Positioner:
     if not isinstance(meta, dict):
         raise InputError(
             "without the argument positioner, the meta of the table must have an entry 'positioner', such as "
-            "{{'central_arm': '8.25 mm', ...}}, got {meta!r}"
+            f"{{'central_arm': '8.25 mm', ...}}, got {meta!r}"
         )
     names = {f.name for f in fields(Positioner)}
     unknown = [name for name in meta if name not in names]

@@ -1,4 +1,4 @@
-"""Instruments, which consist of a focal plane, optics and the sources of all values; presets are data files."""
+"""Instruments, each with a focal plane, optics and the sources of all values; presets are data files."""
 
 from rfpsurvey.instrument._compare_projections import ProjectionComparison, choose_projection, compare_projections
 from rfpsurvey.instrument._facts import arm_facts, fact_texts

@@ -53,9 +53,9 @@ class AsBuilt:
             positioners of a focal plane count as working.
         exclusions : str or path-like, optional
             Path of ``desi-exclusion_DATE.json`` (or ``.yaml``). The clearance becomes the median of the half widths
-            of the phi polygons, and ``with_arm_model("outline")`` uses the polygons of most positioners.
+            of the phi polygons, and ``with_arm_model("outline")`` uses the most common polygons.
         time : Time or str, optional
-            Time of the state, in UTC; by default the last event applies.
+            Time at which the state is evaluated, in UTC. By default, the state after the last event is used.
 
         Returns
         -------
@@ -99,11 +99,11 @@ class AsBuilt:
         fiducials : str or path-like, optional
             File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
         interference : str or path-like, optional
-            File of the cobras whose joints a fiducial limits (``cobraInterference*.csv``).
+            File of the cobras whose joint angles are limited by a fiducial (``cobraInterference*.csv``).
         cobras : str, path-like or list of them, optional
             Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without this model,
-            arms and joint limits are nominal, and a center is the position of the cobra's dot minus the mean offset of
-            the dots from the nominal centers.
+            arms and joint limits are nominal, and the center of a cobra is the position of its dot minus the mean
+            offset of all dots from the nominal centers.
 
         Returns
         -------

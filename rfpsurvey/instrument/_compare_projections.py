@@ -25,7 +25,7 @@ from rfpsurvey.projection import FieldProjection, TangentPlane
 
 __all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
 
-# Fraction of the fiber's diameter that is the default tolerance.
+# Default tolerance, as a fraction of the fiber diameter.
 FRACTION = 0.1
 # Numbers of fibers for which displacements are computed: at all distances from the field center, and at the edge.
 N_FIBERS, N_EDGE = 240, 60
@@ -40,13 +40,14 @@ class ProjectionComparison:
     ----------
     table : QTable
         Table with a row for each model, from the cheapest to the most complete. Columns: ``model``, ``neglects`` (the
-        effect of the next model), ``median``, ``p95`` and ``max`` (displacements of targets relative to the full model
-        on the focal plane), ``max_on_sky`` (the largest displacement as an angle), and ``sufficient`` (whether ``max``
-        is at most the tolerance).
+        effect that the next model adds), ``median``, ``p95`` and ``max`` (displacements of targets on the focal plane
+        relative to the full model), ``max_on_sky`` (the largest displacement as an angle), and ``sufficient`` (whether
+        ``max`` is at most the tolerance).
     tolerance : Quantity or None
         Largest displacement that is negligible; None if it is unknown.
     drift : Quantity
-        Largest distance of a target from its mean position during the exposure, which no model can remove.
+        Largest distance between a target and its mean position during the exposure. No model of the projection can
+        remove this distance.
 
     Examples
     --------
@@ -108,8 +109,8 @@ def compare_projections(
     """Compare models of the projection of a field, and name the cheapest model that is accurate enough.
 
     From the cheapest to the most complete, the models are ``tangent`` (tangent plane), ``radial`` (radial map),
-    ``refraction`` (also refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (also the
-    wavelength of each fiber type) and ``full`` (also the mean over the exposure). A model is accurate enough if the
+    ``refraction`` (adds refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (adds the
+    wavelength of each fiber type) and ``full`` (adds the mean over the exposure). A model is accurate enough if the
     position of each target differs by at most the tolerance from its position in the model ``full``.
 
     Parameters
@@ -119,12 +120,12 @@ def compare_projections(
     center : SkyCoord or str
         Field center.
     conditions : ObservingConditions
-        The conditions.
+        The observing conditions.
     position_angle : Quantity, optional
         Position angle of +y, from north toward east.
     hour_angles : Quantity, optional
-        Hour angles of the field center, in place of the time or hour angle of the conditions. The result is the largest
-        displacement at any of them.
+        Hour angles of the field center, which replace the time or hour angle of the conditions. The result then
+        includes the displacements at all of these hour angles.
     tolerance : Quantity, optional
         Largest displacement that is negligible. By default, the tolerance of the conditions, or a tenth of the diameter
         of the instrument's fibers.
@@ -207,7 +208,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     kinds = instrument.focal_plane.fiber_types if _by_type(instrument, cases[0]) else [None]
     found = [displacements(xy[rows], kinds, *_field(instrument, plane, case)) for case in cases]
     moved = {name: np.concatenate([one[name].reshape(-1, len(rows)) for one in found]) * u.mm for name in MODELS}
-    # the round trip of the full model is exact to rounding
+    # the model ``full`` differs from itself only by rounding errors, which are replaced by 0
     moved = {name: np.where(values > ROUNDING, values, 0 * u.mm) for name, values in moved.items()}
     drift = max(drifts(xy[rows], kinds, *_field(instrument, plane, case)).max() for case in cases) * u.mm
     largest = u.Quantity([np.max(values) for values in moved.values()])

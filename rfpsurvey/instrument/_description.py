@@ -158,7 +158,7 @@ def _hole_names(cells, rings):
 
 
 def _groups(xy, n_groups, shape):
-    """Split positioners into contiguous groups of equal size: wedges, or blocks that result from repeated halving."""
+    """Return the group of each positioner; groups have equal size and are wedges or blocks (by repeated halving)."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")

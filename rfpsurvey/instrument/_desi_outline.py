@@ -11,9 +11,9 @@ __all__ = ["find_outline"]
 def find_outline(polygons: dict) -> ArmOutline:
     """Return the outline of exclusion polygons in CS5.
 
-    ``phi`` is in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles become discs.
-    fiberassign tests only the lines themselves, which need not be closed. Here, lines that are not closed are joined at
-    their nearest ends to one closed polygon.
+    The polygons ``phi`` are in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles
+    become discs. The program fiberassign tests only the lines themselves, which need not be closed. Here, all lines
+    that are not closed are connected at their nearest ends and form one closed polygon.
     """
     return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
 

@@ -60,7 +60,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return the columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note for a time.
+    """Return columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note, valid at a time.
 
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
@@ -101,7 +101,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         "stuck": (state & STUCK) != 0,
         "with a broken fiber": (state & BROKEN) != 0,
         "with restricted reach": (state & RESTRICTED) != 0,
-        "of these without a pose, which are parked": lost,
+        "stuck or broken without a known pose, and thus parked": lost,
     }
     parts = ", ".join(f"{np.count_nonzero(mask)} {what}" for what, mask in counts.items() if mask.any())
     text = (
@@ -119,7 +119,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
 def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, ArmOutline | None, str]:
     """Return the half widths (mm) of the phi polygons of n positioners, their outline, and a text about the polygons.
 
-    The outline consists of the polygons of most positioners, in CS5; it is None if they form no outline.
+    The outline, in CS5, consists of the most common polygons. It is None if these polygons form no outline.
     """
     polygons = _load(path)
     names = np.full(n, "default") if names is None else names
@@ -156,7 +156,7 @@ def _half_width(polygon: object, what: str) -> float:
         reach += [abs(float(center[1])) + float(radius) for center, radius in outline["circles"]]
         width = max(reach)
     except (KeyError, IndexError, TypeError, ValueError):
-        raise InputError(f"{what} must be lists of segments (x, y) and circles, got something else") from None
+        raise InputError(f"{what} must be lists of segments (x, y) and circles, got a different structure") from None
     if not 0 < width < MOST_WIDTH:
         raise InputError(f"{what} must have a half width above 0 and below {MOST_WIDTH} mm, got {width:g}")
     return width

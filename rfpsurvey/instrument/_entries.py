@@ -1,4 +1,4 @@
-"""Validation of the entries of an instrument's description, such as ``central_arm``, by the kinds of their values."""
+"""Check the entries of an instrument's description, such as ``central_arm``; each requires a certain kind of value."""
 
 import re
 from collections.abc import Callable
@@ -97,7 +97,7 @@ CELLS = Kind(
     lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
 )
 OUTLINE = Kind(
-    "a table of eccentric (and central) to lists of parts with vertices (and a radius of at least 0)",
+    "a table with eccentric (and central), which are lists of parts with vertices (and a radius of at least 0)",
     _is_outline,
     u.mm,
 )
@@ -154,8 +154,8 @@ ENTRIES = {
     "optics.fiber_diameter": LENGTH,
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
-        "a table that contains, for each fiber type or for any, a table with form and coefficients (and radius or "
-        "unit_tangent, above 0)",
+        "a table that contains, under each fiber type or under any, a table with form and coefficients (and, "
+        "optionally, radius and unit_tangent above 0)",
         lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
     ),
     "observing.targets_per_fiber": _number("a number above 0", TINY),

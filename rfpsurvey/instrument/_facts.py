@@ -18,7 +18,7 @@ N_PIECES = 8
 """Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field is called a circle, hexagon, square or triangle if its radii differ by less than this fraction on average."""
+"""Largest mean difference between the radii of a field and of the shape after which it is named (mean radius: 1)."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",
@@ -84,9 +84,10 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
-    """Return the field angles (radians) at distances from the axis (mm); they are the largest of all fiber types.
+    """Return the field angles (radians) at distances (mm) from the center of the focal plane.
 
-    Outside the range of a radial map, the angle is the largest angle of the map.
+    If fiber types have different radial maps, the largest field angle is returned. Outside the range of a radial map,
+    the largest angle of this map is used.
     """
     if instrument.distortion is None:
         return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
@@ -143,7 +144,8 @@ def _solid_angle(instrument, outline: np.ndarray) -> float:
     along = (np.arange(N_PIECES) / N_PIECES)[:, None]
     points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
     radius = np.maximum(np.hypot(*points.T), 1e-6)
-    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2  # for a disc that extends to the point
+    # ratio of the solid angle to the area of a disc that extends from the center to each point
+    dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2
     after = np.roll(points, -1, axis=0)
     triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
     return float(triangles @ (dilation + np.roll(dilation, -1)) / 2)

@@ -54,7 +54,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
     plate_scale : Quantity, optional
         Length per angle at the field center; required without ``distortion``.
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
-        Radial map or distortion map of the field, or one for each fiber type.
+        Radial map or distortion map of the field, or a dict with one map for each fiber type.
     title : str, optional
         Full name.
     layout : {"nominal", "as built"}, optional
@@ -62,8 +62,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
     targets_per_fiber : float, optional
         Usual number of targets per positioner, for synthetic catalogs.
     values : dict, optional
-        All values that describe the instrument: dotted name to a dict with ``value``, ``unit``, ``status``
-        (published, derived or assumed) and ``source``.
+        All values that describe the instrument. The keys are dotted names, such as ``positioner.clearance``. Each value
+        is a dict with ``value``, ``unit``, ``status`` (published, derived or assumed) and ``source``.
     notes : str, optional
         Notes for users of the instrument.
 
@@ -176,7 +176,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
         Parameters
         ----------
         path : str or path-like
-            Path of a TOML file with the layout of the included presets, or of a file or folder that
+            Path of a TOML file in the format of the included presets, or of a file or folder that
             `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs`
             reads.
 
@@ -224,17 +224,17 @@ class Instrument(ArmModels, AsBuilt, Projections):
               types are not distinguished.
             - ``spectrographs`` and ``obstacles``: numbers of spectrographs and of obstacles.
             - ``field_shape``: shape of the convex hull of the centers (circle, hexagon, square, triangle or irregular).
-            - ``field_radius`` and ``focal_plane_radius``: distance of the outermost point in reach from the center, on
-              the sky and on the focal plane.
+            - ``field_radius`` and ``focal_plane_radius``: distance from the center to the outermost point in reach, as
+              an angle on the sky and as a length on the focal plane.
             - ``field_of_view``: solid angle of the convex hull of all patrol areas.
             - ``footprint``: area of the convex hull of the centers.
             - ``plate_scale``: plate scale at the field center.
-            - ``pitch``: distance to the nearest center, median over all positioners.
+            - ``pitch``: median distance from the center of a positioner to the nearest other center.
             - ``central_arm``, ``eccentric_arm``, ``inner_patrol_radius`` and ``patrol_radius``: medians over all
               positioners.
             - ``min_separation``: minimum separation of two arms.
-            - ``collision_type``: 1 if no arms can touch, 2 if only arms of first neighbors can, 3 if more distant arms
-              can.
+            - ``collision_type``: 1 if no arms can touch, 2 if only arms of first neighbors can touch, 3 if arms of
+              more distant positioners can also touch.
             - ``coverage``: fraction of the footprint that at least one positioner reaches.
             - ``multiplicity`` and ``max_multiplicity``: mean and largest number of positioners that reach a point of
               the footprint.
@@ -242,8 +242,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
             - ``layout``: ``nominal`` or ``as built``.
             - ``published``, ``derived`` and ``assumed``: names of the values with this status, see `to_table`.
 
-            Coverage and multiplicity are computed from 2**18 points, with standard errors below 0.001. They are NaN
-            without a footprint.
+            Coverage and multiplicity are computed from 2**18 points, with standard errors below 0.001. They are NaN if
+            there are fewer than three centers, or if all centers lie on a line.
 
         Examples
         --------
@@ -269,14 +269,14 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
     @property
     def provenance(self) -> dict:
-        """Return the information on the instrument that results record."""
+        """Information about the instrument that is stored in the records of results."""
         values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}
         plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
         return {"name": self.name, "layout": self.layout, "values": plain, "digest": self._digest}
 
     @cached_property
     def _digest(self) -> str:
-        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on it
+        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on this entry
         plane = self.focal_plane
         parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
@@ -296,7 +296,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
 
 def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return an instrument from an instrument, the name of a preset or a path that `Instrument.read` accepts."""
+    """Return the `Instrument` for an instrument, the name of a preset or a path that `Instrument.read` accepts."""
     if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and _is_path(instrument)):
         return Instrument.read(instrument)
     if isinstance(instrument, str):
@@ -315,7 +315,7 @@ def _is_path(text: str) -> bool:
 
 
 def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
-    """Return a focal plane from a focal plane, an instrument or the name of a preset."""
+    """Return the focal plane for a focal plane, an instrument or the name of a preset."""
     if isinstance(instrument, FocalPlane):
         return instrument
     if not isinstance(instrument, str | Instrument):
@@ -328,8 +328,8 @@ def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
 def available_instruments() -> list[str]:
     """Return the names of all presets of this package and of other installed packages.
 
-    Other packages add instruments by the entry-point group ``rfpsurvey.instruments``. Each entry point refers to an
-    `Instrument`, a function that returns one, or the path of a TOML file.
+    Other packages add instruments through the entry-point group ``rfpsurvey.instruments``. Each entry point refers to
+    an `Instrument`, a function that returns one, or the path of a TOML file.
 
     Returns
     -------

@@ -26,15 +26,16 @@ PATTERNS = {
 }
 MAP = "https://github.com/Subaru-PFS/pfs_utils data/fiberids"
 ANGLES = "https://github.com/Subaru-PFS/ics_cobraCharmer python/ics/cobraCharmer/targetValidation.py"
-# The range of phi is 185.9 deg in the median of the calibration files, and the excess over 180 deg can be folded.
+# Median range of phi (deg) in the calibration files. If the range ends with the arm extended (phi = 0), it starts at
+# the folded stop, phi = -185.9 deg.
 FOLDED = 185.9
 
 
 def find_pfs_files(path: Path) -> dict | None:
     """Return the files of PFS in a folder, or a file of dots, as arguments of `read_pfs`; None for any other path.
 
-    The files can also be in its subfolders ``dot`` and ``fiducials``, as in the observatory's repository. If
-    there are several files of one kind, the last one in alphabetical order is used, because its name contains the
+    The files can also be in the subfolders ``dot`` and ``fiducials`` of the folder, as in the observatory's repository.
+    If there are several files of one kind, the last file in alphabetical order is used, because its name contains the
     latest date.
     """
     if path.is_file():
@@ -114,7 +115,7 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
 def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
     """Return the columns of the focal plane from a calibration model, and a note on the cobras with defects.
 
-    theta is counted from the counter-clockwise hard stop, and phi from the extended arm.
+    theta is measured from the counter-clockwise hard stop, and phi from the extended arm.
     """
     bad = arms["status"] != GOOD
     lengths = {}
@@ -139,16 +140,16 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         )
     text = (
         f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
-        "contain the positions of those that cannot move"
+        "contain the poses of cobras that cannot move"
     )
     others = int((unknown & ~bad).sum())
-    return columns, text + (f"; {others} whose arm lengths are not from 1 to 5 mm are also parked." if others else ".")
+    return columns, text + (f"; {others} cobras with an arm below 1 or above 5 mm are also parked." if others else ".")
 
 
 def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     """Restrict one joint of each cobra with an interference limit, such that the cobra never interferes; return a note.
 
-    A cobra interferes if its phi, counted from the folded stop, exceeds a limit while the direction of the central arm
+    A cobra interferes if its phi, measured from the folded stop, exceeds a limit while the direction of the central arm
     or of the fiber is in a window. Interference is avoided by restricting phi to values below the limit, or by
     restricting theta to values for which neither direction can be in the window. The restriction that leaves the larger
     patrol area is used.

@@ -12,7 +12,7 @@ from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
 __all__ = ["GOOD", "read_cobras", "read_dots", "read_fiducials", "read_interference", "to_paths"]
 
 N_FIDUCIALS = 96
-# Largest distance (mm) of a dot from the nominal center of its cobra; a neighbor is at 8 mm.
+# Largest distance (mm) of a dot from the nominal center of its cobra; adjacent centers are 8 mm apart.
 FARTHEST_DOT = 4.0
 FARTHEST_CENTER = 3.0
 GOOD = 1  # status of a cobra without a defect
@@ -30,7 +30,7 @@ HEADER = {"module": "Module_Id", "cobra": "Positioner_Id", "status": "Status"}
 
 
 def read_dots(path: Path) -> np.ndarray:
-    """Return x, y and radius (mm) of the dots, by cobra."""
+    """Return x, y and radius (mm) of the dots, with one row for each cobra."""
     table = _read(path, ("spotId", "x", "y", "r"))
     _check_ids(path, table["spotId"], "spotId", N)
     circles = np.column_stack([table[name] for name in ("x", "y", "r")])[np.argsort(table["spotId"])]
@@ -86,7 +86,7 @@ def read_interference(path: Path) -> np.ndarray:
 
 
 def read_cobras(paths) -> dict:
-    """Return the columns of the calibration model of all cobras, by cobra (lengths in mm, angles in deg)."""
+    """Return the columns of the calibration model, with one row for each cobra (lengths in mm, angles in deg)."""
     rows = [row for path in to_paths(paths) for row in _containers(path)]
     names = ", ".join(str(path) for path in to_paths(paths))
     columns = {name: np.array([row[name] for row in rows]) for name in (*HEADER, *KINEMATICS)}

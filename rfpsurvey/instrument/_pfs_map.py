@@ -13,8 +13,8 @@ __all__ = ["N_COBRAS", "N", "cobra_ids", "nominal_centers", "pfs_engineering_fib
 N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # fields, modules of a field, cobras of a module
 N = N_FIELDS * N_MODULES * N_COBRAS
 PITCH = 8.0
-# Boards of cobras in the order of their fibers along the slit of each spectrograph: module of a field and half of it.
-# Each entry stands for three boards, one of each field.
+# Boards of cobras in the order of their fibers along the slit of each spectrograph. A name consists of the number of a
+# module in its field and of the half of this module, A or B. Each name stands for three boards, one of each field.
 BOARDS = ("4A 12A 4B 14B 12B 8B 8A", "3A 11A 3B 13B 11B 7B 7A", "2A 10A 2B 14A 10B 6B 6A", "1A 9A 1B 13A 9B 5B 5A")
 FIRST_HALF = 29  # number of cobras on board A of a module; the other cobras are on board B
 HOLES = 651
@@ -35,7 +35,7 @@ def nominal_centers() -> np.ndarray:
 
 
 def cobra_ids(xy: np.ndarray) -> np.ndarray:
-    """Return the cobras whose nominal centers are given (mm)."""
+    """Return the numbers of the cobras (1 to 2394) that have the nominal centers ``xy`` (mm)."""
     apart, row = scipy.spatial.cKDTree(nominal_centers()).query(xy)
     if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
         raise InputError(f"names = 'cobra' needs the {N} nominal centers of PFS, got other positions")

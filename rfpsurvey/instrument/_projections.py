@@ -27,7 +27,7 @@ class Projections:
         position_angle : Quantity, optional
             Position angle of +y, from north toward east.
         conditions : ObservingConditions, optional
-            Conditions for refraction and dispersion. None: these are neglected.
+            Observing conditions. If None, refraction and dispersion are neglected.
 
         Returns
         -------
@@ -48,7 +48,7 @@ class Projections:
     def field_projection(
         self, ra: float, dec: float, angle: float, conditions: ObservingConditions | None = None
     ) -> FieldProjection | ObservedField:
-        """Return the projection of a field on plain arrays.
+        """Return the projection of a field for arrays without units.
 
         Parameters
         ----------
@@ -57,7 +57,7 @@ class Projections:
         angle : float
             Position angle of +y from the north of ICRS, in radians.
         conditions : ObservingConditions, optional
-            Conditions for refraction and dispersion. None: these are neglected.
+            Observing conditions. If None, refraction and dispersion are neglected.
 
         Returns
         -------

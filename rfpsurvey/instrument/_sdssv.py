@@ -1,8 +1,8 @@
 """SDSS-V as built: the calibration tables of the focal plane system at Apache Point or Las Campanas.
 
-The angle alpha of the tables is theta, and beta is phi. With a = alpha + alphaOffset, b = beta + betaOffset and the
-position (fx, fy) of a fiber on the beta arm, the position of the fiber relative to the base of its robot is tx =
-alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
+The angle alpha of the tables is theta, and beta is phi. Let a = alpha + alphaOffset and b = beta + betaOffset, and let
+(fx, fy) be the position of a fiber on the beta arm. The position of the fiber relative to the base of its robot is then
+tx = alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
 coordinates, the position of the fiber is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are
 (0, -1) and (1, 0).
 """
@@ -72,7 +72,7 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
 
 
 class _Rows:
-    """The rows of a table of one site, with columns checked on access."""
+    """The rows of a table for one site; each column is checked when it is read."""
 
     def __init__(self, path: Path, names: tuple[str, ...]):
         self.path, self.table = path, read_table(path)
@@ -180,8 +180,8 @@ def _bases(folder, site, robots, notes):
     bad = (np.abs([i_z, j_z, j_x + i_y, j_y - i_x, np.hypot(i_x, i_y) - 1]) > 1e-6).any(axis=0)
     if bad.any():
         raise InputError(
-            f"{wok.path}: the robots must stand perpendicular to the focal plane, with unit vectors i and j in it, "
-            f"got other vectors for {robots.text('holeID')[bad][0]}"
+            f"{wok.path}: the robots must stand perpendicular to the focal plane, with unit vectors i and j in that "
+            f"plane, got other vectors for {robots.text('holeID')[bad][0]}"
         )
     return xy, np.arctan2(i_y, i_x)
 

@@ -14,7 +14,7 @@ from rfpsurvey.observing._conditions import RATE, ObservingConditions
 
 __all__ = ["Instant", "instants_of"]
 
-# Points and weights of Gauss-Legendre quadrature over an exposure, which is from -1 to 1.
+# Points and weights of Gauss-Legendre quadrature over an exposure that starts at -1 and ends at 1.
 NODES, WEIGHTS = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
 
 
@@ -26,7 +26,7 @@ class Instant:
     conditions : ObservingConditions
         The conditions.
     ra_rad : float
-        Right ascension of the field center, for conditions with an hour angle.
+        Right ascension of the field center (rad), which is used for conditions with an hour angle.
     seconds : float
         Time since the midpoint of the exposure.
     """
@@ -98,7 +98,7 @@ def _check_covered(time: Time) -> None:
     days = _tables()["MJD"].value
     if not days[0] + 1 <= time.mjd <= days[-1] - 1:
         first, last = (Time(day, format="mjd").isot[:10] for day in (days[0] + 1, days[-1] - 1))
-        # in another time scale, dates long after the last known leap second cause no warning
+        # TAI is used, because astropy warns of UTC dates that are long after the last known leap second
         given = Time(time.mjd, format="mjd", scale="tai").isot
         raise InputError(
             f"time must be from {first} to {last}, which the installed tables of the Earth's rotation cover, got "

@@ -39,12 +39,12 @@ class ObservingConditions:
     hour_angle : Quantity, optional
         Hour angle of the field center at the midpoint of the exposure, positive west of the meridian, as an angle or as
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
-        count as apparent places.
+        are treated as apparent places.
     wavelength : Quantity or dict of str to Quantity, optional
         Wavelength in vacuum at which the fibers are placed, or one for each fiber type.
     guide_wavelength : Quantity, optional
-        Wavelength at which the telescope follows the field. By default, the wavelength of the fibers or, if
-        ``wavelength`` is a dict, of its first fiber type.
+        Wavelength at which the telescope follows the field. By default, ``wavelength`` or, if it is a dict, the
+        wavelength of the first fiber type in the dict.
     pressure : Quantity, optional
         Pressure at the site; 0 means no refraction. By default, the pressure of the standard atmosphere at the height
         of the site.
@@ -54,10 +54,9 @@ class ObservingConditions:
         Relative humidity, from 0 to 1.
     exposure_time : Quantity, optional
         Duration of the exposure. Fibers are placed at the mean positions of their targets during the exposure.
-
     tolerance : Quantity, optional
-        Largest negligible displacement on the focal plane, which determines the model of the projection that is
-        accurate enough. By default, a tenth of the diameter of the instrument's fibers.
+        Largest displacement on the focal plane that is negligible. A model of the projection is accurate enough if its
+        displacements do not exceed this tolerance. By default, a tenth of the diameter of the instrument's fibers.
 
     Raises
     ------
@@ -146,8 +145,8 @@ class ObservingConditions:
         ----------
         path : str or path-like
             File with parameters of this class as keys. Values with a unit are text, such as ``"720 hPa"``, and ``site``
-            is a name or longitude, latitude (deg) and height (m). A table ``wavelength`` has a value for each fiber
-            type.
+            is a name or a list of longitude (deg), latitude (deg) and height (m). If ``wavelength`` is a table, it has
+            a value for each fiber type.
         **changes : object
             Parameters that replace the parameters of the file.
 
@@ -186,7 +185,7 @@ class ObservingConditions:
         Parameters
         ----------
         time : Quantity
-            Difference of the times; negative for an earlier time.
+            Time to add; a negative value gives an earlier time.
 
         Returns
         -------
@@ -251,7 +250,7 @@ class ObservingConditions:
         Parameters
         ----------
         record : dict
-            A dict as in the attribute ``record``.
+            A dict with the entries of the attribute ``record``.
 
         Returns
         -------
@@ -291,7 +290,7 @@ class ObservingConditions:
 
 
 def check_conditions(conditions: object, *, optional: bool = False) -> None:
-    """Raise an error for an object that is not observing conditions; None is accepted if it is optional."""
+    """Raise an error for an object that is not observing conditions; None is accepted if ``optional`` is true."""
     if not isinstance(conditions, ObservingConditions) and not (optional and conditions is None):
         words = " or None" if optional else ""
         raise InputTypeError(f"conditions must be ObservingConditions{words}, got {short(conditions)}")

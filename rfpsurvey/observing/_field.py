@@ -9,7 +9,8 @@ from rfpsurvey.projection import FieldProjection, RadialMap
 
 __all__ = ["ObservedField"]
 
-# Half the distance of the points whose images define the orientation, radians; steps of the inverse.
+# Half the distance (rad) between the points whose images define the orientation of the field; largest number of
+# iterations of the inverse projection; largest change of a unit vector that can be a rounding error.
 STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
 
 
@@ -39,7 +40,7 @@ class ObservedField:
     basis, focal_length, distortion, conditions
         The parameters.
     frames : list of ndarray, shape (3, 3)
-        Directions of +x, +y and the center in the frame east, north, zenith at each instant of the exposure.
+        Directions of +x, +y and the field center at each instant of the exposure, in the frame (east, north, zenith).
 
     Raises
     ------
@@ -95,7 +96,7 @@ class ObservedField:
         return vectors
 
     def wavelength_groups(self, fiber_type: str | np.ndarray | None, n: int) -> list[tuple[object, float]]:
-        """Return the rows at each wavelength, as pairs (rows, wavelength in micrometers)."""
+        """Return which targets are observed at which wavelength, as pairs (rows, wavelength in micrometers)."""
         waves = self.conditions.wavelengths_um
         if not isinstance(waves, dict):
             return [(slice(None), waves)]
@@ -123,7 +124,7 @@ class ObservedField:
         return out
 
     def _frame(self, instant: Instant, radius: float) -> np.ndarray:
-        """Return the observed directions of +x, +y and the field center, or raise an error below the horizon."""
+        """Return the observed directions of +x, +y and the field center; raise an error if the field is too low."""
         x, y, center = self.basis
         around = np.array([center, center + STEP * x, center - STEP * x, center + STEP * y, center - STEP * y])
         around /= np.linalg.norm(around, axis=1)[:, None]

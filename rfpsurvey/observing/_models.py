@@ -48,7 +48,7 @@ def field_of_model(
 def displacements(
     points: np.ndarray, fiber_types: Iterable[str], *field: object, names: Iterable[str] = MODELS
 ) -> dict[str, np.ndarray]:
-    """Return the distances (mm) of the images of targets with each model from their images with the full model.
+    """Return the distances (mm) between the images of targets by each model and by the model ``full``.
 
     ``points`` (n, 2) are positions of fibers (mm); ``field`` contains the parameters of `field_of_model` that follow
     the name of the model.
@@ -64,7 +64,7 @@ def displacements(
 
 
 def drifts(points: np.ndarray, fiber_types: Iterable[str], *field: object) -> np.ndarray:
-    """Return the largest distance (mm) of the targets of fibers from their mean positions during the exposure."""
+    """Return the largest distance (mm) between the image of each target and its mean position during the exposure."""
     basis, focal_length, distortion, conditions, *radius = field
     half = conditions.exposure_time / 2
     if half == 0 * u.s:

@@ -92,7 +92,7 @@ class ObservedPlane(TangentPlane):
     def field_rotation(self) -> Angle:
         """Change of the parallactic angle during the exposure, which the rotator of an alt-azimuth mount removes."""
         angles = np.unwrap(self._zenith_angles())
-        # The exposure is longer than the interval between the first and the last instant.
+        # The change is scaled, because the exposure is longer than the interval between the first and the last instant.
         scale = 1.0 if len(angles) == 1 else 1 / 0.6**0.5
         return Angle((angles[-1] - angles[0]) * scale, u.rad).to(u.deg)
 

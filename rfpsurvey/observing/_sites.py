@@ -1,4 +1,4 @@
-"""Geodetic coordinates of a few sites, which need no network."""
+"""Geodetic coordinates of a few sites, which are available without network access."""
 
 import astropy.units as u
 from astropy.coordinates import EarthLocation

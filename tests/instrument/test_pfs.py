@@ -191,7 +191,7 @@ def test_cobras_with_defects_are_disabled(folder, tmp_path):
     pfs = rs.Instrument.from_pfs(folder / DOTS, cobras=write_cobras(tmp_path / "a.xml", columns))
     assert np.flatnonzero(pfs.focal_plane.disabled).tolist() == [3, 8, 20]
     assert "2 cobras whose Status is not 1" in pfs.notes
-    assert "1 whose arm lengths" in pfs.notes
+    assert "1 cobras with an arm below 1 or above 5 mm" in pfs.notes
 
 
 def test_models_of_modules_in_separate_files_are_joined(folder, model, tmp_path):
