@@ -1,7 +1,7 @@
-"""The pipeline of a field on arrays without units: projection, reach, allocation, arms, collisions, identifiers.
+"""The pipeline that plans a field: project the targets, assign them, place the arms, and find the collisions.
 
-`plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles` call it for each tile. The calculation of
-collision probabilities uses the first steps of the pipeline.
+The pipeline works on arrays without units. `plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles`
+call it for each tile. The calculation of collision probabilities uses the first steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids

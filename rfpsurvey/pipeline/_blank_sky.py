@@ -10,33 +10,36 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# Number of digits after the prefix of text, and number of unused integers that must be available.
+# Largest number of digits after the prefix of an identifier that is text, and number of integers that no identifier of
+# the catalog may use.
 DIGITS, ROOM = 6, 1_000_000
 
 
 class BlankIds(NamedTuple):
-    """Identifiers for blank sky that no target of a catalog has."""
+    """Identifiers for blank sky positions; no target of the catalog has one of these identifiers."""
 
     first: int | str
-    """The first of the descending integers, or the text before each number."""
+    """The first identifier (an integer, from which the identifiers decrease by 1), or the text before each number."""
     dtype: np.dtype
     """Type of a column that contains the identifiers of targets and of blank positions."""
 
     def take(self, n: int) -> np.ndarray:
-        """Return n identifiers."""
+        """Return the first n identifiers."""
         if isinstance(self.first, str):
             return np.array([f"{self.first}{k}" for k in range(n)], dtype=self.dtype)
         return self.first - np.arange(n)
 
 
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
-    """Return identifiers for blank sky that differ from all identifiers of a catalog, which are in ``parts``.
+    """Return identifiers for blank sky that differ from all identifiers of a catalog.
+
+    ``parts`` contains one array of identifiers for each part of the catalog.
 
     If the identifiers of the catalog are integers, the identifiers of blank sky are less than -1 and less than all
-    identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are above all
+    identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are greater than all
     identifiers of the catalog. If the identifiers are text, the identifiers of blank sky begin with ``blank-sky-``. If
-    the catalog already has identifiers of this form, the identifiers of blank sky begin with more underscores than all
-    identifiers of the catalog.
+    the catalog already has identifiers of this form, underscores precede ``blank-sky-``, one more than in any
+    identifier of the catalog.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:
@@ -51,7 +54,9 @@ def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
         if lowest - ROOM >= np.iinfo(np.int64).min:
             return BlankIds(lowest - 1, dtype)
         if highest + ROOM > np.iinfo(np.int64).max:
-            raise InputError(f"ids must leave integers for blank sky positions, got ids from {lowest} to {highest}")
+            raise InputError(
+                f"ids must leave unused integers for blank sky positions, got ids from {lowest} to {highest}"
+            )
         return BlankIds(highest + ROOM, dtype)
     prefix = "_" * (most + 1) + PREFIX
     return BlankIds(prefix, np.result_type(dtype, np.dtype(f"U{len(prefix) + DIGITS}")))

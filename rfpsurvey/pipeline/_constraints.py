@@ -1,4 +1,4 @@
-"""Convert the constraints of a field: circles that no arm may cover become obstacles, and required ids become rows."""
+"""Convert constraints: circles that no arm may cover become obstacles, and required ids become a mask of targets."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,8 +14,8 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Number of points on the rim of a circle on the sky, and a factor for the radius, because the rim can be farther out
-# between two points.
+# Number of points on the rim of a circle on the sky, and a factor that enlarges the radius of the image of the circle,
+# because the image of the rim can be slightly farther from the center between two of the points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 
@@ -48,14 +48,15 @@ def image_of_circle(
 ) -> tuple[float, float, float]:
     """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
 
-    The image is not a circle if the scale varies, and it can depend on the fiber type; the returned circle contains the
-    images for all fiber types. The center of the circle may be so far from the field that the center has no image,
-    although a part of the circle has an image. The result is NaN if no point of the rim has an image.
+    The image is not a circle if the plate scale varies across the field. The image can also depend on the fiber type;
+    the returned circle contains the images for all fiber types. The center of the circle on the sky may be so far from
+    the field that the center has no image, although a part of the circle has an image. The returned radius is NaN if no
+    point of the rim has an image.
     """
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
     east = np.cross(center, projection.basis[2])
-    # For a circle around the field center, any direction can be used.
+    # For a circle around the field center, any direction perpendicular to the center can replace ``east``.
     east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
     inward = np.cross(east, center)
     turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
@@ -76,7 +77,7 @@ def image_of_circle(
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
     """Return whether each target of a catalog is required, or None if no targets are required.
 
-    ``parts`` contains the identifiers of all targets.
+    ``parts`` contains one array of identifiers for each part of the catalog.
     """
     if not required:
         return None
@@ -101,7 +102,7 @@ def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
 
 
 def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Convert names to the type of the identifiers (integers or text), and return whether each can be converted."""
+    """Return names as integers or text, like the identifiers, and a mask of the names that can be converted."""
     if names.dtype.kind == ids.dtype.kind:
         return names, np.ones(len(names), dtype=bool)
     if ids.dtype.kind == "U":

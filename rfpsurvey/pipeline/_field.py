@@ -44,7 +44,7 @@ class FieldTargets(NamedTuple):
 
 
 class FieldPlan(NamedTuple):
-    """The plan of a field; columns have one value per positioner in use, in ascending order of the positioners."""
+    """The plan of a field; each array has one value per positioner with a target, in the order of the focal plane."""
 
     instrument: Instrument
     """The instrument, whose obstacles include the circles that no arm may cover."""
@@ -54,7 +54,7 @@ class FieldPlan(NamedTuple):
     positioner: np.ndarray
     """Row in the focal plane of each positioner that has a target."""
     target: np.ndarray
-    """Row of the target of each positioner in the `FieldTargets`; -1 for blank sky."""
+    """Row in the `FieldTargets` of the target of each positioner; -1 for blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
@@ -62,16 +62,17 @@ class FieldPlan(NamedTuple):
     kind: np.ndarray
     """``science``, ``standard`` or ``sky``."""
     carried: dict
-    """Priority, category and further columns of the targets, if the catalog has them. The values of blank sky are NaN,
-    empty text, False or -1."""
+    """Priority, category and further columns of the targets, if the catalog has them. For blank sky, the value is
+    NaN, empty text, False or -1, depending on the type of the column."""
     seconds: dict
     """Computing time of each stage in seconds."""
 
 
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
-    """Return the radius (radians) of a circle that contains all targets of a field, slightly enlarged for rounding.
+    """Return the radius (radians) of a circle that contains all targets of a field, with an allowance for rounding.
 
-    Refraction and dispersion shift the edge of the field. If ``projection`` is None, refraction is neglected.
+    Refraction and dispersion shift the edge of the field. Both are neglected unless ``projection`` is an
+    `ObservedField`.
     """
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if not isinstance(projection, ObservedField):
@@ -89,7 +90,7 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
         seen = projection.unproject(static.project(ring, kind), kind)
         apart = np.linalg.norm(np.cross(seen, center), axis=1).max()
         shift = max(shift, np.arcsin(apart) - RING * radius)
-    return float(radius + shift / RING**3)  # the shift increases at most with the cube of the distance
+    return float(radius + shift / RING**3)  # the shift increases at most with the cube of the distance from the center
 
 
 def project_field(
@@ -184,7 +185,7 @@ def plan_field(
 
 
 def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the values of the given rows; the value of the row -1 is NaN, empty text, False or -1."""
+    """Return the values of the given rows; for row -1, return NaN, empty text, False or -1, as the type requires."""
     if (row >= 0).all():
         return values[row]
     found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)

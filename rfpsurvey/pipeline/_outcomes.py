@@ -25,7 +25,11 @@ MOST_CLASSES, N_RANGES = 20, 10
 
 
 def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Return the outcome of each target of a field, as an index of `OUTCOMES`, from three masks."""
+    """Return the outcome of each target of a field, as an index of `OUTCOMES`.
+
+    The masks mark the targets that a positioner can reach (``in_reach``), that are lost to a collision (``lost``), and
+    that are observed (``observed``).
+    """
     code = np.where(in_reach, Outcome.IN_REACH_NOT_ASSIGNED, Outcome.OUT_OF_REACH).astype(np.uint8)
     code[lost] = Outcome.LOST_TO_A_COLLISION
     code[observed] = Outcome.OBSERVED
@@ -35,7 +39,7 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the priority class of each target, and the names of the classes, the most important class first.
 
-    Only the priorities of targets for which ``counts`` is true are considered.
+    The classes are defined by the priorities of the targets for which ``counts`` is true.
     """
     if priority is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]
@@ -52,9 +56,10 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
 
 
 def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the class of each target, and the names of the classes.
+    """Return the category class of each target, and the names of the classes, the largest class first.
 
-    If there are many categories, the smallest categories are combined into one class.
+    The size of a class is the number of its targets for which ``counts`` is true. If there are more than
+    ``MOST_CLASSES`` categories, the smallest categories are combined into the last class.
     """
     if category is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]

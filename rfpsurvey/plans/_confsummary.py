@@ -34,7 +34,7 @@ float lambda_eff; float coord_epoch; short spectrographId; short fiberId; float 
 float bp_mag; float gaia_g_mag; float rp_mag; float h_mag; long catalogid; long carton_to_target_pk; char cadence[400];
 char firstcarton[400]; char program[400]; char category[400]; long sdssv_boss_target0; long sdssv_apogee_target0;
 double delta_ra; double delta_dec;"""
-"""Columns of a new file."""
+"""Types and names of the columns of a new file."""
 NATIVE = {
     "positioner": "holeId",
     "fiber_type": "fiberType",
@@ -48,7 +48,7 @@ NATIVE = {
     "ra_fiber": "ra",
     "dec_fiber": "dec",
 }
-"""Columns that differ between a plan and a file only in their name and in the value of missing numbers."""
+"""Name of a column in a plan, and name of the same column in a file; only missing numbers have different values."""
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
 
@@ -129,7 +129,7 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan; the ending ``.par.gz`` compresses the file."""
+    """Write a plan as a confSummary file, which is compressed if its name ends in ``.par.gz``."""
     with output_path(path, (".par",), overwrite=overwrite, gzipped=True) as temporary, _yanny() as module:
         rows, header = _native_rows(plan, path), _native_header(plan, path)
         plain = temporary.with_name("plain.par")
@@ -142,7 +142,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return a description of the data that this format cannot represent."""
+    """Return a list of texts that describe which data this format cannot represent."""
     names = {*_struct(plan), *NATIVE, "kind", "assigned", "x", "y"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if _is_nominal(plan):
@@ -211,7 +211,7 @@ def _parse(path: Path):
 
 
 def _number(header: dict, name: str, path: Path) -> float | None:
-    """Return a number of the header, or None if it is missing."""
+    """Return the value of a header keyword as a number, or None if the keyword or its value is missing."""
     text = header.get(name, str(MISSING))
     if not is_number(text):
         raise InputError(f"{path}: {name} in the header must be a number, got {text!r}")
@@ -228,7 +228,7 @@ def _is_nominal(plan: QTable) -> bool:
 
 
 def _struct(plan: QTable) -> dict[str, str]:
-    """Return the columns of a file and their types.
+    """Return the names and types of the columns of the file to write.
 
     If the plan was read from a confSummary file, the file has the same columns; otherwise, it has the default columns
     ``STRUCT``.
@@ -269,7 +269,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
 
 
 def _given(plan: QTable, struct: dict) -> dict:
-    """Return the columns of a plan under their names in the file, in its units and with its missing values."""
+    """Return the columns of a plan with the names, the units and the missing values of a confSummary file."""
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     x, y = plain["x"], plain["y"]
     given = {name: values for name, values in plain.items() if name in struct and name not in ("ra", "dec")}

@@ -58,7 +58,7 @@ COMMON = {
     "pm_dec": "PMDEC",
     "priority": "PRIORITY",
 }
-"""Columns that all plans share, and the columns of a fiberassign file with the same content."""
+"""Name of each common column in a plan and in a fiberassign file; ``x`` and ``FIBERASSIGN_X`` have opposite signs."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
@@ -67,11 +67,11 @@ MOST_DEVICE, N_PETALS = 542, 10
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
 SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")
-"""Keywords that are in the headers of all tables."""
+"""Keywords of the primary header that the header of the table FIBERASSIGN repeats."""
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a FITS file has the extension FIBERASSIGN near its beginning."""
+    """Return whether a file is a FITS file with the extension FIBERASSIGN in its first 256 KiB."""
     try:
         with open(path, "rb") as file:
             opener = gzip.open if file.read(2) == b"\x1f\x8b" else open
@@ -83,7 +83,7 @@ def recognizes(path: Path) -> bool:
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a file; its other tables are in the entry ``extensions`` of the meta."""
+    """Return the plan in a file; ``meta["extensions"]`` of the plan contains the other tables of the file."""
     header, tables = read_tables(path)
     found = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
     if not found:
@@ -120,7 +120,7 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan. For a plan of another format, missing columns have default values, such as -1 or NaN."""
+    """Write a plan; columns that a plan of another format lacks have default values, such as -1 or NaN."""
     from astropy.io import fits
 
     if suffix_of(path) != ".fits":
@@ -139,14 +139,14 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return a description of the data that a file of fiberassign cannot represent."""
+    """Return a list of texts that describe which data a file of fiberassign cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
     names = [name for name in plan.colnames if name not in known]
     return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
 
 
 def _column(table, name, path) -> np.ndarray:
-    """Return a column that this package interprets, as numbers in the unit of the data model or as text."""
+    """Return a column as text, or as numbers in the unit of the data model; raise an error for a wrong type or unit."""
     what, column = f"{path}: column {name!r}", table[name]
     values = to_plain(column, what)
     expected = "U" if name == "OBJTYPE" else "f" if TYPES[name][0] == "f" else "iu"
@@ -213,7 +213,7 @@ def _epoch(years):
 
 
 def _header(plan) -> dict:
-    """Return the keywords of the first header. For a plan of another format, only the required keywords are written."""
+    """Return the keywords of the primary header; for a plan of another format, return only the required keywords."""
     header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
@@ -228,7 +228,7 @@ def _is_own(plan) -> bool:
 
 
 def _columns(plan, header) -> dict:
-    """Return the columns of FIBERASSIGN in the order of the file from which the plan was read."""
+    """Return the columns of FIBERASSIGN in the order of the file that was read or, for other plans, of ``TYPES``."""
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan)
     bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
@@ -307,7 +307,7 @@ def _typed(column, kind, unit):
 
 
 def _to_hdu(name, columns, header, path):
-    """Return a table as a FITS extension; units are written as text, whether or not FITS defines them."""
+    """Return a table as a FITS extension; units are written as text, even if the FITS standard does not define them."""
     from astropy.io import fits
 
     plain = Table({key: getattr(column, "value", column) for key, column in columns.items()}, copy=False)

@@ -21,7 +21,7 @@ from rfpsurvey.plans._plan import make_plan, text_of_lost
 __all__ = ["lost", "read", "recognizes", "write"]
 
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
-"""Kind of target for each ``targetType``; all other types are not targets."""
+"""Kind of target for each ``targetType``; fibers with another ``targetType`` have no target."""
 REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
 STRUCTURE = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|TFIELDS|T[A-Z]+\d+|EXTNAME|CHECKSUM|DATASUM|COMMENT|HISTORY|"
@@ -41,11 +41,12 @@ def recognizes(path: Path) -> bool:
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a file.
+    """Return the plan in a design file.
 
-    ``positioner`` is the column ``cobraId`` where the file has it, otherwise the cobra that the fiber map of PFS
-    assigns to the fiber; it is -1 for engineering fibers. The columns ``x`` and ``y`` contain ``pfiNominal``, the
-    position of the fiber on the focal plane.
+    The column ``positioner`` contains the column ``cobraId`` of the file. If the file lacks this column, ``positioner``
+    is the cobra that the fiber map of PFS assigns to the fiber. Engineering fibers have the value -1.
+
+    The columns ``x`` and ``y`` contain ``pfiNominal``, the position of the fiber on the focal plane.
     """
     units = read_fits_units(path)
     primary, tables = units[None][0], {name: rows for name, (_, rows) in units.items() if name is not None}
@@ -113,7 +114,7 @@ def read(path: Path) -> QTable:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return a description of the data that this format cannot represent."""
+    """Return a list of texts that describe which data this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
     names |= {*dict(plan.meta.get("formats", ()))} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
@@ -123,7 +124,7 @@ def lost(plan: QTable) -> list[str]:
 
 
 def _cobras(rows: np.ndarray) -> np.ndarray:
-    """Return the cobra of each fiber; -1 for fibers without a cobra."""
+    """Return the number of the cobra of each fiber, or -1 for a fiber without a cobra."""
     fiber, _ = pfs_fibers()
     cobra = np.full(fiber.max() + 1, -1)
     cobra[fiber] = np.arange(1, len(fiber) + 1)
@@ -137,7 +138,7 @@ def _cobras(rows: np.ndarray) -> np.ndarray:
 
 
 def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
-    """Return the fluxes of each fiber as columns with a value for each filter; missing filters have empty names."""
+    """Return columns of fluxes, shape (fiber, filter), and of names of filters; missing filters have empty names."""
     for name in ("fiberId", "filterName"):
         if name not in rows.dtype.names:
             raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {', '.join(rows.dtype.names)}")
@@ -173,7 +174,7 @@ def _comments(header) -> dict:
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:
-    """Return the name and FITS format of each column as pairs; ECSV files do not preserve the order of dicts."""
+    """Return pairs of name and FITS format of each column, because ECSV files do not preserve the order of dicts."""
     letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
     forms = []
     for name in rows.dtype.names:

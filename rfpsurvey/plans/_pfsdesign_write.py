@@ -14,8 +14,9 @@ from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 
 __all__ = ["FLUXES", "FORMATS", "NATIVE", "PFI_ANGLE", "design_id", "wrapped", "write"]
 
-# Position angle (deg) of +y of the PFI at POSANG = 0. PFI +x points north and +y west, except for a rotation by 0.1 deg
-# between pfiNominal and the coordinates of the design 0x2a3e0e7f53f47587.
+# Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
+# +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
+# in the design 0x2a3e0e7f53f47587.
 PFI_ANGLE = -89.898
 TYPES = {"science": 1, "sky": 2, "standard": 3}
 UNASSIGNED, ENGINEERING, GOOD, NO_COBRA = 4, 5, 1, 65533
@@ -39,7 +40,7 @@ FORMATS = {
     "pfiNominal": "2E",
     "fiberStatus": "J",
 }
-"""Columns of a new file."""
+"""Columns of a new design, with their FITS formats."""
 FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
 FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
 GUIDE_STARS = {
@@ -64,7 +65,7 @@ NAME = re.compile(r"pfsDesign-0x([0-9a-f]{16})\.fits(\.gz)?", re.IGNORECASE)
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan; a name such as ``pfsDesign-0x*.fits`` must contain the identifier of the design."""
+    """Write a plan as a design; in a file name ``pfsDesign-0x*.fits``, ``*`` must be the identifier of the design."""
     from astropy.io import fits
 
     rows, header = _rows(plan, path), _header(plan, path)
@@ -108,7 +109,7 @@ def wrapped(angle: float) -> float:
 
 
 def _rows(plan: QTable, path: Path) -> dict:
-    """Return the columns of DESIGN with their formats."""
+    """Return the values and the FITS format of each column of DESIGN, by name."""
     if plan.meta["instrument"] != "pfs":
         raise InputError(f"{path}: the instrument of a design of PFS must be pfs, got {plan.meta['instrument']}")
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
@@ -207,7 +208,11 @@ def _header(plan: QTable, path: Path) -> dict:
 
 
 def _identifier(plan: QTable, rows: dict) -> int:
-    """Return the identifier in the file that was read, or a new one if fibers or coordinates have changed."""
+    """Return the identifier of the design.
+
+    A design that was read from a file keeps its identifier if its fibers and their coordinates are unchanged.
+    Otherwise, `design_id` computes the identifier.
+    """
     number = design_id(*(np.asarray(rows[name][0]) for name in ("fiberId", "ra", "dec")))
     if plan.meta["format"] == "pfsdesign" and number == plan.meta["rows_id"]:
         return int(plan.meta["header"].get("W_PFDSGN", number))
@@ -225,7 +230,7 @@ def _fits_header(values: dict, comments: dict):
 
 
 def _table(name: str, columns: dict, header, units: dict | None = None):
-    """Return a header-data unit with a table; ``columns`` are given with their formats."""
+    """Return a table as a header-data unit; ``columns`` contains the values and the FITS format of each column."""
     from astropy.io import fits
 
     made = [
@@ -251,7 +256,7 @@ def _flux_rows(plan: QTable) -> dict:
 
 
 def _guide_stars(plan: QTable):
-    """Return the header-data unit of the guide stars of the file that was read; it is empty if there are none."""
+    """Return the table of guide stars of the file that was read, or an empty table if there are no guide stars."""
     stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
     formats = dict(stars.get("formats", GUIDE_STARS))
     columns = {}

@@ -1,8 +1,8 @@
 """The table of a plan, and the formats of files in which plans are stored.
 
 Each format has a module with four functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *,
-overwrite)`` writes one, ``recognizes(path)`` returns whether the first bytes or the names of extensions belong to the
-format, and ``lost(plan)`` describes the data that the format cannot represent.
+overwrite)`` writes a plan to a file, ``recognizes(path)`` returns whether a file has the format, and ``lost(plan)``
+describes the data that the format cannot represent.
 """
 
 import os
@@ -35,7 +35,7 @@ FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
     "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
     "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
-    # this format is the last one, because it recognizes any table
+    # this format is tested last, after the formats of other programs
     "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),
 }
 """Name of each format, with its module and the endings of its files."""
@@ -79,12 +79,13 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     -------
     QTable
         Table with a row for each fiber in the file. Columns: ``positioner``, ``fiber_type`` (empty if the instrument
-        has only one), ``target_id`` (-1 or empty without a target), ``kind`` (``science``, ``sky``, ``standard`` or
-        empty), ``assigned``, ``x``, ``y`` (position of the fiber on the focal plane; NaN if it is missing), and, where
-        the file has them, ``theta``, ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and
-        ``priority``. All other columns of the file follow under their own names. The ``meta`` contains ``format``,
-        ``instrument``, ``header`` (all keywords of the file) and, where known, ``racen``, ``deccen``,
-        ``position_angle`` (deg) and ``epoch``.
+        has only one fiber type), ``target_id`` (-1 or empty for a fiber without a target), ``kind`` (``science``,
+        ``sky``, ``standard`` or empty), ``assigned`` (whether the fiber has a target), and ``x``, ``y`` (position of
+        the fiber on the focal plane; NaN if it is missing). If the file contains them, the next columns are ``theta``,
+        ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and ``priority``. All other columns of the
+        file follow under their own names. The ``meta`` contains ``format``, ``instrument`` and ``header`` (all keywords
+        of the file). If they are known, it also contains the field center (``racen``, ``deccen``) and
+        ``position_angle``, in deg, and ``epoch``.
 
     Raises
     ------
@@ -126,8 +127,9 @@ def write_plan(
     path : str or path-like
         Path of the new file.
     format : str, optional
-        Name of the format, as in `read_plan`; by default, the format of the plan if files of this format have the
-        ending of ``path``, and otherwise the only format with this ending.
+        Name of the format, as in `read_plan`. By default, it is the entry ``format`` in the ``meta`` of the plan if
+        files of this format have the ending of ``path``. Otherwise, it is ``table`` for the endings ``.ecsv`` and
+        ``.fits``, and ``confsummary`` for the ending ``.par``.
     overwrite : bool, optional
         Whether to replace an existing file.
 
@@ -186,13 +188,13 @@ def recognize_plan(path: str | os.PathLike) -> str | None:
 
 
 def native_format(path: str | os.PathLike) -> str | None:
-    """Return the format of a file of another program, or None if it is something else, such as a table."""
+    """Return the name of the format of a file of another program, or None for any other file, such as a table."""
     path = _existing(path)
     return next((name for name in FORMATS if name != "table" and _module(name).recognizes(path)), None)
 
 
 def plan_roles(table: Table) -> dict[str, str]:
-    """Return the column names of a plan by role, as in `Catalog.from_table`; an empty dict for any other table."""
+    """Return the column of a plan for each role in `Catalog.from_table`, or an empty dict if a table is not a plan."""
     if not is_plan(table):
         return {}
     names = {"id": "target_id", "pmra": "pm_ra", "pmdec": "pm_dec", "epoch": "coord_epoch"}
@@ -311,7 +313,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text that names the columns that a format cannot represent; without names, it is empty."""
+    """Return a list with one text about columns that a format cannot represent, or an empty list without names."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]
@@ -335,7 +337,7 @@ def _module(name: str):
 
 
 def _format_for(plan: QTable, path: Path) -> str:
-    """Return the format of the plan if it fits the ending of the path, otherwise the only format with this ending."""
+    """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or ``confsummary``."""
     found = [name for name, (_, endings) in FORMATS.items() if suffix_of(path) in endings]
     if not found:
         endings = sorted({ending for _, many in FORMATS.values() for ending in many})

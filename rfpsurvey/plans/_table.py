@@ -23,14 +23,14 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan as ECSV or FITS, without the other tables of the file from which it was read."""
+    """Write a plan as ECSV or FITS, without the other tables of the file from which the plan was read."""
     plan = plan.copy(copy_data=False)
     plan.meta.pop("extensions", None)
     write_table(plan, path, overwrite=overwrite, name="PLAN")
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a file is the table of a plan or a tile."""
+    """Return whether a file contains the table of a plan or of a tile."""
     if suffix_of(path) not in (".ecsv", ".fits"):
         return False
     try:
@@ -41,5 +41,5 @@ def recognizes(path: Path) -> bool:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return a description of the data that this format cannot represent."""
+    """Return a list of texts that describe which data this format cannot represent."""
     return ["the other tables of the file from which the plan was read"] if plan.meta.get("extensions") else []

@@ -16,7 +16,9 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot how many fibers of each allocator are usable, lost to collisions, or missing for requirements.
+    """Plot the numbers of fibers that are usable, lost to collisions, or missing for requirements, for each allocator.
+
+    Missing fibers are the additional fibers, for example on sky positions, that the requirements demand.
 
     Parameters
     ----------

@@ -12,14 +12,15 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CI
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Marker and label of each status."""
+"""Marker and legend label of positioners with each status."""
 
 
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
     """Draw the inner and outer edge of each patrol area, and yield legend entries.
 
-    With ``gray``, edges are gray and thinner; this is for plots with filled cells. With ``alike``, all positioners have
-    gray, thin edges, whether they have a target or not; this is for plots with dots of targets.
+    If ``gray`` is true, edges are gray and thinner; this option is for plots with filled disks around positioners. If
+    ``alike`` is true, positioners with and without a target have the same gray, thin edges; this option is for plots
+    with dots of targets.
     """
     gray = gray or alike
     free = scene.with_target | (scene.status == "usable") | alike
@@ -100,7 +101,7 @@ def _shapes(scene: Scene, rows: np.ndarray, color: str) -> Iterator:
     for arm, (origins, ends, alpha) in arms.items():
         if scene.outline.get(arm):
             paths = _outlines(scene.outline[arm], scene.half, origins, ends)
-            # no edges, which would also show the edges between the parts
+            # without edges, because edges between overlapping parts would also be drawn
             yield PathCollection(paths, facecolors=to_rgba(color, alpha), linewidths=0, **hatch)
 
 
@@ -121,7 +122,7 @@ def _outlines(parts: list[dict], margin: float, origins: np.ndarray, ends: np.nd
 
 
 def rounded(vertices: np.ndarray, radius: float) -> np.ndarray:
-    """Return the vertices of a convex polygon enlarged by a radius, with 48 points on each full turn of its corners."""
+    """Return the vertices of a convex polygon enlarged by a radius; its round corners have a point every 7.5 deg."""
     if radius == 0:
         return vertices
     angle = np.arange(48) * np.pi / 24
@@ -131,7 +132,7 @@ def rounded(vertices: np.ndarray, radius: float) -> np.ndarray:
 
 
 def capsules(bodies: np.ndarray, radius: float) -> np.ndarray:
-    """Return the outlines of all points within ``radius`` of each segment, shape (n, 18, 2)."""
+    """Return the outline of the capsule of each segment, with the given radius, shape (n, 18, 2)."""
     a, b = bodies[:, None, :2], bodies[:, None, 2:]
     along = np.arctan2(*(bodies[:, 2:] - bodies[:, :2]).T[::-1])
     angle = along[:, None] + np.linspace(-np.pi / 2, np.pi / 2, 9)

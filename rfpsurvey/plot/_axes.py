@@ -33,9 +33,9 @@ __all__ = [
     "values_of",
 ]
 
-WIDTH = 7.0  # inches, for a page
-PAD = 0.08  # inches, margin around everything
-LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, for labels, the title and a legend
+WIDTH = 7.0  # inches, width of a page
+PAD = 0.08  # inches, margin around all parts of a figure
+LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, space around the axes for labels, the title and a legend
 
 
 def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axes":
@@ -95,7 +95,7 @@ def focal_plane_axes(
 
 
 def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower left and the upper right corner of the area that axes show, for any orientation."""
+    """Return the smallest x and y and the largest x and y that axes show, even if x increases to the left."""
     corners = np.sort(np.array([ax.get_xlim(), ax.get_ylim()]), axis=1)
     return corners[:, 0], corners[:, 1]
 
@@ -108,7 +108,7 @@ def points_per_unit(ax: "Axes") -> float:
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the typical distance between neighboring centers; for a single positioner, return the patrol diameter."""
+    """Return the median distance to the nearest center; for a single positioner, return its patrol diameter."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:

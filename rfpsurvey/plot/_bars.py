@@ -21,10 +21,10 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a bar from 0 to 1 for each class, with the numbers of observed (``counted``) and of all members beside it.
+    """Draw a bar from 0 to 1 for each class, with the observed (``counted``) and the ``total`` number beside it.
 
-    ``pieces`` are the parts of the bars from left to right. Each part consists of the numbers for all classes, a label
-    and a style.
+    ``pieces`` contains the parts of the bars from left to right. Each part is a tuple of its number in each class, its
+    label and its style.
     """
     left, handles = np.zeros(len(y)), []
     style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}

@@ -34,17 +34,17 @@ OUTCOME_COLORS = {
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
-"""Size of a dot divided by the distance between dots, smallest and largest size in points (unassigned and assigned
-targets)."""
-ON_ARMS = 7.0  # points: size of the largest dot with a white edge at the end of an arm
+"""Sizes of the dots of unassigned targets (first tuple) and of assigned targets (second tuple). Each tuple contains the
+ratio of the size to the mean distance between dots, and the smallest and the largest size in points."""
+ON_ARMS = 7.0  # points, largest size of a dot that is drawn on an arm, with a white edge
 MANY = 3000
-"""Smallest number of dots that are stored as an image in vector files."""
+"""If a layer has more targets, its dots are stored as an image in vector files."""
 LONGEST = 74  # largest number of letters in a row of a legend with three columns
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Targets that are drawn in the same way; a layer without a label has the legend entry of the preceding layer."""
+    """Targets that are drawn in the same way; a layer without a label shares the entry of the layer before it."""
 
     label: str
     rows: np.ndarray
@@ -110,7 +110,7 @@ def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
 
 def legend_options(color: str, labels: list[str]) -> dict:
     """Return the options of a legend: the number of columns, and a title that explains the two sizes of dots."""
-    each = -(-len(labels) // 3) or 1  # labels are in columns
+    each = -(-len(labels) // 3) or 1  # the legend fills its columns one after the other
     letters = sum(max(map(len, labels[k : k + each])) for k in range(0, len(labels), each))
     options: dict = {"columns": 3 if letters <= LONGEST else 2}
     if color == "outcome":
@@ -125,8 +125,8 @@ def draw_layers(
     """Draw a dot for each target, and yield legend entries.
 
     Targets that are not assigned are small dots with the zorder ``below``; assigned targets are larger dots with the
-    zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The dots of a large catalog
-    are smaller. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
+    zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The more targets there
+    are, the smaller are the dots. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
     """
     from matplotlib.lines import Line2D
 

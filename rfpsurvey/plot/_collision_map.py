@@ -37,10 +37,11 @@ def plot_collision_map(
 ) -> "Axes":
     """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
-    Each positioner is a disk; the disk is not filled if the positioner is not counted. The color scale extends from the
-    smallest to the largest probability. Inside a regular lattice without gaps, the expected probability is the same
-    everywhere; the values of a simulation then differ only by chance. For one configuration, the disks of positioners
-    in collision are hatched, and lines connect the positioners that collide with each other.
+    Each positioner is a disk. The disk is not filled if the positioner is not counted, which means that the
+    positioner never has a target and is never parked. The color scale extends from the smallest to the largest
+    probability. Inside a regular lattice without gaps, the expected probability is the same everywhere; the values of a
+    simulation then differ only by chance. For one configuration, the disks of positioners in collision are hatched, and
+    lines connect the positioners that collide with each other.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def plot_collision_map(
 
 
 def _places(collisions, focal_plane):
-    """Return centers and outer radii in mm."""
+    """Return the centers of the positioners and the outer radii of their patrol areas, in mm."""
     if isinstance(collisions, Tile):
         if focal_plane is not None:
             raise InputError("focal_plane must be None for a Tile, which has its own positioners")
@@ -117,7 +118,7 @@ def _places(collisions, focal_plane):
 
 
 def _values(collisions):
-    """Return the value of each positioner, the colliding pairs, the name of the values, and a title."""
+    """Return the value of each positioner, the colliding pairs, and the labels of the color bar and of the plot."""
     none = np.empty((0, 2), dtype=int)
     if isinstance(collisions, Estimate):
         e = collisions

@@ -42,7 +42,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
     across, up = _corner(ax, avoid)
     inward = Affine2D().translate(MARGIN * (1 - 2 * across), MARGIN * (1 - 2 * up)).scale(1 / 72)
     points = inward + ax.figure.dpi_scale_trans + ScaledTranslation(across, up, ax.transAxes)
-    # from data to the screen: x changes its sign if it increases to the left
+    # the sign of x is reversed on the screen if x increases to the left
     flip = -1 if ax.xaxis_inverted() else 1
     angle = np.deg2rad(position_angle)
     directions = {"N": (-flip * np.sin(angle), np.cos(angle)), "E": (flip * np.cos(angle), np.sin(angle))}
@@ -61,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner of the axes (as fractions) with the fewest points nearby; without points, the upper left."""
+    """Return the corner of the axes (as fractions) with the fewest points nearby, or the upper left without points."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]

@@ -29,7 +29,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     **kwargs
-        Passed to ``plot`` of the line of all visits, for example ``linewidth``.
+        Passed to ``Axes.plot`` for the line of all visits, for example ``linewidth``.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
 
 
 def draw_survey(survey: Survey) -> "Figure":
-    """Return a figure with a map of the tiles colored by completeness, and the completeness against the tiles."""
+    """Return a figure with two panels: a map of the tiles, colored by completeness, and `plot_completeness`."""
     from matplotlib.figure import Figure
 
     wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))

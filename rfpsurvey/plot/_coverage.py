@@ -33,14 +33,14 @@ def plot_coverage(
 ) -> "Axes":
     """Plot the number of positioners that reach each point; darker colors show larger numbers.
 
-    The dashed line is the footprint; no positioner reaches the white points inside it. The legend shows the fractions
-    of the footprint, as computed by `~rfpsurvey.FocalPlane.coverage`. The colors extend from white to dark blue,
-    whatever the largest number is.
+    The dashed line is the edge of the footprint. White points inside the footprint are points that no positioner
+    reaches. The legend shows the fraction of the footprint for each number of positioners, as computed by
+    `~rfpsurvey.FocalPlane.coverage`. The darkest blue shows the largest number.
 
     Parameters
     ----------
     focal_plane : FocalPlane, Instrument or str
-        The positioners; a str is the name of a preset. Positioners that are disabled or stuck reach nothing.
+        The positioners; a str is the name of a preset. Positioners that are disabled or stuck reach no points.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure with the legend below the axes is created.
     region : Quantity, shape (2, 2), optional
@@ -110,7 +110,7 @@ def plot_coverage(
 
 
 def _colors(most):
-    """Return the colors of the counts 0 to most, as different as possible."""
+    """Return a color for each number of positioners from 0 to ``most``; the colors are as different as possible."""
     last = min(len(LEVELS) - 1, 2 * most + 1)
     return [LEVELS[k] for k in np.rint(np.linspace(0, last, most + 1)).astype(int)] if most else [LEVELS[0]] * 2
 
@@ -139,6 +139,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Return a percentage as text, with two digits unless it is very small or close to 100."""
+    """Return a fraction as text in percent, with two digits unless the fraction is very small or close to 1."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

@@ -42,21 +42,23 @@ def plot_designs(
     """Plot two columns of all designs against each other, with the Pareto front.
 
     Large points with black edges are on the Pareto front. If the color column has only a few values, each value has its
-    own marker. A star with a name is the instrument of `~rfpsurvey.design.explore_around`.
+    own marker. A star with a name is the design of the instrument that was passed to
+    `~rfpsurvey.design.explore_around`.
 
     Parameters
     ----------
     table : QTable
         Table returned by `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around`.
     x, y : str, optional
-        Columns to plot; the objectives by default. The front is always computed for the objectives of the table; if
-        these are plotted, a line connects the points of the front.
+        Columns to plot; by default, the two objectives of the table. The Pareto front is always the front of the
+        objectives. If the objectives are plotted, a line connects the points of the front.
     color : str, optional
         Column that determines the color; by default ``ratio`` if it varies, otherwise the parameter with the most
         values.
     mark : dict of str to QTable, optional
-        Designs to mark by name, such as existing instruments: tables of one or a few designs, made by
-        `~rfpsurvey.design.explore_designs` with the same targets.
+        Designs to mark with a star, such as existing instruments. Each key is a name, which is written beside the star.
+        Each value is a table of one or a few designs that `~rfpsurvey.design.explore_designs` returned for the same
+        targets.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     **kwargs

@@ -47,9 +47,9 @@ def plot_focal_plane(
     shades overlap. Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks at
     centers show positioners that are disabled, stuck, or have a target out of reach.
 
-    If arms would be shorter than 5 points, as on the whole focal plane of an instrument with thousands of
-    positioners, there is a dot for each positioner, at its target or, without a target, at its center. Diamonds are
-    positioners in collision.
+    If arms would be shorter than 5 points (5/72 inch), as on the whole focal plane of an instrument with thousands of
+    positioners, each positioner is drawn as a dot. The dot is at the fiber if the positioner has a target, and
+    otherwise at the center of the positioner. Diamonds are positioners in collision.
 
     With ``targets="outcome"``, there is a dot for each target of the field, and the legend contains the numbers of
     targets; the positioners of a large instrument are then drawn as a gray background. If ``targets`` is the name of a
@@ -70,11 +70,12 @@ def plot_focal_plane(
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.
     color : {"spectrograph", "fiber_type"}, optional
-        Column that determines the color of the cells of positioners.
+        Property of positioners that determines the colors of the disks around their centers.
     targets : {"outcome", "kind", "category", "priority"} or Quantity, shape (n, 2), optional
         Column of `outcomes <rfpsurvey.Tile.outcomes>` that determines the colors of all targets of a planned tile.
-        Targets that are not requested have no position on the focal plane. A Quantity contains positions to draw as
-        small crosses; ``instrument.projection(center).to_focal_plane(coord)`` returns such positions.
+        Targets that were not requested are not drawn, because they have no position on the focal plane. A Quantity
+        contains positions to draw as small crosses; ``instrument.projection(center).to_focal_plane(coord)`` returns
+        such positions.
     arms : bool, optional
         Whether to draw arms, or a dot for each positioner; by default arms are drawn if they are long enough to be
         visible.
@@ -94,7 +95,8 @@ def plot_focal_plane(
     ------
     InputError
         If ``thing``, ``color`` or ``orientation`` is not one of the listed types or values, if ``region`` or
-        ``targets`` has a wrong shape, or if the tile has no outcomes or no column ``targets``.
+        ``targets`` has a wrong shape, if the tile has no outcomes, or if its outcomes do not have the column
+        that ``targets`` names.
 
     See Also
     --------

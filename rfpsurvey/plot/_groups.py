@@ -1,4 +1,4 @@
-"""Cells of positioners colored by group, such as the spectrograph."""
+"""Disks around positioners, colored by group, such as the spectrograph."""
 
 from collections.abc import Iterator
 
@@ -16,9 +16,9 @@ PALE = 0.4
 
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
-    """Color the cell of each positioner by group; write the names of groups on the cells, or yield legend entries.
+    """Draw a disk around each positioner, colored by group; write names of groups on disks, or yield legend entries.
 
-    The fills are pale, so that arms or dots on top of the fills remain visible.
+    If ``pale`` is true, the fills are pale, so that arms or dots on top of the fills remain visible.
     """
     from matplotlib.patches import Patch
 

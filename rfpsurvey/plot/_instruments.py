@@ -17,7 +17,7 @@ __all__ = ["draw_instruments", "plot_instruments"]
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
 """Colors from white to dark blue. On a page with a dark background, white becomes dark gray; other shades of blue would
-then look similar to it."""
+look similar to this gray."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
@@ -78,7 +78,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
 
 
 def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
-    """Return a figure of the reach, fibers and collision probabilities of instruments."""
+    """Return a figure with three panels: reach, use of fibers, and collision probability of each instrument."""
     from matplotlib.figure import Figure
 
     if figure is None:
@@ -106,12 +106,12 @@ def _draw_reach(table, ax):
         left += part
     ax.set_yticks(y, [str(table["instrument"][row]) for row in rows])
     ax.set(xlim=(0, 1), xlabel="fraction of the footprint")
-    title = {"title": "positioners that reach it", "title_fontsize": "small"}
+    title = {"title": "positioners that reach a point", "title_fontsize": "small"}
     legend_below(ax, handles, columns=4, columnspacing=1.0, handlelength=1.2, **title)
 
 
 def _draw_probability(table, ax):
-    """Draw the collision probability with its interval."""
+    """Draw the collision probability and its 95 % interval for each row of the table."""
     y, _ = _places(table)
     value, low, high = (np.asarray(table[name], float) for name in ("probability", "low", "high"))
     style = {"fmt": "o", "color": COLLISION, "ms": 4, "lw": 1, "capsize": 2, "clip_on": False}

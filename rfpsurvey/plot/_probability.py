@@ -1,4 +1,4 @@
-"""Plots of probabilities and their intervals along a scan, and of differences as a function of two parameters."""
+"""Plots of probabilities and intervals against a parameter, and of differences as a function of two parameters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ def plot_probability(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Plot collision probabilities along a scan, with a line and an interval for each column and group.
+    """Plot collision probabilities against a design parameter, with a line and an interval for each column and group.
 
     Parameters
     ----------
@@ -38,15 +38,16 @@ def plot_probability(
     x : str, optional
         Column along the axis, such as ``ratio`` or ``pitch``.
     values : str or list of str, optional
-        Columns to plot. The interval of ``value`` is from ``low`` to ``high`` or, without these columns, 1.96 times
-        ``standard_error`` to either side. For another column, such as ``formula``, the columns are ``formula_low`` and
-        ``formula_high``, or ``formula_error``. If the table has none of these columns, only a line is drawn.
+        Columns to plot. The interval of the column ``value`` extends from ``low`` to ``high``. If the table lacks these
+        columns, the interval extends by 1.96 times ``standard_error`` to either side. The interval of another column,
+        such as ``formula``, is defined by the columns ``formula_low`` and ``formula_high``, or ``formula_error``. If
+        the table has none of these columns, only a line is drawn.
     by : str, optional
-        Column that defines groups; each group has its own lines.
+        Column that defines groups of rows: rows with the same value are one group, which has its own lines.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     **kwargs
-        Passed to ``plot`` of each line, for example ``linewidth``.
+        Passed to ``Axes.plot`` for each line, for example ``linewidth``.
 
     Returns
     -------
@@ -141,7 +142,7 @@ def plot_residuals(
     Raises
     ------
     InputError
-        If a column is missing or does not contain numbers, or if no difference is known.
+        If a column is missing or does not contain numbers, or if no row has a number in both columns.
 
     Examples
     --------
@@ -159,7 +160,7 @@ def plot_residuals(
     away = values_of(table, value) - values_of(table, reference)
     known = np.isfinite(away)
     if not known.any():
-        raise InputError(f"{value} and {reference} must have a row in which both are known")
+        raise InputError(f"{value} and {reference} must both have a number in at least one row")
     ax = new_axes(6.0, 4.8) if ax is None else ax
     most = np.abs(away[known]).max() or 1.0
     across, up = values_of(table, x), values_of(table, y)

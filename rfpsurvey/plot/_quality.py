@@ -26,10 +26,11 @@ MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # largest number of letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
-"""Largest range of whole numbers with a bar for each number in a histogram; number of bins of other histograms."""
+"""A histogram of whole numbers has a bar for each number if their range is below ``MOST_VALUES``; other histograms have
+``N_BINS`` bins."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
-"""Ratio of available to assigned targets above which numbers are drawn on a logarithmic scale."""
+"""Ratio of available to assigned targets above which the scale of the histogram is logarithmic."""
 FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6])
 
 
@@ -59,11 +60,12 @@ def plot_quality(
         <rfpsurvey.Tile.completeness>`). The bar shows the fraction of the targets of the class with each outcome; the
         numbers of observed targets and of all targets are on the right. The second panel shows the number of fibers on
         sky and on standard stars in each spectrograph. If the tile has requirements, the panel shows the number of
-        fibers that count toward each requirement, and its minimum as a dashed line. If there are neither fibers on sky
-        or standard stars nor requirements, the panel shows the number of fibers on science targets. The third panel is
-        a histogram of ``column`` for all science targets and for assigned science targets; it is empty if there is no
-        column of numbers. The fourth panel shows the fractions of science targets that are in reach and that are
-        assigned, in rings of equal area around the center of the focal plane, with 68 % intervals.
+        fibers that count toward each requirement; a dashed line is the minimum of the requirement. If there are neither
+        fibers on sky or standard stars nor requirements, the panel shows the number of fibers on science targets. The
+        third panel is a histogram of ``column`` for all science targets and for assigned science targets. The third
+        panel is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that
+        are in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
+        intervals.
 
         For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). The bar shows the
         fraction of the visits that each pass observed; the numbers of observed and requested visits are on the right.
@@ -74,8 +76,8 @@ def plot_quality(
     Raises
     ------
     InputError
-        If a tile has no outcomes or no column of numbers with this name, if a column is given for a survey, or if the
-        number of axes is not four.
+        If a tile has no outcomes, or if its outcomes have no column of numbers with the name ``column``; if a column is
+        given for a survey; or if the number of axes is not four.
 
     See Also
     --------
@@ -98,7 +100,7 @@ def plot_quality(
         raise InputTypeError(f"result must be a Tile or a Survey, got {type(result).__name__}")
     if isinstance(result, Survey):
         if column is not None:
-            raise InputError(f"column must be None for a survey, which draws no histogram, got {column!r}")
+            raise InputError(f"column must be None for a survey, which has no histogram, got {column!r}")
         axes = _four_axes(axes, len(class_rows(result)))
         draw_survey_quality(result, axes, kwargs)
         return axes
@@ -310,7 +312,7 @@ def _patch(color, alpha, label):
 
 
 def _draw_radius(ax, table, outcome):
-    """Draw the fractions of science targets in reach and assigned, in rings of equal area about the center."""
+    """Draw the fractions of science targets that are in reach and that are assigned, in rings of equal area."""
     radius = np.hypot(table["x"].to_value(u.mm), table["y"].to_value(u.mm))
     known = np.isfinite(radius)
     radius, outcome = radius[known], outcome[known]

@@ -1,4 +1,4 @@
-"""Figures of the experiments of the paper."""
+"""Figures of the experiments that reproduce the results of Chen et al. (2024)."""
 
 from typing import TYPE_CHECKING
 
@@ -17,11 +17,11 @@ __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
 BESIDE = 1.025
-"""Ratio of the positions, on a logarithmic axis, at which points of neighboring groups are drawn beside each other."""
+"""Ratio of the x values of successive groups; their points are thereby beside each other on a logarithmic axis."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
-    """Return the figures of an experiment as a dict by name."""
+    """Return a dict that contains the figures of an experiment by their names."""
     return {name: draw(tables) for name, draw in FIGURES[experiment].items()}
 
 
@@ -70,7 +70,7 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Plot the relative difference for each interpretation of Poisson targets as a function of ratio and pitch."""
+    """Plot the difference between uniform and Poisson targets against ratio and pitch, for each interpretation."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
@@ -83,7 +83,7 @@ def _poisson(tables):
 
 
 def _surrogate(tables):
-    """Plot the error of the surrogate model for designs that were not used to make the surrogate model."""
+    """Plot the error of the surrogate model for designs to which the model was not fitted."""
     table = tables["surrogate"]
     figure, ((ax,),) = new_grid(1, 1, (6, 4))
     ax.errorbar(
@@ -101,7 +101,7 @@ def _surrogate(tables):
 
 
 def _intervals(tables):
-    """Plot the fraction of runs in which each confidence interval contains the true value, with its error."""
+    """Plot the fraction of runs in which each confidence interval contains the true value, with error bars."""
     table = tables["intervals"]
     figure, ((ax,),) = new_grid(1, 1, (8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
@@ -109,7 +109,7 @@ def _intervals(tables):
     ax.set_yticks(np.arange(len(table)), labels, fontsize="x-small")
     ax.axvline(0.95, color="0.4", lw=0.8)
     ax.axvspan(0.935, 0.965, color="0.8", alpha=0.5, lw=0)
-    ax.set_xlabel("fraction of runs whose interval contains the truth")
+    ax.set_xlabel("fraction of runs whose interval contains the true value")
     return figure
 
 
@@ -120,7 +120,7 @@ def _within_one(table):
 
 
 def _one_sky(tables):
-    """Draw how often the interval of one set of targets contains the expectation, against the number of positioners."""
+    """Plot the fraction of skies whose interval contains the expectation, against the number of positioners."""
     table = tables["one_sky"]
     figure, ((ax,),) = new_grid(1, 1, (7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
@@ -143,7 +143,7 @@ def _one_sky(tables):
 
 
 def _poisson_disc(tables):
-    """Plot how much more often uniform targets collide than Poisson-disc targets, against the ratio of the arms."""
+    """Plot the excess (percent) of collisions with uniform targets over Poisson-disc targets, against the arm ratio."""
     table, summary = tables["poisson"], tables["poisson_disc"]
     figure, ((ax,),) = new_grid(1, 1, (7, 4.8))
     for k, separation in enumerate(summary["min_separation"].to_value("mm")):

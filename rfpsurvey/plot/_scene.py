@@ -19,7 +19,7 @@ GROUPS = ("spectrograph", "fiber_type")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Positioners of a focal plane in mm; absent arms are NaN."""
+    """Positioners and obstacles of a focal plane, in mm; the coordinates of absent arms are NaN."""
 
     title: str
     centers: np.ndarray
@@ -28,10 +28,10 @@ class Scene:
     elbows: np.ndarray
     tips: np.ndarray
     bodies: np.ndarray
-    """Colliding segments, rows (x0, y0, x1, y1)."""
+    """Segment of each arm that can collide, as a row (x0, y0, x1, y1)."""
     half: float
     outline: dict | None
-    """Parts of the outline of the arms by arm (eccentric and central), with vertices and radius in mm."""
+    """Parts of the outline of the ``eccentric`` and of the ``central`` arm, with vertices and radius in mm."""
     status: np.ndarray
     colliding: np.ndarray
     obstacles: np.ndarray
@@ -46,7 +46,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points on centers and arms that the compass should not cover; points on colliding arms occur four times."""
+        """Points that the compass should not cover; points on colliding arms occur four times, to weigh more."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]
@@ -86,7 +86,9 @@ def _of_tile(tile):
 def _of_plane(thing):
     if not isinstance(thing, Tile | FocalPlane | Instrument | str):
         kind = type(thing).__name__
-        raise InputTypeError(f"thing must be a Tile, a FocalPlane, an Instrument or its name, got {kind}")
+        raise InputTypeError(
+            f"thing must be a Tile, a FocalPlane, an Instrument or the name of an instrument, got {kind}"
+        )
     name, plane = named_plane(thing)
     name = f"{name}: " if name else ""
     n, obstacles = len(plane), len(plane.arrays.obstacles) + len(plane.arrays.obstacle_polygons)

@@ -1,4 +1,4 @@
-"""Tiles on the sky."""
+"""Plot of tiles on the sky, and functions that draw fields, targets and regions."""
 
 from typing import TYPE_CHECKING
 
@@ -73,8 +73,8 @@ def plot_tiling(
     Raises
     ------
     InputError
-        If there are no tiles or no such column of numbers, if the radius is out of range, or if ``targets`` or
-        ``region`` has a wrong type.
+        If there are no tiles, if ``color`` is not a column of numbers, if the radius is out of range, or if ``targets``
+        or ``region`` has a wrong type.
 
     Examples
     --------

@@ -11,7 +11,8 @@ from rfpsurvey.region import Region, border_of, circle_around
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
 CORNERS, MOST_CORNERS = 36, 7200
-"""Number of points on the edge of each field; the number is larger for few fields, so that large circles look round."""
+"""Smallest number of points on the edge of a field, and number of points on all edges. If there are few fields, each
+edge has more points, so that large circles look round."""
 WIDE = 60.0  # deg; the map shows the whole sky if fields are farther from the mean direction
 POLAR = 75.0
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
@@ -19,14 +20,18 @@ GRID = 400  # points along each axis, for the outlines of HEALPix pixels
 
 @dataclass(frozen=True, eq=False)
 class SkyMap:
-    """A map around a direction: ``region`` (deg), ``offsets`` (deg) or ``whole`` (radians on an Aitoff map)."""
+    """A map of the sky around a direction.
+
+    ``kind`` is ``region`` (right ascension and declination, deg), ``offsets`` (offsets east and north of ``center``,
+    deg) or ``whole`` (the whole sky on an Aitoff map, radians).
+    """
 
     kind: str
     center: SkyCoord
 
     def to_xy(self, coord: SkyCoord) -> np.ndarray:
         """Return positions on the map, shape (..., 2)."""
-        if self.kind == "whole":  # 180 deg is in the center
+        if self.kind == "whole":  # right ascension 180 deg is at the center of the map
             return np.stack([-(coord.ra - 180 * u.deg).wrap_at(180 * u.deg).rad, coord.dec.rad], axis=-1)
         if self.kind == "region":
             lon = (coord.ra - self.center.ra).wrap_at(180 * u.deg).deg + self.center.ra.deg
@@ -87,7 +92,7 @@ def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
 
 
 def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return outlines of fields on a map of the whole sky, cut at its edge, and the row of each outline's field."""
+    """Return outlines of fields on a map of the whole sky, cut at the map's edge, and the row of the field of each."""
     rims = rims_of(centers, radius)
     # x on the map decreases with right ascension; it is unwrapped around the center of each field
     center = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad

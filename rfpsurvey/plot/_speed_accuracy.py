@@ -1,4 +1,4 @@
-"""Plots of computing time and errors."""
+"""Plots of the errors of methods against their computing time."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 SHORT_AXIS = 100.0
-"""Smallest ratio of the ends of a logarithmic axis on which only powers of ten are labeled."""
+"""If the ratio of the ends of a logarithmic axis is at least this number, only powers of ten are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and free space around a label, in points."""
@@ -25,23 +25,24 @@ LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 def plot_speed_accuracy(
     table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
 ) -> "tuple[Axes, Axes]":
-    """Plot errors against the time per tile, with a point for each method and number of points.
+    """Plot the errors of collision tests against the time per tile, for each method and number of points per arm.
 
     Parameters
     ----------
     table : QTable
         Table returned by `~rfpsurvey.benchmark.benchmark_collisions`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Axes for misclassified pairs and for the largest error of a distance; by default, a new figure is created.
+        Axes for the fraction of misclassified pairs, and for the largest error of a distance; by default, a new figure
+        is created.
     **kwargs
-        Passed to ``plot`` of each method, for example ``markersize``.
+        Passed to ``Axes.plot`` for each method, for example ``markersize``.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Two axes. Bars show the standard error of the fraction, computed from the square root of the number of
-        misclassified pairs. If no pair is misclassified, an arrow points down from an upper limit, which is one divided
-        by the number of colliding pairs. Methods to the lower left are better.
+        Two axes. Bars show the standard error of the fraction of misclassified pairs, which is computed from the square
+        root of the number of misclassified pairs. If no pair is misclassified, an arrow points down from an upper
+        limit, which is one divided by the number of colliding pairs. Methods to the lower left are better.
 
     Raises
     ------
@@ -77,7 +78,7 @@ def plot_speed_accuracy(
         axes[0],
         table,
         f"{n} colliding pairs",
-        "labels: points per arm; bars: standard errors\narrows: none misclassified, less than one pair",
+        "labels: points per arm; bars: standard errors\narrows: no misclassified pair, upper limit of one pair",
     )
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
@@ -87,7 +88,7 @@ def plot_speed_accuracy(
 
 
 def _draw_methods(ax, table, values, limits, uncertain, style):
-    """Draw a line for each method, and zeros as upper limits with arrows; return all points with their labels."""
+    """Draw a line for each method, and draw zeros as upper limits with arrows; return all points with their labels."""
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     heights = np.where(values > 0, values, limits)
     for k, method in enumerate(dict.fromkeys(table["method"])):
@@ -132,9 +133,9 @@ def plot_probability_accuracy(
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        The axes. Bars show one standard error. Open markers show formulas, whose errors do not depend on the effort.
-        Errors below the gray line are smaller than the error of the reference value. Methods to the lower left are
-        better.
+        The axes. Bars show one standard error. Open markers show formulas, for which the column ``effort`` is 0.
+        Errors below the gray line are smaller than the standard error of the reference value. Methods to the lower left
+        are better.
 
     Raises
     ------
@@ -214,7 +215,7 @@ def _set_ticks(ax):
 
 
 def _state(ax, table, number, legend, *, figure=False):
-    """Write a title with the measured case and the machine, and note which corner of the plot is better."""
+    """Write a title with the instrument, the machine, and the meaning of labels, bars and arrows."""
     meta = table.meta
     machine = f"{meta['machine']}; " if "machine" in meta else ""
     first = f"{meta.get('instrument', '')}: {meta.get('n_positioners', '?')} positioners, {number}"
@@ -224,7 +225,7 @@ def _state(ax, table, number, legend, *, figure=False):
 
 
 def _label(ax, points):
-    """Write labels (x, y, text) beside their points, where they overlap no marker and no label if possible.
+    """Write a label beside each point (x, y, text), if possible without overlap with markers and other labels.
 
     This function must be called after all other text is drawn, because other text changes the size of the axes.
     """

@@ -1,4 +1,4 @@
-"""Colors and markers; a marker, a hatch or a line also shows each important difference without color."""
+"""Colors and markers of plots; each important difference is also shown by a marker, a hatch or a line style."""
 
 import numpy as np
 
@@ -53,15 +53,15 @@ GROUP_COLORS = (
 )
 """Fill colors of groups: the palette, then lighter or darker versions of its colors."""
 FADED, FAINT = "#A8A8A8", "#8A8A8A26"
-"""Color of positioners without a target and of the background of dots: a translucent gray, faint on any page."""
+"""Color of positioners without a target, and color of the disks behind dots: a translucent gray, faint on any page."""
 OUTLINE = "#222222"
 MARKERS = "osD^vP*X"
 OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
 """Legend entries of circles that are not filled."""
 HATCH = "//////"
-"""Hatch of everything that collides or is lost to collisions."""
+"""Hatch of arms, disks and bars that show collisions or fibers lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
-"""Colors of the counts 0, 1, 2, ...: steps of lightness, which can also be printed in gray."""
+"""Colors of the numbers 0, 1, 2, ...; the colors differ in lightness, so that they can also be printed in gray."""
 SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 

@@ -33,12 +33,12 @@ def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
 
 
 def class_rows(survey: Survey) -> QTable:
-    """Return the rows of the completeness table after the last pass for which a bar is drawn."""
+    """Return the rows of the completeness table that are drawn as bars, with the completeness after the last pass."""
     return _after(survey, -1)[:MOST_ROWS]
 
 
 def _after(survey, k) -> QTable:
-    """Return the rows of the completeness after the k-th planned pass; categories precede priorities."""
+    """Return the rows of the completeness table after the k-th planned pass, with categories before priorities."""
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = survey.completeness[np.asarray(survey.completeness["pass"]) == passes[k]]
     if "category" not in rows.colnames:
@@ -109,7 +109,7 @@ def _draw_fibers(ax, survey):
     passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
     n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
     bottom, handles = np.zeros(len(passes)), []
-    # surveys of older versions have only the column n_science
+    # surveys that older versions saved have only the column n_science
     columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}
     for kind, name in columns.items():
         n = np.bincount(place, weights=np.asarray(tiles[name], float))

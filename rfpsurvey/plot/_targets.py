@@ -36,8 +36,8 @@ def plot_targets(
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
     The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
-    are smaller dots of the same color. The axes of a tile are offsets from its center. A survey is drawn on the same
-    axes as by `plot_tiling`, and circles show its fields, except on a map of the whole sky.
+    are smaller dots of the same color. The axes of a tile are offsets from its center. A survey is drawn on the axes
+    that `plot_tiling` uses. Circles show the fields of the survey, except on a map of the whole sky.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def plot_targets(
     Raises
     ------
     InputError
-        If the tile has no outcomes, if the catalog is missing or is not the catalog of the survey, or if there is no
-        column ``color``.
+        If the tile has no outcomes, if the catalog is missing or is not the catalog of the survey, or if the targets do
+        not have the property ``color``.
 
     See Also
     --------
@@ -134,7 +134,7 @@ def _catalog_of(survey, catalog) -> Catalog:
     known = survey.outcomes["target_id"]
     if len(catalog) != len(known) or not (np.asarray(catalog.id).astype(str) == np.asarray(known).astype(str)).all():
         raise InputError(
-            f"catalog must have the {len(known)} targets of the survey in the same order, got a different one"
+            f"catalog must have the {len(known)} targets of the survey in the same order, got a different catalog"
         )
     return catalog
 

@@ -21,7 +21,7 @@ __all__ = ["draw_tiling"]
 MOST_PANELS = 8
 WIDTH, PAD = 7.0, 0.08  # inches: width of a page, and margin around the figure
 WIDE = 1.6
-"""Panels with a larger ratio of width to height are arranged in a column, and all other panels in a row."""
+"""Panels with a larger ratio of width to height are arranged in one column, and all other panels in two columns."""
 
 
 def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> "Figure":

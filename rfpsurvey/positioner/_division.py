@@ -54,7 +54,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
 
 
 def _bend(xy, a, b, c) -> float:
-    """Return twice the signed area of a triangle of three vertices; it is positive if they are counter-clockwise."""
+    """Return twice the area of the triangle a, b, c; the sign is positive if the vertices are counter-clockwise."""
     (ax, ay), (bx, by), (cx, cy) = xy[a], xy[b], xy[c]
     return (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
 
@@ -96,7 +96,7 @@ def _contains_any(xy, a, b, c, ring) -> bool:
 
 
 def _merged(xy, parts) -> list[list[int]]:
-    """Return larger parts: neighbors are merged while their union is convex."""
+    """Return fewer, larger parts: two parts that share an edge are merged if their union is convex."""
     k = 0
     while k < len(parts):
         for j in range(k + 1, len(parts)):
@@ -111,7 +111,7 @@ def _merged(xy, parts) -> list[list[int]]:
 
 
 def _union(xy, first, second) -> list[int]:
-    """Return the union of two parts that share an edge; it is empty if it is not convex or no edge is shared."""
+    """Return the union of two parts, or an empty list if they share no edge or if their union is not convex."""
     edges = {(b, a): k for k, (a, b) in enumerate(zip(second, second[1:] + second[:1], strict=True))}
     for k, edge in enumerate(zip(first, first[1:] + first[:1], strict=True)):
         if edge in edges:

@@ -32,12 +32,13 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the segment that can collide, or of the core of an outline, mm; None if the segment extends from the
-        elbow to the fiber.
+        Length of the segment of the arm model ``capsule``, or ``length`` of the `ArmOutline` for the arm model
+        ``outline``, mm; None for the other arm models.
     home : ndarray of float, shape (2,)
-        theta and phi of a parked positioner.
+        theta and phi of a parked positioner, in radians.
     joints_free : bool
-        Whether the joint limits allow the whole patrol area with the default elbow.
+        Whether the fiber can reach the whole patrol area within the joint limits, with the handedness of the positioner
+        (``right`` if the handedness is ``both``).
 
     Examples
     --------
@@ -85,12 +86,12 @@ class PositionerNumbers:
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the joint limits allow the whole patrol area for an elbow side (+1: right, -1: left)."""
+        """Return whether the fiber can reach the whole patrol area for a handedness (+1: right, -1: left)."""
         return self._free[int(side < 0)]
 
     @cached_property
     def _free(self) -> tuple[bool, bool]:
-        """Whether the joint limits allow the whole patrol area with the right and with the left elbow."""
+        """Whether the fiber can reach the whole patrol area, for right and for left handedness."""
         theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False, False
@@ -98,7 +99,7 @@ class PositionerNumbers:
         return tuple(phi is None or bool(phi[0] <= low and phi[1] >= high) for low, high in ends)
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Return the angle between the colliding segment and the direction of the fiber, for each fiber type."""
+        """Return the angle (radians) between the axis of the eccentric arm and the direction of each type of fiber."""
         if fiber_types not in self._arm_angles:
             given = self.positioner.arm_angle
             if not isinstance(given, dict):

@@ -17,13 +17,14 @@ __all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
 MOST = 1e6
 """Largest coordinate and radius, mm."""
 SAME = 1e-9
-"""Tolerance (mm): closer vertices become one vertex, and edges that bend inward by less count as straight."""
+"""Tolerance (mm). Vertices closer to each other are merged, and edges that bend inward by less count as straight."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeters of a convex polygon and of its convex hull."""
 FAR = 1e30
-"""Half of the side length (mm), with a negative sign, of the rectangle of an outline without parts."""
+"""If an arm has no parts, half of each side of its bounding rectangle is minus this length (mm), so that the rectangle
+is far from all other rectangles."""
 ROUNDED_UP = 1.0 + 1e-12
-"""Factor for upper limits."""
+"""Factor that enlarges upper limits to allow for rounding errors."""
 
 
 @check_keywords
@@ -33,7 +34,8 @@ class ArmOutline:
 
     Each part consists of a convex polygon and of all points within ``radius`` of this polygon. A polygon of two
     vertices is a segment, and a polygon of one vertex is a point, so parts with a radius can be capsules and
-    discs. Shapes that are not convex consist of several parts, which can overlap; `divide_polygon` divides polygons.
+    discs. Shapes that are not convex consist of several parts, which can overlap. `divide_polygon` divides a polygon
+    that is not convex into such parts.
 
     Two positioners collide if the gap between an eccentric part of one positioner and any part of the other
     positioner is less than the minimum separation. Central parts do not collide with each other.
@@ -82,7 +84,7 @@ class ArmOutline:
         object.__setattr__(self, "parts", tuple(parts))
         object.__setattr__(self, "n_eccentric", len(self.eccentric))
         if not self.n_eccentric:
-            raise InputError("eccentric must be at least one part, got none")
+            raise InputError("eccentric must contain at least one part, got none")
         if not self.length > 0 * u.mm:
             raise InputError(f"eccentric must have a vertex with x above 0 mm, got at most {self.length}")
 
@@ -93,12 +95,15 @@ class ArmOutline:
 
     @cached_property
     def length(self) -> u.Quantity:
-        """Largest x of a vertex of an eccentric part: the length of the core, a segment along the arm."""
+        """Largest x of the vertices of all eccentric parts.
+
+        The segment of this length from the elbow along the arm is the core of the outline.
+        """
         return max(float(vertices[:, 0].max()) for vertices, _ in self.parts[: self.n_eccentric]) * u.mm
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Largest distance of a point of the outline from the elbow (eccentric) and from the center (central), mm."""
+        """Largest distances (mm) of eccentric parts from the elbow and of central parts from the center."""
         far = [float(np.hypot(*vertices.T).max()) + radius for vertices, radius in self.parts]
         n = self.n_eccentric
         return max(far[:n]), max(far[n:], default=0.0)
@@ -115,13 +120,13 @@ class ArmOutline:
         return ArmOutline(parts[: self.n_eccentric], parts[self.n_eccentric :])
 
     def to_dict(self) -> dict:
-        """Return the parts as lists of numbers in mm, as descriptions of instruments contain them."""
+        """Return the parts as lists of numbers in mm, in the form that descriptions of instruments use."""
         parts = [{"vertices": vertices.tolist(), "radius": radius} for vertices, radius in self.parts]
         return {"eccentric": parts[: self.n_eccentric], "central": parts[self.n_eccentric :]}
 
     @classmethod
     def from_dict(cls, value: dict, unit: u.UnitBase = u.mm) -> "ArmOutline":
-        """Return the outline from the lists that `to_dict` returns, in another unit if required.
+        """Return the outline for a dict of the form that `to_dict` returns; its numbers can have another unit.
 
         Parameters
         ----------
@@ -148,7 +153,7 @@ class ArmOutline:
 
 
 def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: np.ndarray) -> Outline:
-    """Return the outline of positioners for the kernels.
+    """Return the outline of positioners as arrays for the compiled functions.
 
     Parameters
     ----------
@@ -178,7 +183,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     central = [
         float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
         for vertices, radius in parts[n:]
-        for arm in (central_arm.min(), central_arm.max())  # the distance is a convex function of the length of the arm
+        for arm in (central_arm.min(), central_arm.max())  # the distance is convex in the arm length
     ]
     offset = (eccentric + max([eccentric, *central])) * ROUNDED_UP
     scale = 2.0 * float(np.hypot(vertices[0], vertices[1]).max()) + offset
@@ -197,7 +202,7 @@ def _box(parts):
 
 
 def _from_core(vertices, low, high):
-    """Return the largest distance of the vertices from the part of the x axis from ``low`` to ``high``."""
+    """Return the largest distance of the vertices from the segment of the x axis between ``low`` and ``high``."""
     x, y = vertices.T
     return float(np.hypot(x - np.clip(x, low, high), y).max())
 
@@ -208,7 +213,7 @@ def convex_polygon(points: u.Quantity, name: str) -> np.ndarray:
 
 
 def with_normals(vertices):
-    """Return the rows x, y, normal x, normal y and length of the edges that start at the vertices."""
+    """Return x and y of the vertices, and the normal (x, y) and the length of the edge that starts at each vertex."""
     dx, dy = (np.roll(vertices, -1, axis=0) - vertices).T
     length = np.hypot(dx, dy)
     if len(vertices) == 1:
@@ -217,7 +222,7 @@ def with_normals(vertices):
 
 
 def _circle(vertices, radius):
-    """Return the radius of a part, and a circle that contains it."""
+    """Return the radius of a part, and the center (x, y) and the radius of a circle that contains the part."""
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
@@ -265,7 +270,7 @@ def _bend(a, b, p):
 
 
 def _closed_length(points):
-    """Return the length of the closed line through points; for a convex line, it is the perimeter of the hull."""
+    """Return the length of the closed line through points in their order."""
     return float(np.hypot(*(np.roll(points, -1, axis=0) - points).T).sum())
 
 

@@ -36,7 +36,7 @@ class Positioner:
     clearance : Quantity
         Radius d around the eccentric arm that must be free of other arms.
     step : Quantity, optional
-        Angle of one motor step, which determines the displacement within a step.
+        Angle of one motor step. Within a step, the arm is displaced by at most (l1 + l2) sin(2 step).
     handedness : {"right", "left", "both"}, optional
         ``right``: phi in [0, 180] deg; ``left``: the mirror image of ``right``; ``both``: right, or left if the joint
         limits forbid right.
@@ -57,14 +57,15 @@ class Positioner:
         Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
         Angle of the axis of the eccentric arm, counter-clockwise from the direction of the fiber, for the arm models
-        ``capsule`` and ``outline``. It can have a different value for each fiber type.
+        ``capsule`` and ``outline``. A dict contains an angle for each fiber type.
     outline : ArmOutline, optional
         Polygons of both arms, for the arm model ``outline``.
 
     Raises
     ------
     InputError
-        If a length or an angle is out of range, or if a name is unknown.
+        If a length or an angle is out of range, if the handedness or the arm model is unknown, or if the arguments
+        do not fit the arm model.
 
     References
     ----------
@@ -143,7 +144,7 @@ class Positioner:
         return PositionerNumbers(self)
 
     def _geometry(self, n: int) -> arms.Geometry:
-        """Return the geometry of n positioners at the origin as columns, for the kernels."""
+        """Return the geometry of n positioners with centers at the origin, as arrays for the compiled functions."""
         zero, l1, l2 = np.zeros(n), np.full(n, self.numbers.central_arm), np.full(n, self.numbers.eccentric_arm)
         home = self.numbers.home[0]
         return arms.Geometry(zero, zero, l1, l2, float(np.cos(home)), float(np.sin(home)))
@@ -182,10 +183,10 @@ class Positioner:
         Returns
         -------
         theta : Quantity, shape (n,)
-            Angle in deg, in [-180, 180]. It is the angle of the parked pose for a point at the center, and NaN for a
-            point out of reach.
+            Angle in deg, in [-180, 180]. For a point at the center, theta is the angle of the parked pose. For a point
+            out of reach, theta is NaN.
         phi : Quantity, shape (n,)
-            Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"). It is NaN for a point out of reach.
+            Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"). For a point out of reach, phi is NaN.
 
         Raises
         ------

@@ -35,7 +35,7 @@ def test_they_differ_from_those_of_a_catalog(parts):
 
 
 def test_without_room_for_them_there_is_an_error():
-    with pytest.raises(rs.InputError, match="ids must leave integers for blank sky positions"):
+    with pytest.raises(rs.InputError, match="ids must leave unused integers for blank sky positions"):
         blank_ids([np.array([SMALLEST, LARGEST])])
 
 

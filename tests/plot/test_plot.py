@@ -100,7 +100,7 @@ def test_axes_region_and_style_can_be_given(tile):
     ("thing", "options", "message"),
     [
         ("tile", {}, "unknown instrument 'tile'"),
-        (3, {}, "thing must be a Tile, a FocalPlane, an Instrument or its name, got int"),
+        (3, {}, "thing must be a Tile, a FocalPlane, an Instrument or the name of an instrument, got int"),
         ("sdss_apo", {"region": [1, 2] * u.mm}, "region must be two finite corners"),
         ("sdss_apo", {"region": [[1, 2], [1, 3]] * u.mm}, "region must be two finite corners"),
         ("sdss_apo", {"color": "status"}, "color must be spectrograph or fiber_type"),

@@ -61,7 +61,7 @@ def test_groups_have_lines_of_their_own():
         (lambda: rs.plot.plot_residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
         (
             lambda: rs.plot.plot_residuals(SCAN[2:], "value", "formula", x="pitch"),
-            "must have a row in which both are known",
+            "must both have a number in at least one row",
         ),
         (
             lambda: rs.plot.plot_allocators(SCAN),

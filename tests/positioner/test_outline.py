@@ -44,7 +44,7 @@ def test_a_part_that_is_not_convex_is_refused(part):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (([],), "eccentric must be at least one part"),
+        (([],), "eccentric must contain at least one part"),
         ((SQUARE * u.mm,), "eccentric must be a list of parts"),
         (([SQUARE],), r"eccentric\[0\] must be a Quantity"),
         (([SQUARE * u.s],), r"eccentric\[0\] must have a unit"),
