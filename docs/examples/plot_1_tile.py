@@ -39,8 +39,8 @@ fig, ax = plt.subplots(figsize=(7, 7), layout="constrained")
 rs.plot.plot_targets(tile, ax=ax)
 
 # %%
-# The last figure shows the number of observed stars of each class, the distribution of their magnitudes, and the
-# assigned fraction against the distance from the center.
+# The last figure shows the number of observed stars of each class, the distribution of the magnitudes, and the fraction
+# of assigned stars against the distance from the center.
 
 fig, axes = plt.subplots(2, 2, figsize=(11, 7), layout="constrained")
 axes = rs.plot.plot_quality(tile, column="vt_mag", axes=axes.ravel())

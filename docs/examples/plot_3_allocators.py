@@ -2,7 +2,7 @@
 Comparison of allocators
 ========================
 
-This example compares six allocators on a crowded field of MOONS by the number of usable and colliding science fibers.
+This example compares the numbers of usable and of colliding science fibers of six allocators on a crowded MOONS field.
 """
 
 import astropy.units as u

@@ -2,8 +2,8 @@
 Number of targets against clearance
 ===================================
 
-Arms with a larger clearance collide more often. This example shows how many targets MOONS loses with allocators that
-avoid collisions and with allocators that ignore collisions.
+Arms with a larger clearance collide more often. This example shows how many usable targets remain for MOONS with an
+allocator that avoids collisions, and with two allocators that ignore collisions.
 """
 
 from dataclasses import replace
@@ -30,14 +30,16 @@ for clearance in clearances:
         usable[name].append(number)
 
 # %%
-# ``sdss`` assigns the largest possible number of targets for arms that could pass through each other, and loses the
-# targets whose arms collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators
+# ``sdss`` assigns as many targets as possible, as if arms could pass through each other, and then loses the targets
+# whose arms collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators
 # have at a clearance of 0.25 mm.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 for (name, numbers), color in zip(usable.items(), ("#E69F00", "#009E73", "#0072B2"), strict=True):
     ax.plot(clearances, numbers, "o-", color=color, label=name)
 ax.axvline(moons.focal_plane.positioner.clearance.value, color="0.6", lw=0.8)
-ax.set(xlabel="clearance d [mm] (line: the preset)", ylabel="targets on arms without collision", ylim=(0, None))
+ax.set(
+    xlabel="clearance d [mm] (vertical line: the preset)", ylabel="targets whose arms do not collide", ylim=(0, None)
+)
 ax.set_title("Usable targets of three allocators against the clearance")
 ax.legend()

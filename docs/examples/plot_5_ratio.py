@@ -2,7 +2,8 @@
 Collision probability against the ratio of the arms
 ===================================================
 
-This example computes the collision probability of LAMOST's lattice for longer eccentric arms, with 95 % intervals.
+This example computes the collision probability for LAMOST's pitch and central arm, and for eccentric arms that are one
+to two times as long as the central arm. The error bars are 95 % confidence intervals.
 """
 
 import astropy.units as u
@@ -22,17 +23,17 @@ for ratio, one in zip(ratios, found, strict=True):
     print(f"{ratio:.1f}: {one.value:.3f} ({one.low:.3f} to {one.high:.3f}), {one.n} realizations")
 
 # %%
-# The plot compares two estimands. For allocated targets, each target is assigned to at most one positioner. For
-# independent targets, every positioner has its own random target; the surrogate interpolates the probability of this
-# estimand.
+# The plot compares two definitions of the collision probability. For allocated targets (points), each target is
+# assigned to at most one positioner. For independent targets (line), every positioner has its own random target. The
+# line is a fast interpolation, the surrogate, for a positioner far from the edge of the focal plane.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 values = np.array([one.value for one in found])
 errors = np.abs([[one.low, one.high] for one in found] - values[:, None]).T
-ax.errorbar(ratios, values, errors, fmt="o", capsize=4, color="#0072B2", label="allocated, four targets per positioner")
+ax.errorbar(ratios, values, errors, fmt="o", capsize=4, color="#0072B2", label="allocated targets, four per positioner")
 line = np.linspace(1, 2, 101)
 independent = rs.probability.surrogate_probability(8.25 * u.mm, 8.25 * line * u.mm, 25.6 * u.mm, 4.5 * u.mm)
-ax.plot(line, independent, color="#E69F00", label="independent, uniform, no edge")
-ax.set(xlabel="eccentric over central arm", ylabel="collision probability", ylim=(0, None))
+ax.plot(line, independent, color="#E69F00", label="independent targets, far from the edge")
+ax.set(xlabel="length of the eccentric arm / length of the central arm", ylabel="collision probability", ylim=(0, None))
 ax.set_title("Collision probability against the ratio of the arms")
 ax.legend()

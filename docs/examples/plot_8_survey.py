@@ -23,8 +23,8 @@ for outcome, number in survey.summary["outcomes"].items():
     print(f"{number:>6} {outcome}")
 
 # %%
-# A tile visits a star at most once, and bright stars require two visits. The first pass can therefore hardly complete
-# more than half of the visits to bright stars.
+# A tile visits a star at most once, and bright stars require two visits. After the first pass, the completeness of the
+# bright stars can therefore hardly exceed one half: only stars where two tiles overlap can be visited twice.
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
 rs.plot.plot_tiling(survey, ax=left).set_title("completeness of each field")

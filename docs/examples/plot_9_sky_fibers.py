@@ -27,7 +27,7 @@ tile = rs.plan_tile(
 print(tile, "missing:", tile.summary["unmet"])
 
 # %%
-# The next lines print the smallest and the largest number of fibers of each kind among the 16 spectrographs.
+# For each kind of target, the next lines print the smallest and the largest number of fibers per spectrograph.
 
 for kind in ("science", "standard", "sky"):
     each = np.bincount(tile.table["spectrograph"][tile.table["kind"] == kind], minlength=16)

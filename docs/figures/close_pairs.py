@@ -1,4 +1,4 @@
-"""Plot the fraction of close pairs of targets that are lost because both cannot be observed, for each instrument."""
+"""Plot the fraction of close pairs whose two targets an instrument cannot both observe, for each instrument."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -17,8 +17,9 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
 def lost(name, n_passes, *, collide):
     """Return the fraction of pairs that are lost in each bin of separation.
 
-    There are two targets per positioner: random positions, and a companion of each of them. The mean fraction of the
-    realizations that observe both targets of a pair is divided by that of the pairs in the last three bins.
+    There is one pair of targets per positioner: a target at a random position, and a companion at a random separation.
+    In each bin, the probability that both targets of a pair are observed is computed. The returned fraction is one
+    minus this probability divided by the same probability for the widest pairs, those in the last three bins.
     """
     instrument, rng = rs.Instrument.preset(name), np.random.default_rng(0)
     radius, n = instrument.field_radius.to_value(u.deg), len(instrument.focal_plane)

@@ -1,9 +1,10 @@
-"""Plot error against cost of the weights of the angular correlation function."""
+"""Plot the error of the angular correlation function against the computing time, for several methods of weighting."""
 
 import matplotlib.pyplot as plt
 
-# As tests/benchmarks/clustering_figures.py prints them: seconds for surveys and pairs of a mock, and the error in units
-# of the standard deviation of the complete sample, for each method and for 1, 2 and 3 passes.
+# tests/benchmarks/clustering_figures.py prints these numbers. For each method: the time (s) to plan the surveys and to
+# count the pairs of one mock, and the errors for 1, 2 and 3 passes, in units of the standard deviation of the complete
+# sample.
 METHODS = {
     "observed": (0.63, (9.34, 5.69, 4.05)),
     "nearest neighbor": (0.58, (9.10, 5.08, 3.10)),

@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 N_WANTED, N_TARGETS = 49_903_061, 19_959_605
-# total number of tiles, total number of visits, number of targets with all requested visits
+# after each pass: total number of tiles, total number of visits, number of targets with all requested visits
 PASSES = np.array(
     [
         [3629, 12_822_664, 3_609_931],

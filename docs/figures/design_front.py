@@ -1,4 +1,4 @@
-"""Plot coverage against independent losses for designs in the range of the paper, with the front and existing arms."""
+"""Plot coverage against loss for designs in the range of Chen et al., with the Pareto front and three instruments."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

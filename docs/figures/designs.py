@@ -1,4 +1,4 @@
-"""Plot the collision probability of the surrogate as a function of ratio and pitch."""
+"""Plot the collision probability by the surrogate as a function of the ratio of the arms and the pitch."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

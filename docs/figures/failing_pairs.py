@@ -1,4 +1,4 @@
-"""Plot pairs of arms for which a method fails, and the results of the exact method, four ends and three points."""
+"""Plot pairs of arms on which methods fail, and the distances by the exact method, from four ends and three points."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,7 +15,7 @@ PAIRS = {
     "collinear, 4 mm apart": ((-15, -5, -3, -1), (0.8, 0.2667, 12.8, 4.2667)),
     "overlapping": ((-10, 0, 3, 0), (-3, 0, 10, 0)),
     "almost parallel": ((-7.5, 0, 7.5, 0), (-7.5, 5.3, 7.5, 5.05)),
-    "no length": ((2, 0, 2, 0), (-4, 3, 9, 6)),
+    "arm of zero length": ((2, 0, 2, 0), (-4, 3, 9, 6)),
 }
 
 figure, axes = plt.subplots(2, 4, figsize=(11, 6.6), layout="constrained")
@@ -37,4 +37,6 @@ for ax, (name, (first, second)) in zip(axes.flat, PAIRS.items(), strict=True):
     ax.set_title(f"{name}\n" + "\n".join(lines), fontsize="small")
     middle = pair.reshape(-1, 2).mean(axis=0)
     ax.set(aspect="equal", xlim=middle[0] + [-15, 15], ylim=middle[1] + [-12, 12], xticks=[], yticks=[])
-figure.supxlabel(f"D = {SEPARATION} mm, shades are D / 2 wide; dots: the points of the sampled arms", fontsize="small")
+figure.supxlabel(
+    f"D = {SEPARATION} mm; shaded: within D / 2 of an arm; dots: the points of the sampled arms", fontsize="small"
+)

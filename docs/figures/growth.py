@@ -1,4 +1,4 @@
-"""Plot how time grows with the size of the problem; tests/benchmarks/growth_figures.py prints the numbers."""
+"""Plot the times of calls against the size of the problem; tests/benchmarks/growth_figures.py prints the numbers."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -3,7 +3,8 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-# distance of tiles / diameter of the field, targets per fiber, clustered, visits tile after tile, joint plan, bound
+# distance between tiles / diameter of the field, targets per fiber, whether the targets are clustered (1) or not (0);
+# number of visits if the tiles are planned one after the other, of the joint plan, and its upper bound
 ROWS = np.array(
     [
         [0.2, 1, 0, 2347, 2411, 2418],
@@ -29,7 +30,7 @@ ROWS = np.array(
 
 fig, axes = plt.subplots(1, 2, figsize=(8, 3.4), sharey=True, layout="constrained")
 for ax, column, fixed, label in (
-    (axes[0], 0, ROWS[:, 1] == 1, "distance of tiles / diameter of the field"),
+    (axes[0], 0, ROWS[:, 1] == 1, "distance between tiles / diameter of the field"),
     (axes[1], 1, ROWS[:, 0] == 0.4, "targets per fiber"),
 ):
     for clustered, color, word in ((0, "#0072B2", "Poisson"), (1, "#D55E00", "clustered")):

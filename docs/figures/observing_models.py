@@ -21,7 +21,7 @@ LABELS = {
     "radial": "radial map",
     "refraction": "+ refraction",
     "dispersion": "+ dispersion",
-    "drift": "drift, in all models",
+    "drift": "drift during the exposure",
 }
 COLORS = dict(zip(LABELS, ("#000000", "#D55E00", "#0072B2", "#009E73", "#AAAAAA"), strict=True))
 ALTITUDES = (85, 75, 60, 45, 30, 20)
@@ -39,7 +39,7 @@ for ax, (name, (site, wavelength, milliseconds)) in zip(axes.flat, CASES.items()
         moved.append([*result.table["max"].to_value(u.um)[:4], result.drift.to_value(u.um)])
     for model, values in zip(LABELS, np.transpose(moved), strict=True):
         values = np.where(values > 1e-3, values, np.nan)
-        # without a radial map, the first two models are equal; without dispersion, so are the next two
+        # without a radial map, tangent and radial are equal; without dispersion, refraction and dispersion are equal
         style = "--" if model in ("tangent", "dispersion") else ":" if model == "drift" else "-"
         ax.semilogy(ALTITUDES, values, style, color=COLORS[model], lw=2, label=LABELS[model])
     ax.axhline(result.tolerance.to_value(u.um), color="0.3", lw=0.8, label="tolerance")

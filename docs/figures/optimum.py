@@ -1,4 +1,4 @@
-"""Plot time and gap of the optimum against the number of positioners, and its plans against the time limit."""
+"""Plot time and gap of ``optimal`` against the number of positioners, and its plans against the time limit."""
 
 import matplotlib.pyplot as plt
 
@@ -13,7 +13,8 @@ SIZES = [
     (40_021, 60.1, 0.00034),
     (99_919, 60.2, 0.00136),
 ]
-# 9919 positioners: time limit, targets, bound; and the rules (seconds, targets that do not collide)
+# Plans of ``optimal`` for 9919 positioners: the time limits (s), and, for each case, the numbers of targets and their
+# bounds. For two other allocators: the time (s), and the number of targets whose arms do not collide.
 LIMITS = (0.5, 1, 2, 4, 8, 16, 32)
 PLANS = {
     "SDSS-V, 1 per positioner": (
@@ -46,8 +47,13 @@ for color, (name, (plans, bounds, rules)) in zip(COLORS, PLANS.items(), strict=T
     right.plot(LIMITS, plans, "o-", color=color, ms=4, label=name)
     for (_, when, value), marker in zip(rules, "x+", strict=True):
         right.plot(when, value, marker, color=color)
-for marker, name in zip("x+", ("lamost, without collisions", "repair"), strict=True):
+for marker, name in zip("x+", ("lamost, targets not in collision", "repair"), strict=True):
     right.plot([], [], marker, color="0.4", label=name)
-right.set(xscale="log", xlabel="time limit, or time of the rule (s)", ylabel="targets, and bound", ylim=(0, 11_000))
+right.set(
+    xscale="log",
+    xlabel="time limit of optimal, or time of lamost and repair (s)",
+    ylabel="targets (shaded: to the upper bound)",
+    ylim=(0, 11_000),
+)
 right.set_xticks([0.05, 0.5, 5, 50], ["0.05", "0.5", "5", "50"])
 right.legend(fontsize="small", loc="lower right")

@@ -1,4 +1,4 @@
-"""Plot the motion of the elbow for a small motion of the tip, in the center and at the limits of the patrol area."""
+"""Plot the motion of the elbow against a small motion of the tip, inside and at the limits of the patrol area."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -20,11 +20,11 @@ for label, r, color in (
     start = place_arms(plane, [[r, 0]] * u.mm).elbow[0]
     moved = [np.hypot(*(place_arms(plane, [[r + inward * s, 0]] * u.mm).elbow[0] - start)) for s in shifts]
     ax.loglog(shifts, moved, color=color, label=label)
-ax.loglog(shifts, shifts, ":", color="black", label="as far as the tip")
+ax.loglog(shifts, shifts, ":", color="black", label="elbow moves as far as the tip")
 ax.axvline(22.4 * 2**-24, color="gray", lw=0.8)
 ax.text(22.4 * 2**-24, 1e-11, " single precision", color="gray", fontsize="small")
 ax.axvline(22.4 * 2**-53, color="gray", lw=0.8)
 ax.text(22.4 * 2**-53, 1e-11, " double precision", color="gray", fontsize="small")
-ax.set_xlabel("the tip moves by [mm]")
-ax.set_ylabel("the elbow moves by [mm]")
+ax.set_xlabel("displacement of the tip [mm]")
+ax.set_ylabel("displacement of the elbow [mm]")
 ax.legend()

@@ -1,4 +1,4 @@
-"""Plot the largest error of distances between sampled arms, and its upper limit."""
+"""Plot the largest error of the distances between sampled arms, and the proven upper limit of this error."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,6 +15,6 @@ for name, color in (("lamost", "#0072B2"), ("sdss_apo", "#D55E00"), ("moons", "#
     ax.loglog(table["n_points"], table["max_error"].value, "o", color=color, label=f"{name}, measured")
     needed = 1 + unit.eccentric_arm.value / (np.sqrt(2) * unit.min_separation.value)
     ax.axvline(needed, color=color, lw=0.8, ls=":")
-ax.set_xlabel("points on an arm (dotted: fewer can miss crossings)")
+ax.set_xlabel("points on each arm (dotted: fewer points can miss crossings)")
 ax.set_ylabel("largest error of a distance [mm]")
 ax.legend(fontsize="x-small")

@@ -1,4 +1,4 @@
-"""Plot the probability against the radius of the circle that contains the targets."""
+"""Plot the collision probability against the radius of the circle that contains the targets."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -17,5 +17,7 @@ for name, l1, l2, color in (("equal arms", 8.25, 8.25, "#0072B2"), ("unequal arm
     ax.plot(radii, [e.value for e in found], color=color, label=f"{name}: value")
     ax.plot(radii, [e.value_assigned for e in found], "--", color=color, label=f"{name}: value_assigned")
 ax.axvline(12 * 25.6, color="0.5", lw=0.8)
-ax.set(xlabel="radius where 5000 targets fall [mm] (line: outermost positioner)", ylabel="collision probability")
+ax.set(
+    xlabel="radius of the circle with 5000 targets [mm] (line: outermost positioner)", ylabel="collision probability"
+)
 ax.legend(fontsize="small")

@@ -2,9 +2,10 @@
 Clustering of a redshift slice
 ==============================
 
-This script measures the angular correlation function of a redshift slice from a survey, with different weights. The
-targets of the mock are two Thomas processes: the slice, and all other galaxies. The survey is planned without knowledge
-of which targets are in the slice. The script prints one row for each method::
+This script measures the angular correlation function of the galaxies in a redshift slice, with different weights that
+correct for galaxies that a survey does not observe. The galaxies of the mock catalog are drawn from two Thomas
+processes (clusters of random points): one for the slice, and one for all other galaxies. The survey is planned without
+knowledge of which targets are in the slice. The script prints one row for each method::
 
     python docs/examples/scripts/clustering.py
 """
@@ -43,7 +44,7 @@ def thomas_correlation():
 
 
 def make_mock(seed):
-    """Return a catalog, and which of its targets are in the slice."""
+    """Return a catalog, and a boolean array that states which of its targets are in the slice."""
     rng = np.random.default_rng(seed)
     inside, outside = thomas(rng, IN_SLICE), thomas(rng, OTHERS)
     xy = np.vstack([inside, outside])
@@ -56,7 +57,7 @@ def to_sky(xy):
 
 
 def tiles_of(n_passes):
-    """Return the centers of the passes, which are shifted by up to 6 arcmin."""
+    """Return the center of the tile of each pass; all tiles except the first are shifted by 6 arcmin."""
     turn = 2 * np.pi * np.arange(n_passes) / max(n_passes - 1, 1)
     shift = np.where(np.arange(n_passes) == 0, 0.0, 0.1)
     return to_sky(np.column_stack([shift * np.cos(turn), shift * np.sin(turn)]))
@@ -78,12 +79,12 @@ class Points:
 
 
 def chord(theta):
-    """Return the straight distance of two unit vectors at an angle in degrees."""
+    """Return the distance between the ends of two unit vectors that are separated by the angle ``theta`` (deg)."""
     return 2 * np.sin(np.deg2rad(theta) / 2)
 
 
 def count(first, second):
-    """Return weighted numbers of pairs in each bin: for all points, then without one of the regions each."""
+    """Return the weighted number of pairs in each bin: row 0 for all points, row k + 1 without the region k."""
 
     def between(a, b):
         if not (a[0].n and b[0].n):
@@ -98,7 +99,10 @@ def count(first, second):
 
 
 def count_weighted_pairs(points, weight_of):
-    """Return the same for pairs of points whose weights are ``weight_of(i, j)``, in both orders."""
+    """Return the weighted number of pairs of the same points in each bin, with the rows of ``count``.
+
+    The weight of the pair of the points i and j is ``weight_of(i, j)``. Each pair counts twice, as (i, j) and (j, i).
+    """
     i, j = points.trees[0][0].query_pairs(chord(EDGES[-1]), output_type="ndarray").T
     apart = np.linalg.norm(points.vectors[i] - points.vectors[j], axis=1)
     cell = np.searchsorted(chord(EDGES), apart, side="left") - 1
@@ -113,7 +117,7 @@ def count_weighted_pairs(points, weight_of):
 
 
 def totals(first, second, same=False):
-    """Return the sums of the weights of all pairs: for all points, then without one of the regions each."""
+    """Return the sum of the weights of all pairs: entry 0 for all points, entry k + 1 without the region k."""
 
     def sums(points, power):
         parts = np.bincount(points.region, points.weight**power, N_REGIONS)
@@ -123,7 +127,10 @@ def totals(first, second, same=False):
 
 
 def totals_of_pairs(found, points, rows):
-    """Return the sums of the pairwise weights of all pairs, in both orders, in the same form."""
+    """Return the sum of the pairwise weights of all pairs, with the entries of ``totals``.
+
+    Each pair counts twice, as (i, j) and (j, i).
+    """
     n = found.n_realizations
     seen = np.array([found.observed_in(r)[rows] for r in range(n)], dtype=np.float32)
     weight = (n + 1) / (seen.T @ seen + 1.0)
@@ -141,20 +148,23 @@ def correlation(dd, dr, rr):
 
 
 def pair_weights(found, rows):
-    """Return a function with the pairwise inverse probability of points (Bianchi & Percival 2017)."""
+    """Return a function that returns the inverse probability that both targets of a pair are observed.
+
+    Bianchi & Percival (2017) define this pairwise weight.
+    """
     n = found.n_realizations
     return lambda i, j: (n + 1) / (found.pair_counts(rows[i], rows[j]) + 1)
 
 
 def nearest_neighbor_weights(vectors, observed, rows):
-    """Return weights: each target that was not observed adds its weight to the closest observed target."""
+    """Return the weight of each target of ``rows``: one plus the number of unobserved targets closest to it."""
     seen = np.flatnonzero(observed)
     _, closest = cKDTree(vectors[seen]).query(vectors[~observed])
     return (1 + np.bincount(seen[closest], minlength=len(vectors)))[rows]
 
 
 def measure(catalog, in_slice, tiles, random, found, observed):
-    """Yield the name of each method, and its correlation function of the slice with the covariance."""
+    """Yield the name of each method, and the correlation function of the slice with its jackknife covariance."""
     able = ~found.unreachable
     r = Points(random, np.flatnonzero(rs.potential_assignments(random, "desi", tiles).n_tiles() > 0))
     rr = count(r, r) / totals(r, r, same=True)[:, None]
@@ -177,7 +187,8 @@ def measure(catalog, in_slice, tiles, random, found, observed):
     yield "individual", correlation(dd, dr, rr)
     dd = count_weighted_pairs(d, pair_weights(found, rows)) / totals_of_pairs(found, d, rows)[:, None]
     yield "pairwise", correlation(dd, dr, rr)
-    # Angular weights: all targets, whose positions are known, against all observed targets (Percival & Bianchi 2017).
+    # The positions of all targets are known, even if they were not observed. Angular weights are the pair counts of all
+    # targets, divided by the weighted pair counts of the observed targets (Percival & Bianchi 2017).
     everything = np.flatnonzero(observed)
     _, all_dd, all_dr = simple(np.flatnonzero(able))
     a, _, seen_dr = simple(everything, found.weight[everything])
@@ -188,7 +199,7 @@ def measure(catalog, in_slice, tiles, random, found, observed):
 
 
 def survey(catalog, tiles, seed=0):
-    """Return the selection probabilities of the targets, and which of them one more realization observes."""
+    """Return selection probabilities, and a boolean array of the targets that one additional plan observes."""
     options = rs.AllocationOptions("nearest")
     found = rs.selection_probabilities(catalog, "desi", tiles, n_realizations=128, allocator=options, rng=seed)
     plan = rs.plan_survey(catalog, "desi", tiles, allocator=rs.AllocationOptions("nearest", subpriority=10**6 + seed))

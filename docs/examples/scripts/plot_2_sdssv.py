@@ -30,7 +30,7 @@ survey = rs.plan_survey(stars, "sdss_apo", tiles, allocator="optimal", epoch=202
 print(survey)
 survey.completeness["pass", "priority", "n_requested", "n_observed"][-4:].pprint(max_width=-1)
 
-survey.outcomes.write("sdssv_outcomes.ecsv", overwrite=True)  # how often each star was observed, or why it was not
+survey.outcomes.write("sdssv_outcomes.ecsv", overwrite=True)  # outcome of each star
 
 fig, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
 rs.plot.plot_completeness(survey, ax=ax)

@@ -11,7 +11,7 @@ TOY = Path(__file__).with_name("toy.toml")
 
 
 def rarest(problem):
-    """Assign targets to the nearest free positioner: by class, targets in reach of the fewest positioners first."""
+    """Assign each target to its nearest free positioner; per class, targets that few positioners reach are first."""
     centers = problem.focal_plane.xy.to_value(u.mm)
     reach = problem.reachable.tocsc()  # positioners of each target
     target_of = np.full(len(centers), -1)
