@@ -66,7 +66,7 @@ def explore_designs(
     pitch : Quantity, scalar or shape (k,)
         Distance between the centers of adjacent positioners.
     clearance : Quantity, scalar or shape (k,)
-        Radius around the eccentric arm that must be free of other arms: half the minimum separation if ``step`` is 0.
+        Clearance of the eccentric arm: half the minimum separation if ``step`` is 0; see `~rfpsurvey.Positioner`.
     n_designs : int, optional
         Number of designs between limits, instead of a grid. Each parameter is then one value or a pair of limits (low,
         high). The designs are scrambled Sobol points; for the same seed, the first n designs do not depend on

@@ -28,7 +28,7 @@ class PositionerNumbers:
     central_arm, eccentric_arm : float
         Arm lengths, mm.
     clearance : float
-        Radius around an arm that must be free of other arms, mm.
+        Half the minimum separation of two arms if the motor step is 0, mm.
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None

@@ -34,7 +34,7 @@ class Positioner:
     eccentric_arm : Quantity
         Length l2 of the eccentric arm, from the elbow to the fiber.
     clearance : Quantity
-        Radius d around the eccentric arm that must be free of other arms.
+        Clearance d of the eccentric arm, which is half the minimum separation of two arms if ``step`` is 0.
     step : Quantity, optional
         Angle of one motor step. Within a step, the arm is displaced by at most (l1 + l2) sin(2 step).
     handedness : {"right", "left", "both"}, optional
