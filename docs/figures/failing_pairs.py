@@ -1,4 +1,8 @@
-"""Plot pairs of arms on which methods fail, and the distances by the exact method, from four ends and three points."""
+"""Plot pairs of arms for which approximate methods give wrong distances.
+
+Three distances are stated for each pair: the exact distance, the distance from the four ends of the arms only, and the
+distance between three points on each arm.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np

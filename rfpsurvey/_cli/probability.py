@@ -75,5 +75,5 @@ def _targets(name, number, radius, separation):
     given = {"--n-targets": number, "--target-radius": radius, "--min-separation": separation}
     for option, value in given.items():
         if value is not None:
-            raise rs.InputError(f"{option} must be used with random targets, but a catalog is given")
+            raise rs.InputError(f"{option} can be used only with random targets, but a catalog was given")
     return targets

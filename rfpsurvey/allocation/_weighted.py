@@ -159,7 +159,7 @@ class RowPrices(Prices):
     start : ndarray of int, shape (n_positioners + 1,)
         First candidate of each positioner.
     matrix : csr_array
-        Sets of candidates, one per row, with sorted columns.
+        Matrix with a row for each set and a column for each candidate; the column indices of each row are sorted.
     most : ndarray of float
         Largest number of candidates of each set that a plan may use.
     free : ndarray of bool, shape (n_positioners,)

@@ -154,7 +154,10 @@ def design_improvements(table: QTable) -> QTable:
 
 
 def _factors(spread, n_nodes, n_designs):
-    """Return the factors by which the parameters of an instrument are multiplied: grid nodes, or two limits."""
+    """Return the factors by which the parameters of an instrument are multiplied.
+
+    These are the nodes of a grid or, if a number of random designs is given, the smallest and the largest factor.
+    """
     number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
     if not (number and 0 < spread < 1):
         raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")

@@ -129,7 +129,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def fibers(self) -> Fibers | None:
-        """Positions of fibers relative to elbows; None if the focal plane has only lengths of eccentric arms."""
+        """Positions of fibers relative to elbows; None if only the lengths of eccentric arms are given."""
         return None if self.plane.fiber_xy is None else Fibers(self.plane, self.first_index)
 
     @cached_property

@@ -40,9 +40,9 @@ class ProjectionComparison:
     ----------
     table : QTable
         Table with a row for each model, from the cheapest to the most complete. Columns: ``model``, ``neglects`` (the
-        effect that the next model adds), ``median``, ``p95`` and ``max`` (displacements of targets on the focal plane
-        relative to the full model), ``max_on_sky`` (the largest displacement as an angle), and ``sufficient`` (whether
-        ``max`` is at most the tolerance).
+        effect that this model neglects and the next model includes), ``median``, ``p95`` and ``max`` (displacements of
+        targets on the focal plane relative to the full model), ``max_on_sky`` (the largest displacement as an angle),
+        and ``sufficient`` (whether ``max`` is at most the tolerance).
     tolerance : Quantity or None
         Largest displacement that is negligible; None if it is unknown.
     drift : Quantity

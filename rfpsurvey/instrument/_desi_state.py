@@ -73,7 +73,8 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     rows = np.flatnonzero(np.isin(times, list(past)))
     if len(rows) == 0:
         raise InputError(
-            f"{path}: time must be at least {min(when.values()).isoformat()}, the first event, got {moment.isoformat()}"
+            f"{path}: time must not be before the first event, {min(when.values()).isoformat()}, got "
+            f"{moment.isoformat()}"
         )
     last = dict(zip(location[rows].tolist(), rows.tolist(), strict=True))  # for repeated keys, the last value is kept
     row = np.array([last.get(one, -1) for one in ids.tolist()])

@@ -180,7 +180,10 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
 
 
 def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
-    """Return the largest angle (deg), counter-clockwise, from the fiber to the central arm, for phi above a limit."""
+    """Return, for each cobra, the largest angle (deg, counter-clockwise) from its fiber to its central arm.
+
+    Angles are measured at the center of the cobra, for all phi from ``extended`` to 0.
+    """
     phi = np.deg2rad(np.linspace(np.minimum(extended, 0), 0, 200))
     return np.rad2deg(np.arctan2(-l2 * np.sin(phi), l1 + l2 * np.cos(phi))).max(axis=0)
 

@@ -161,7 +161,7 @@ def _instruments(table):
 
 
 def _question(table):
-    """Return the estimand of the losses in a table and, for allocated targets, the number of targets."""
+    """Return the definition of the loss in a table (its estimand) and, if targets are allocated, their number."""
     asked = table.meta["request"]
     targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)

@@ -33,7 +33,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     if ((outer <= 0) | (cover <= 1e-9 * outer**2)).any():
         raise InputError(
             "the printed closed form has no coverage area if the arms have equal lengths: the outer radius l2 - l1 + d "
-            "is a misprint of l1 + l2 + d; use variant='corrected'"
+            "is a misprint for l1 + l2 + d; use variant='corrected'"
         )
     inner = np.maximum(inner, 0.0)
     pairs = _pairs_within(plane, outer)

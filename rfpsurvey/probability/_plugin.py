@@ -1,4 +1,4 @@
-"""Call collision-probability methods of other packages, or functions of users, and check their results."""
+"""Call methods for collision probabilities from other packages, or functions of the user, and check their results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields

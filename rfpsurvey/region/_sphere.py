@@ -1,4 +1,4 @@
-"""Functions of regions on the unit sphere: points inside a region, distances, borders and enclosing circles."""
+"""Functions for regions on the unit sphere: points inside a region, distances, borders and enclosing circles."""
 
 import numpy as np
 

@@ -14,8 +14,8 @@ SKY = {"ra": 6, "dec": 6}  # numbers of decimals, for columns in degrees
 def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]]:
     """Return the unit of a column, whether the column contains numbers, and the text and sorting key of each cell.
 
-    If the text may have fewer digits than the value, the sorting key is the full value. The key is "" for a missing
-    value, and None if the text itself is the key.
+    The sorting key is the full value if the text may have fewer digits than the value. The key is "" for a missing
+    value, and None if the cell is sorted by its text.
     """
     unit = str(getattr(column, "unit", None) or "")
     values = column.value if isinstance(column, Quantity) else column

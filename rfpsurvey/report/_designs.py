@@ -16,16 +16,16 @@ __all__ = ["calculator_data", "is_designs", "page_of_designs"]
 
 CAPTION = "The designs."
 WORDS = (
-    "Each point is a design. The color and the marker show the ratio of the arms or the parameter with the most "
-    "values. Large points with an edge, joined by a line, are the Pareto front: no other design is better in both "
-    "objectives than a design on the front. If the scan is around an instrument, a star and the name of the instrument "
-    "mark its design."
+    "Each point is a design. The color and the marker show the ratio of the arms or, if all ratios are equal, the "
+    "parameter with the largest number of different values. Large points with an edge, connected by a line, are the "
+    "Pareto front: no other design is better in both objectives than a design on the front. If the scan is around an "
+    "instrument, the design of the instrument is marked by a star and its name."
 )
 ABOUT = (
     "The calculator evaluates the surrogate, a cubic spline through the collision probabilities of 3969 designs. These "
     "probabilities apply to positioners on a hexagonal lattice without an edge, and to independent targets that are "
-    "uniform over each patrol area. The segment from elbow to tip can collide. A click on a design sets the sliders "
-    "to that design."
+    "uniform over each patrol area. The segment of each arm from the elbow to the fiber can collide. A click on a "
+    "design sets the sliders to that design."
 )
 LARGEST_ERROR = 0.0016
 """Largest error of the surrogate for designs that were not used to make the surrogate (see docs/probability.rst)."""

@@ -84,7 +84,7 @@ def view_data(plans: Mapping[str, Tile]) -> dict:
 
 
 def _plan(name, tile):
-    """Return the columns of one plan."""
+    """Return the name and the columns of one plan, and its idle positioners with their free targets."""
     table = tile.table
     centers = np.array([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
     columns = {
@@ -108,7 +108,10 @@ def _target_texts(column):
 
 
 def _idle(tile):
-    """Return the reasons why positioners are idle, and their free targets; each list begins with a positioner's row."""
+    """Return the reasons why positioners are idle, and the free targets in reach of idle positioners.
+
+    Each reason and each free target is a list that begins with the row of the positioner.
+    """
     if tile.idle is None:
         return {"idle": None, "free": []}
     row_of = {name: k for k, name in enumerate(tile.table["id"].tolist())}

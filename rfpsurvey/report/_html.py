@@ -83,7 +83,7 @@ def _template() -> "Template":
 
 @cache
 def _script(kinds: tuple[str, ...]) -> str:
-    """Return the script of a page with the given kinds of views; without views, it only sorts tables."""
+    """Return the script of a page with the given kinds of views; without views, the script is only for tables."""
     parts = [part for kind in kinds for part in (*NEEDS.get(kind, ()), kind)]
     names = ["page.js", *(f"scripts/{part}.js" for part in (["shared", *parts] if kinds else []))]
     return "\n" + "\n".join(_asset(name) for name in names)
@@ -125,7 +125,7 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Convert nested dicts to a dict of dicts without nesting; numbers are converted to text with all digits."""
+    """Return the values of nested dicts as text with all digits, in one dict for each group, by title of the group."""
     groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):

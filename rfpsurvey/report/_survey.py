@@ -73,7 +73,7 @@ def _about_passes(table, n_panels: int) -> str:
     if n_panels != n:
         return _about_tiles(table, "pass")
     each = f" There is a panel for each of the {n} passes." if n > 1 else ""
-    return f"Each circle is a field. East is to the left. Where fields overlap, the color is darker or lighter.{each}"
+    return f"Each circle is a field. East is to the left. The color is stronger where fields overlap.{each}"
 
 
 def _about_tiles(table, color) -> str:
@@ -87,10 +87,10 @@ def _about_tiles(table, color) -> str:
 def _about_curves(survey) -> str:
     """Return a description of the plot of the completeness."""
     words = (
-        "The line shows the fraction of all visits that have been observed after each tile, in the order in which "
-        "tiles are planned. Crosses show the fraction of targets with all of their visits after each pass. Gray lines "
-        "mark the ends of passes."
+        "The line shows, after each tile, the fraction of all requested visits that have been observed; the tiles are "
+        "in the order in which they are planned. Crosses show, after each pass, the fraction of the targets whose "
+        "requested visits have all been observed. Gray lines mark the ends of passes."
     )
-    if len(set(survey.completeness["priority"].tolist())) > 2:  # one class is "all"
+    if len(set(survey.completeness["priority"].tolist())) > 2:  # one of these names is "all"
         words += " Dotted lines connect the completeness of each priority class after each pass."
     return words

@@ -136,7 +136,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
 
 
 def _with_palette(image: str) -> str:
-    """Return a PNG image with only 256 colors, which has a third of the size; drawings of lines have few colors."""
+    """Return a PNG image with only 256 colors, which suffice for drawings of lines; its size becomes a third."""
     from PIL import Image
 
     file = io.BytesIO()

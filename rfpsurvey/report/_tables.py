@@ -27,9 +27,9 @@ FIGURES = {
     ),
     "large": (
         "Comparison of the formula with the simulation.",
-        "Left: each point is a design; the colors distinguish two areas of the simulated targets. On the gray line, "
-        "formula and simulation are equal. Right: the difference of formula and simulation, each scaled to the range "
-        "from 0 to 1. Triangles point up where the formula is larger.",
+        "Left: each point is a design; the colors distinguish two choices of the area that contains the simulated "
+        "targets. On the gray line, formula and simulation are equal. Right: the difference of formula and simulation, "
+        "each scaled to the range from 0 to 1. Triangles point up where the formula is larger.",
     ),
     "poisson": (
         "Collision probability with uniform targets minus that with Poisson-distributed targets.",
@@ -38,14 +38,15 @@ FIGURES = {
     ),
     "poisson_disc": (
         "Comparison of uniform targets with Poisson-disc targets.",
-        "The points show by how many percent the collision probability is larger with uniform targets, for each "
-        "minimum separation of Poisson-disc targets; bars are standard errors. The dashed line is the value of the "
-        "paper, 2.6 %. The gray line is 0.",
+        "The points show by how many percent the collision probability is larger with uniform targets than with "
+        "Poisson-disc targets, for each minimum distance between Poisson-disc targets; bars are standard errors. The "
+        "dashed line is the value of the paper, 2.6 %. The gray line is 0.",
     ),
     "surrogate": (
         "The error of the surrogate.",
-        "The points are designs that were not used to make the surrogate; bars are the standard errors of the "
-        "quadrature. The gray line marks an error of 0.",
+        "The points are designs that were not used to make the surrogate. The error is the difference between the "
+        "surrogate and a quadrature; bars are the standard errors of the quadrature. The gray line marks an error of "
+        "0.",
     ),
     "intervals": (
         "How often each interval contains the true value.",
@@ -53,15 +54,15 @@ FIGURES = {
         "band extends from 93.5 to 96.5 %.",
     ),
     "one_sky": (
-        "How often the interval for given targets contains the mean over skies.",
+        "How often the interval for given targets contains the mean probability over all skies.",
         "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars extend "
         "two standard errors to each side. The gray line is the nominal fraction of 95 %. Points with the same number "
         "of positioners are drawn beside each other.",
     ),
     "speed": (
         "Time and errors of each method.",
-        "Arrows point down from upper limits, where no pair is misclassified; the labels state the number of sample "
-        "points per arm. Methods to the lower left are faster and more accurate.",
+        "An arrow that points down marks an upper limit of the error: the method misclassified no pair. The labels "
+        "state the number of sample points per arm. Methods to the lower left are faster and more accurate.",
     ),
 }
 """Captions and descriptions of figures, by the names of the figures."""
@@ -112,13 +113,14 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
     unmet = [f"{name}: {sentence}" for name, sentences in meta["unmet"].items() for sentence in sentences]
     notes = (
         "usable: number of science fibers without a collision. loss: fraction by which usable is smaller than the "
-        "number of science targets that could be observed if arms could pass each other. gap: largest possible "
-        "difference from the best plan, if known. missing: number of fibers that are missing for requirements."
+        "number of science targets that could be observed if arms could pass each other. gap: relative difference "
+        "between the objective of the plan and its proven upper bound, if a bound is known. missing: number of fibers "
+        "that the requirements demand, but that the plan lacks."
     )
     seen = (
         "Bars show the numbers of usable fibers on science targets, of fibers lost to collisions, and of fibers "
-        "missing for requirements. The dashed line is the number of science fibers if collisions are ignored. The time "
-        "is the computing time of the allocation."
+        "missing for requirements. The dashed line is the number of science fibers of the best plan that ignores "
+        "collisions. The time on the right is the computing time of the allocation."
     )
     picture = Picture("Numbers of fibers for each allocator.", plot_allocators(table), seen)
     blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
@@ -135,12 +137,12 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
 def page_of_instruments(table: Table, where: str) -> Page:
     """Return a page on a comparison of instruments."""
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
-    lead = f"{', '.join(names)}; number of fields of each instrument: {meta['n_fields']}; {meta['way']}."
+    lead = f"{', '.join(names)}. Number of fields of each instrument: {meta['n_fields']}. Basis: {meta['way']}."
     seen = (
-        "Left: fractions of the footprint that no, one, two, and three or more positioners reach. Middle: fractions "
-        "of the positioners with a science target and without a collision, with a science target but in collision, and "
-        "without a science target; the number to the right is the fraction of targets lost to collisions. Right: the "
-        "collision probability with its 95 % interval."
+        "Left: fractions of the footprint that are in reach of no, one, two, and at least three positioners. Middle: "
+        "fractions of the positioners that have a science target and no collision, that have a science target but "
+        "collide, and that have no science target; the number on the right is the fraction of targets lost to "
+        "collisions. Right: the collision probability with its 95 % interval."
     )
     blocks = [
         Picture("Instruments side by side.", draw_instruments(table), seen),

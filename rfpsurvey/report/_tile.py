@@ -38,7 +38,11 @@ LITTLE = 60  # if there are more positioners than this, a second figure enlarges
 
 
 def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
-    """Return a page on a tile; ``where`` names the file with all rows, and ``plans`` contains plans of the tile."""
+    """Return the report page of a tile.
+
+    ``where`` is the name of the file that contains the complete tile; ``plans`` contains the plans that the interactive
+    view of the focal plane shows.
+    """
     summary, parameters = tile.summary, tile.provenance["parameters"]
     name = tile.provenance["instrument"]["name"]
     counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
@@ -94,7 +98,7 @@ def _asked(tile) -> dict:
     if p.get("keep_out"):
         asked["circles that no arm may cover"] = p["keep_out"]
     if p.get("sky_separation_mm"):
-        asked["blank sky, away from all targets"] = f"{p['sky_separation_mm']:.4g} mm"
+        asked["minimum distance of sky positions from targets"] = f"{p['sky_separation_mm']:.4g} mm"
     if p["allocator"] in ("sdss", "optimal"):
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
@@ -121,10 +125,11 @@ def _completeness(tile) -> list:
     axes = plot_quality(tile)
     axes[0].set_title("", loc="left")
     about = (
-        "The panels show the outcomes of the targets in the field, with the numbers of observed and of all targets on "
-        "the right; the numbers of fibers by the kind of target or by requirement; a histogram of a column of the "
-        "catalog; and the fractions of science targets that are in reach and assigned, in rings of equal area around "
-        "the center of the field, with 68\N{NO-BREAK SPACE}% intervals."
+        "The first panel shows the outcomes of the targets in the field by class, with the numbers of observed targets "
+        "and of all targets on the right. The second panel shows the numbers of fibers by the kind of target or by "
+        "requirement. The third panel is a histogram of a column of the catalog. The fourth panel shows the fractions "
+        "of science targets that are in reach and that are assigned, in rings of equal area around the center of the "
+        "field, with 68\N{NO-BREAK SPACE}% intervals."
     )
     figure = Picture("Targets that are available, in reach and assigned.", axes[0], about)
     table = [Rows("Targets of the field by class.", tile.completeness)] if len(tile.completeness) > 1 else []
@@ -143,8 +148,8 @@ def _pictures(tile) -> list:
         )
     else:
         words = (
-            "Circles are patrol areas; dotted circles are their inner edges. The shading extends from each arm by half "
-            "the minimum separation: two arms collide where their shadings overlap."
+            "Circles are the outer edges of patrol areas, and dotted circles are the inner edges. The shading around "
+            "each arm is half the minimum separation wide on each side: two arms collide if their shadings overlap."
         )
     if "position_angle_deg" in tile.provenance["parameters"]:
         words += " East is to the left of north, as on the sky; arrows show both directions."
@@ -154,8 +159,8 @@ def _pictures(tile) -> list:
         words = "This part of the focal plane has the smallest clearance between two arms."
         if tile.summary["n_colliding"]:
             words = (
-                "This part of the focal plane has the most collisions. Arms whose shadings overlap collide, and are "
-                "hatched."
+                "This part of the focal plane has the most collisions. Arms collide if their shadings overlap; the "
+                "shadings of these arms are hatched."
             )
         pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
     return pictures
@@ -207,9 +212,9 @@ def _collisions(tile, where) -> list:
 
 
 def _view(tile, where, plans, max_rows) -> View:
-    """Return the interactive view of all assignments; in browsers that run no scripts, figures replace it."""
-    words = "All assignments are in the interactive view, which requires a browser that runs scripts"
-    words += f", and in {where}." if where else "."
+    """Return the interactive view of all assignments; in browsers that run no scripts, figures replace the view."""
+    words = "The interactive view lists all assignments, but it requires a browser that runs scripts."
+    words += f" The file {where} also contains all assignments." if where else ""
     return focal_plane_view(plans, [*_pictures(tile), Text(words)], max_rows)
 
 

@@ -38,13 +38,13 @@ PAGES: dict[type, Callable[..., Page]] = {
     Estimate: page_of_estimate,
     Table: page_of_table,
 }
-"""Functions that make a page from a result and the name of the file with all rows, by the type of the result."""
+"""For each type of result, the function that makes a page from the result and the name of the file with all rows."""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
-"""Functions that make the page of a table, and the columns that the table must have, by ``meta["made_by"]``."""
+"""For each value of ``meta["made_by"]``, the function that makes the page of such a table, and the required columns."""
 WITH_PLANS = (page_of_tile, page_of_allocators)
 """Functions that make pages with an interactive focal plane."""
 ENDINGS = (".html", ".htm")
@@ -84,13 +84,14 @@ def write_report(
     title : str, optional
         Heading of the page; by default it describes the result.
     figures : matplotlib Figure or Axes, sequence of them, or dict, optional
-        Further figures, for example ``rs.plot.plot_speed_accuracy(table)``; the keys of a dict are their captions,
-        whose first sentence is in bold.
+        Further figures, for example ``rs.plot.plot_speed_accuracy(table)``. The keys of a dict are the captions of
+        the figures; the first sentence of each caption is in bold.
     data : str or path-like, optional
-        File with the whole result. If a table omits rows, the page names this file, without its folder.
+        Path of the file that contains the whole result. If the page does not show all rows of a table, the page states
+        the name of this file, without its folder.
     max_rows : int, optional
-        Largest number of rows of a table; the page states the number of all rows. By default, the list of all
-        assignments of a tile is complete, and other tables show 1000 rows.
+        Largest number of rows that the page shows of each table. If a table has more rows, the page states how many.
+        By default, the list of the assignments of a tile is complete, and all other tables show at most 1000 rows.
     plans : dict of str to Tile, optional
         For a report on a `Tile`, other plans of the same tile by name; for a table of `compare_allocators`, all plans
         of the comparison by name. The view of the focal plane shows the differences between any two plans.
@@ -98,8 +99,9 @@ def write_report(
     Raises
     ------
     InputError
-        If there is no page for this type of result, if the path has another ending or exists, if a figure is not valid,
-        if ``plans`` have different positioners, or if ``plans`` are given for another type of result.
+        If there is no page for this type of result, if the path has a different ending, if the file exists and
+        ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, or if ``plans`` are
+        given for another type of result.
 
     Examples
     --------
@@ -123,7 +125,7 @@ def write_report(
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
     if title is not None:
-        page = replace(page, title=str(title))  # a plain str, since subclasses can declare that they are safe HTML
+        page = replace(page, title=str(title))  # subclasses of str can declare that they are safe HTML
     if pictures:
         page = replace(page, sections=[Section("Figures", pictures), *page.sections])
     content = html_of(page, max_rows).encode()
@@ -152,7 +154,7 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
 
 
 def _pictures(figures) -> list[Picture]:
-    """Return figures with captions; the first sentence of a caption is separate from the rest."""
+    """Return the figures with their captions; each caption is divided into its first sentence and further text."""
     named = figures if isinstance(figures, Mapping) else None
     if named is None:
         several = figures if isinstance(figures, Iterable) else [figures]

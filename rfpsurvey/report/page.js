@@ -43,7 +43,7 @@ function makeSortable(table) {
 
 for (const table of document.querySelectorAll("table.rows")) makeSortable(table);
 
-// Text above an element that is wider than the page, which states how much of it is hidden to the right.
+// If an element is wider than the page, a text above the element states how many columns are hidden to the right.
 function noteHiddenColumns(region) {
   const more = document.createElement("p");
   more.className = "more";

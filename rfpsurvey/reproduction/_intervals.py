@@ -49,7 +49,8 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         claims.append(
             Claim(
                 "intervals",
-                f"stopping by confidence intervals is more stable than stopping by the convergence criterion ({scene})",
+                "the result is more stable if simulations stop at a confidence interval than at the convergence "
+                f"criterion ({scene})",
                 "stated",
                 f"root-mean-square error divided by the requested error: {good['error_ratio']:.2f} with the interval "
                 f"({good['iterations']:.0f} iterations on average), {early['error_ratio']:.2f} with convergence "

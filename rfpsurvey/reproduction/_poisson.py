@@ -62,9 +62,10 @@ def poisson(
     """Return estimates for every interpretation of "Poisson-distributed", and the differences from uniform targets.
 
     The table ``poisson`` has a row for each design; the last row is LAMOST's design. The table ``poisson_disc`` has a
-    row for each minimum separation, with several averages of the drop, which is the percentage by which the collision
-    probability is larger with uniform targets than with Poisson-disc targets. Most of the computing time is spent on
-    Poisson-disc targets. If ``discs`` is empty, Poisson-disc targets are omitted, and ``poisson_disc`` has no rows.
+    row for each minimum separation, with several averages of the drop. The drop is the percentage by which the
+    collision probability with uniform targets exceeds the collision probability with Poisson-disc targets. Most of the
+    computing time is spent on Poisson-disc targets. If ``discs`` is empty, Poisson-disc targets are omitted, and
+    ``poisson_disc`` has no rows.
     """
     random = random_designs(settings)
     l1, ratio, pitch = NAMED["LAMOST"]

@@ -8,8 +8,8 @@ __all__ = ["inverse_probability", "inverse_probability_error", "probability_erro
 def inverse_probability(count: np.ndarray, n: int) -> np.ndarray:
     """Return the estimate ``(n + 1) / (count + 1)`` of the inverse probability of targets that a survey observed.
 
-    The survey itself counts as one more realization that observed the target. If the probability is p, the expected
-    value is ``(1 - (1 - p)**(n + 1)) / p``.
+    The survey itself counts as one more realization that observed the target. If a realization observes the target with
+    the probability p, the expected value of the estimate is ``(1 - (1 - p)**(n + 1)) / p``.
     """
     return (n + 1) / (np.asarray(count) + 1.0)
 
@@ -17,7 +17,8 @@ def inverse_probability(count: np.ndarray, n: int) -> np.ndarray:
 def probability_error(count: np.ndarray, n: int) -> np.ndarray:
     """Return the standard error of the probability ``count / n``.
 
-    It is the standard deviation of the posterior distribution of the probability for a uniform prior, and is never 0.
+    The standard error is the standard deviation of the posterior distribution of the probability for a uniform prior.
+    It is never 0.
     """
     a, b = np.asarray(count) + 1.0, n - np.asarray(count) + 1.0
     return np.sqrt(a * b / (a + b + 1.0)) / (a + b)

@@ -1,4 +1,4 @@
-"""The folder of unfinished selection probabilities: the state of the realizations, and finally the result."""
+"""The folder that stores the state of an unfinished computation of selection probabilities, and then its result."""
 
 import zipfile
 from pathlib import Path
@@ -14,16 +14,16 @@ from rfpsurvey.survey import RequestFolder
 __all__ = ["NAME", "SelectionFolder"]
 
 EVERY = 60.0
-"""Least time between two checkpoints of a block, in seconds."""
+"""Minimum time between two checkpoints of a block, in seconds."""
 NAME = "selection.fits"
 """Name of the file with the result."""
 
 
 class SelectionFolder(RequestFolder):
-    """The folder of selection probabilities, which is locked while they are computed.
+    """The folder of a computation of selection probabilities, which is locked during the computation.
 
-    Finished blocks and the state of the unfinished block are NumPy files, whose content has checksums. They are removed
-    when the result is written.
+    A block is a group of realizations that are planned together. Finished blocks, and the state of the unfinished
+    block, are stored in NumPy files with checksums. These files are removed when the result is written.
     """
 
     request_name = "selection.json"
@@ -56,17 +56,17 @@ class SelectionFolder(RequestFolder):
             np.savez(temporary, **arrays)
 
     def save_state(self, number: int, state: State) -> None:
-        """Write the state of an unfinished block, unless it was written recently."""
+        """Write the state of an unfinished block, if at least ``EVERY`` seconds have passed since the last one."""
         if monotonic() - self._last >= EVERY:
             self.save(_state(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
             self._last = monotonic()
 
     def load_state(self, number: int, state: State) -> None:
-        """Continue from the state of an unfinished block, if there is one."""
+        """Restore ``state`` from the file of an unfinished block, if there is such a file."""
         found = self.load(_state(number))
         if found is not None:
             if found["left"].shape != state.left.shape or found["counts"].shape != state.counts.shape:
-                raise InputError(f"{self.path} is damaged: the state of block {number} has other targets")
+                raise InputError(f"{self.path} is damaged: the state of block {number} has a different size")
             state.restore(found["left"], found["counts"], int(found["n_rounds"]))
 
     def save_block(self, number: int, state: State) -> None:
@@ -81,7 +81,7 @@ class SelectionFolder(RequestFolder):
         return None if found is None else (found["mask"], found["counts"])
 
     def finish(self) -> None:
-        """Remove the files that only unfinished work requires."""
+        """Remove the files that are required only to continue an unfinished computation."""
         with self._told():
             for path in self.path.glob("*.npz"):
                 path.unlink()

@@ -32,11 +32,11 @@ NO_ROWS = np.empty(0, dtype=np.int64)
 
 
 class ReachJob(NamedTuple):
-    """The input of the work on a tile."""
+    """The input of `reachable` for one tile."""
 
     job: Job
     excluded: np.ndarray
-    """Rows of the positioners that are not used."""
+    """Rows of the positioners that lose their target to a collision, and therefore reach no point."""
 
 
 @check_keywords
@@ -53,8 +53,8 @@ def potential_assignments(
 ) -> "PotentialAssignments":
     """Find which tiles and positioners can reach each point of a random catalog.
 
-    Disabled and stuck positioners reach no point, and hidden circles of the focal plane, joint limits and fiber types
-    are taken into account. Collisions are only considered if a survey is given.
+    Disabled and stuck positioners reach no point. Joint limits, fiber types, and circles of the focal plane that
+    receive no light are taken into account. Collisions are taken into account only if a survey is given.
 
     Parameters
     ----------
@@ -71,15 +71,16 @@ def potential_assignments(
     survey : Survey, optional
         A survey planned with these tiles. In each tile, positioners whose target is lost to a collision reach no point.
     executor : concurrent.futures.Executor, optional
-        Executor for several tiles at the same time, such as threads.
+        Executor that processes several tiles in parallel, such as a pool of threads.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished tiles and of all
-        tiles.
+        Show the progress on the standard error, or call a function with the number of finished tiles and the number of
+        all tiles.
 
     Returns
     -------
     PotentialAssignments
-        An object that computes the assignments tile by tile when they are read, which limits the memory.
+        An object that computes the assignments tile by tile when they are read, so that the assignments of all tiles
+        need not fit into memory.
 
     Raises
     ------
@@ -128,18 +129,18 @@ def potential_assignments(
 
 @dataclass(frozen=True, eq=False)
 class PotentialAssignments:
-    """The tiles and positioners that can reach points, which are computed tile by tile when they are read.
+    """The tiles and positioners that can reach each point; they are computed tile by tile when they are read.
 
-    Iteration gives a table for each tile. Each call of a method computes all tiles again.
+    Iteration yields a table for each tile. Each iteration, and each call of a method, computes all tiles again.
 
     Parameters
     ----------
     request : Request
         Points, tiles and instrument.
     survey : Survey or None
-        Plan of the tiles.
+        Survey that was planned with these tiles; None if collisions are ignored.
     executor : concurrent.futures.Executor or None
-        Executor for several tiles at the same time.
+        Executor that processes several tiles in parallel.
     progress : bool or callable
         Whether to show the progress.
 
@@ -237,7 +238,7 @@ class PotentialAssignments:
             yield rows
 
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield each tile (by row), and positioners and points (by row) of its pairs."""
+        """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
         everything = np.ones(len(request.source), dtype=np.uint8)
         jobs = (
@@ -259,7 +260,7 @@ class PotentialAssignments:
 
 
 def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positioners and the targets (by index in the field) of all pairs in reach."""
+    """Return, for each pair in reach, the row of the positioner and the index of the target in the field."""
     pairs = find_reach(given.job)[2]
     if len(given.excluded):
         pairs = pairs.where(~np.isin(pairs.owner, given.excluded))
@@ -272,7 +273,8 @@ def _check_survey(request: Request, survey: Survey) -> None:
     missing = [name for name in np.asarray(request.tiling.table["tile"]).tolist() if name not in there]
     if missing:
         raise InputError(
-            f"survey must contain all tiles, but it has no tile {missing[0]} ({len(missing)} of {len(request.tiling)})"
+            f"survey must contain all tiles, but it has no tile {missing[0]} "
+            f"({len(missing)} of {len(request.tiling)} tiles are missing)"
         )
     planned, own = survey.provenance["instrument"], request.instrument.provenance
     if planned.get("digest") != own["digest"]:

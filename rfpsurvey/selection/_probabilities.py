@@ -40,9 +40,10 @@ class SelectionProbabilities:
         Realization r observed a target if bit ``r % 64`` of the integer ``r // 64`` is 1, where bit 0 is the least
         significant bit. Bits without a realization are 0.
     realizations : QTable
-        Table with a row for each realization: ``realization``, ``seed``, ``n_assigned`` (positioners with a target in
-        all tiles), ``n_lost`` (targets lost to collisions), and ``n_observed`` (visits that count). Its ``meta``
-        contains ``summary`` and ``provenance``.
+        Table with a row for each realization. Columns: ``realization``, ``seed``, ``n_assigned`` (number of positioners
+        with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and ``n_observed``
+        (number of visits that count, by default the visits without a collision). The ``meta`` of the table contains
+        ``summary`` and ``provenance``.
 
     See Also
     --------
@@ -82,14 +83,15 @@ class SelectionProbabilities:
 
     @property
     def probability_error(self) -> np.ndarray:
-        """Standard error of `probability`: the standard deviation for a uniform prior, shape (n_targets,)."""
+        """Standard error of `probability`: standard deviation of its posterior (uniform prior), shape (n_targets,)."""
         return probability_error(self.n_observed, self.n_realizations)
 
     @property
     def weight(self) -> np.ndarray:
-        """Inverse probability (n + 1) / (k + 1), for k of n realizations that observed a target, shape (n_targets,).
+        """Inverse probability (n + 1) / (k + 1) of a target that k of n realizations observed, shape (n_targets,).
 
-        This is the weight of a target that the survey observed. The survey itself counts as one more realization.
+        This is the weight of a target that the survey observed. The survey itself counts as one more realization that
+        observed the target.
         """
         return inverse_probability(self.n_observed, self.n_realizations)
 
@@ -131,7 +133,7 @@ class SelectionProbabilities:
         return (self.bits[:, word] >> np.uint64(bit) & np.uint64(1)).astype(bool)
 
     def pair_counts(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the numbers of realizations that observed both targets of pairs.
+        """Return, for each pair of targets, the number of realizations that observed both targets.
 
         Parameters
         ----------
@@ -162,7 +164,7 @@ class SelectionProbabilities:
 
         ``n_targets`` is the number of targets with requested visits. Of these targets, ``n_unreachable`` are reached in
         no tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` in all realizations, and
-        ``n_sometimes_observed`` in some realizations.
+        ``n_sometimes_observed`` in some, but not all, realizations.
         """
         asked = self.requested > 0
         never, always = self.never_observed & asked, (self.n_observed == self.n_realizations) & asked
@@ -275,7 +277,7 @@ class SelectionProbabilities:
         bits = np.asarray(table["BITWEIGHTS"]).astype(np.int64, copy=False).reshape(len(table), -1).view(np.uint64)
         if bits.shape[1] != n_words(len(realizations)):
             raise InputError(
-                f"{path} must have {number_of(n_words(len(realizations)), 'integer')} of bits per target, got "
+                f"{path} must store the bits of each target in {number_of(n_words(len(realizations)), 'integer')}, got "
                 f"{bits.shape[1]}"
             )
         kept = ("n_realizations", "n_tiles", "n_rounds", "n_fibers", "model")

@@ -24,7 +24,7 @@ def request_of(request: Request, seed: int) -> Request:
 def in_batch(request: Request) -> bool:
     """Return whether all realizations of a block can be planned together."""
     options = request.options
-    # ``lamost`` fills requirements, but ``nearest`` and ``balanced`` ignore them.
+    # ``lamost`` meets requirements; ``nearest`` and ``balanced`` ignore requirements.
     simple = options.sky_separation is None and not (options.name == "lamost" and options.requirements)
     return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
@@ -37,7 +37,7 @@ class Block:
     number : int
         Number of the block.
     first, last : int
-        Number of the first realization, and the number after that of the last realization.
+        Number of the first realization, and one more than the number of the last realization.
     """
 
     def __init__(self, number: int, first: int, last: int):

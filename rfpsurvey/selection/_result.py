@@ -10,8 +10,8 @@ __all__ = ["TARGETS", "realization_table"]
 REALIZATIONS = {
     "realization": "number of the realization, which is the number of its bit",
     "seed": "seed of the subpriorities and of the random numbers of the realization",
-    "n_assigned": "number of positioners with a target, in all tiles",
-    "n_lost": "number of targets lost to collisions, in all tiles",
+    "n_assigned": "number of positioners with a target, summed over all tiles",
+    "n_lost": "number of targets lost to collisions, summed over all tiles",
     "n_observed": "number of visits that count",
 }
 TARGETS = {

@@ -1,7 +1,7 @@
 """The rules of allocators for all realizations of a block.
 
-A rule is a function of a `Field` and of an array ``chosen``, to which it writes the index of the pair that each
-positioner uses in each realization, or -1.
+A rule is a function of a `Field` and of an array ``chosen``. For each realization and positioner, the rule writes to
+``chosen`` the index of the pair that assigns a target to the positioner, or -1 if the positioner has no target.
 """
 
 from typing import NamedTuple
@@ -24,14 +24,14 @@ class Field(NamedTuple):
     """Class of each target; 0 is the most important."""
     n_ranks: int
     number: np.ndarray
-    """Number that stands for the identifier of each target."""
+    """Integer that represents the identifier of each target, and from which its subpriority is computed."""
     left: np.ndarray
     """Remaining visits, shape (n_targets, n_realizations)."""
     seeds: np.ndarray
     tile: int
 
     n_sharing: np.ndarray
-    """Largest number of other positioners that can share a target with each positioner."""
+    """For each positioner, an upper limit of the number of other positioners that can reach one of its targets."""
 
     @classmethod
     def of(cls, plane: FocalPlaneArrays, pairs: Reach, targets: FieldTargets, given) -> "Field":
@@ -53,7 +53,7 @@ class Field(NamedTuple):
 
 
 def balanced(field: Field, chosen: np.ndarray) -> None:
-    """Distribute targets to queues in the order of their subpriorities, and draw one target from each queue."""
+    """Add each target to the queue of a positioner, in the order of subpriority; then draw one target of each queue."""
     # each realization has the random numbers of the survey with its seed
     streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
     uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
@@ -62,7 +62,7 @@ def balanced(field: Field, chosen: np.ndarray) -> None:
 
 
 def lamost(field: Field, chosen: np.ndarray) -> None:
-    """Assign the targets class by class: free positioners nominate their nearest targets."""
+    """Assign the targets class by class: each free positioner nominates its target with the largest subpriority."""
     pairs = field.pairs
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
     # If k other positioners reach candidates of a positioner, one of its first k + 1 candidates is always available.

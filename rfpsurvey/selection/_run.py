@@ -1,4 +1,7 @@
-"""The loop over the blocks of realizations, and over the tiles of each block."""
+"""The loop over the blocks of realizations, and over the tiles of each block.
+
+The *slot* of a target is its index in the arrays that describe the state of a survey.
+"""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -75,7 +78,7 @@ def run(
 
 
 def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
-    """Return, for each target (by slot), the number of tiles in which at least one positioner reaches it."""
+    """Return the number of tiles in which at least one positioner reaches each target, in the order of slots."""
     found = None if folder is None else folder.load("reach")
     if found is not None:
         tell(len(request.tiling), new=False)
@@ -87,7 +90,7 @@ def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
 
 
 def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
-    """Return, for each target (by slot), the number of tiles in which at least one positioner reaches it."""
+    """Return the number of tiles in which at least one positioner reaches each target, in the order of slots."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))

@@ -48,13 +48,14 @@ def selection_probabilities(
     Realization r is the survey that `plan_survey` plans with ``subpriority=seed`` of `AllocationOptions` and
     ``rng=seed``, where ``seed`` is the r-th seed of the table ``realizations``. The seeds are drawn from ``rng``, and
     the first seeds do not depend on the number of realizations. For the allocators ``nearest``, ``lamost`` and
-    ``balanced``, fields, projections, reach and poses are computed once for 32 realizations. With other allocators and
-    with requirements, each realization takes as long as a complete survey.
+    ``balanced``, the targets of a field, their positions on the focal plane, the pairs in reach and the poses of arms
+    are computed once for 32 realizations. With all other allocators, and with ``lamost`` if there are requirements,
+    each realization takes as long as a complete survey.
 
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-        The targets, with their numbers of visits.
+        The targets, with the requested number of visits of each target.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Table or SkyCoord
@@ -69,7 +70,8 @@ def selection_probabilities(
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, so that other tiles can observe them.
+        Whether a target counts as not observed if the arm of its positioner collides; other tiles can then observe the
+        target.
     order : {"color", "given"}, optional
         Order of the tiles, as in `plan_survey`.
     folder : str or path-like, optional
@@ -80,8 +82,9 @@ def selection_probabilities(
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``. Threads need
         the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
     progress : bool or callable, optional
-        Show the progress on the standard error, or call a function with the number of finished plans of tiles and of
-        all plans. Each tile is planned one additional time to count the targets in reach.
+        Show the progress on the standard error, or call a function with the number of finished plans and the number of
+        all plans. There is one plan for each tile and realization; in addition, the count of
+        the targets in reach of each tile counts as one plan.
     rng : int, Generator or None, optional
         Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
 
@@ -133,7 +136,8 @@ def selection_probabilities(
     check_choice(order, ("color", "given"), "order")
     if getattr(allocator, "subpriority", None) is not None:
         raise InputError(
-            f"subpriority must not be given, because each realization has its own, got {allocator.subpriority}"
+            f"subpriority must not be given, because each realization has its own subpriorities, "
+            f"got {allocator.subpriority}"
         )
     request = prepare_request(
         catalog,

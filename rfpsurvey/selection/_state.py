@@ -13,11 +13,11 @@ class State:
     Parameters
     ----------
     wanted : ndarray of uint8, shape (n_targets,)
-        Requested number of visits, by slot.
+        Requested number of visits of each target. The *slot* of a target is its index in this array.
     available : ndarray of uint8, shape (n_targets,)
-        Remaining visits before the first tile. It is 1 for standards and sky positions in use.
+        Remaining visits of each target before the first tile; 1 for standards and sky positions that tiles may use.
     spends : ndarray of bool, shape (n_targets,), or None
-        Whether visits to each target count; None if the visits to all targets count.
+        Whether a visit to each target reduces its remaining visits; None if this is true for all targets.
     n_realizations : int
         Number of realizations.
     """
@@ -33,25 +33,29 @@ class State:
         """Numbers per realization: positioners with a target, targets lost to a collision, and visits that count."""
 
     def take(self, slot: np.ndarray) -> np.ndarray:
-        """Return the remaining visits of some targets, shape (k, n_realizations)."""
+        """Return the remaining visits of the targets with the given slots, shape (k, n_realizations)."""
         out = np.empty((len(slot), self.left.shape[1]), dtype=np.uint8)
         kernels.take_left(self.left, slot, out)
         return out
 
     def enter(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
-        """Record a tile: the mask of the realizations that visit each target of its field, and the counts."""
+        """Record the visits of a tile.
+
+        Bit r of ``mask`` is 1 if realization r visits the target. ``counts`` contains, for each realization, the number
+        of positioners with a target and the number of targets lost to a collision.
+        """
         self.counts[:, :2] += counts
         observed = np.zeros(len(self.counts), dtype=np.int64)
         kernels.record_visits(mask, slot, self.spends, self.left, self.is_open, observed)
         self.counts[:, 2] += observed
 
     def masks(self) -> np.ndarray:
-        """Return the mask of the realizations that observe each target, shape (n_targets,)."""
+        """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,)."""
         mask = np.empty(len(self.wanted), dtype=np.uint32)
         kernels.to_masks(self.left, self.wanted, self.spends, mask)
         return mask
 
     def restore(self, left: np.ndarray, counts: np.ndarray, n_rounds: int) -> None:
-        """Continue from an earlier state."""
+        """Replace this state by a stored state."""
         self.left, self.counts, self.n_rounds = left, counts, n_rounds
         self.is_open = (left > 0).any(axis=1).astype(np.uint8)

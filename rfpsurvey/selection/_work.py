@@ -33,7 +33,7 @@ class BlockDone(NamedTuple):
     """The result of the work on a tile."""
 
     mask: np.ndarray
-    """For each target of the field, the mask of the realizations that visit it."""
+    """For each target of the field, a mask whose bit r is 1 if realization r visits the target."""
     counts: np.ndarray
     """For each realization, the number of positioners with a target, and the number of targets lost to a collision."""
 
@@ -58,7 +58,12 @@ def plan_together(given: BlockJob) -> BlockDone:
 
 
 def find_reach(job: Job):
-    """Return the instrument with the obstacles of a field, its arrays, pairs in reach, positions, and fiber types."""
+    """Return the pairs of positioners and targets in reach, with the data from which they are computed.
+
+    The returned tuple contains the instrument, including the circles of the field that no arm may cover; the arrays of
+    its focal plane; the pairs; the positions (mm) of the targets on the focal plane; and the fiber types that the
+    targets require, or None.
+    """
     projection, model = projection_of(job), job.model
     instrument = with_keep_out(model.instrument, projection, model.options)
     columns, targets = instrument.focal_plane.arrays, job.field.targets
@@ -72,7 +77,7 @@ def reach_counts(job: Job) -> np.ndarray:
 
 
 def plan_alone(given: BlockJob) -> BlockDone:
-    """Plan a tile for a single realization, by the code of surveys."""
+    """Plan a tile for a single realization, with the function that plans the tiles of surveys."""
     done = work(given.job)
     mask = np.zeros(len(given.left), dtype=np.uint32)
     mask[done.target[(done.target >= 0) & done.observed]] = 1
@@ -80,22 +85,23 @@ def plan_alone(given: BlockJob) -> BlockDone:
 
 
 class Poses:
-    """The poses of the arms of all pairs in reach, and the collisions of realizations.
+    """The poses of the arms for all pairs in reach, from which the collisions of each realization are found.
 
     Parameters
     ----------
     plane : FocalPlane
         The positioners.
     columns : FocalPlaneArrays
-        Their arrays.
+        The arrays of the focal plane.
     xy : ndarray, shape (n_targets, 2)
         Positions of the targets, mm.
     fiber_type : ndarray of str, shape (n_targets,), or None
         Required fiber types.
     pairs : Reach
-        The pairs.
+        The pairs of positioners and targets in reach.
     parked_obstacles : bool
-        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
+        Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
+        arms of equal length can be parked.
     """
 
     def __init__(self, plane, columns: FocalPlaneArrays, xy, fiber_type, pairs: Reach, parked_obstacles: bool):

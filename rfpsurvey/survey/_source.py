@@ -237,7 +237,7 @@ class Partitioned:
 
 
 def _stack(parts: tuple) -> np.ndarray | None:
-    """Return the concatenated columns of several partitions; None if the catalog does not have this column."""
+    """Concatenate the parts of a column from several partitions; return None if the catalog lacks the column."""
     return None if parts[0] is None else np.concatenate(parts)
 
 

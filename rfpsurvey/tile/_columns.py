@@ -47,8 +47,8 @@ KEPT_COLUMN = "column of the catalog"
 OUTCOMES_COLUMNS = {
     "target_id": "identifier of the target",
     **TARGET_COLUMNS,
-    "x": "target in the focal plane",
-    "y": "target in the focal plane",
+    "x": "position of the target in the focal plane",
+    "y": "position of the target in the focal plane",
     "outcome": "outcome of the target",
     "positioner": "identifier of the positioner of the target",
 }
@@ -73,7 +73,7 @@ def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
 
 
 def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
-    """Return values in which those of positioners without a target are replaced by NaN, empty text, False or a mask."""
+    """Return values in which NaN, empty text, False or a mask stands for each positioner without a target."""
     kind = values.dtype.kind
     if kind == "i":
         # the fill value differs from all values of targets, so that files preserve the values of targets
@@ -93,5 +93,5 @@ def id_column(ids, has_target) -> MaskedColumn:
 
 
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
-    """Return values with a unit, if there is one."""
+    """Return values with a unit; return the values unchanged if ``unit`` is None."""
     return values * u.Unit(unit) if unit else values

@@ -11,7 +11,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
 
-# names of columns (with a single value) or of entries in the meta of a table, in which planners write the field
+# names under which planners store the center and the orientation of a field, in columns or in the meta of a table
 FIELD = {
     "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
@@ -41,7 +41,9 @@ def _degrees(value, name: str) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} of the field must be an angle, got {value!r}: {error}") from None
     if not np.isfinite(angles).all() or (np.abs(angles) > 90 if "dec" in name else np.abs(angles) > 360).any():
-        raise InputError(f"{name} of the field must be an angle in range, got {value}")
+        raise InputError(
+            f"{name} of the field must be an angle from -360 to 360 deg (declinations: from -90 to 90 deg), got {value}"
+        )
     return angles
 
 
@@ -54,8 +56,8 @@ def field_value(table, what: str) -> float:
             values = np.unique(_degrees(table[lower[name]], lower[name]))
             if len(values) > 1:
                 raise InputError(
-                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one at "
-                    f"a time, for example with --select COLUMN=VALUE"
+                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one "
+                    f"field at a time, for example with --select COLUMN=VALUE"
                 )
             return float(values[0])
         if name in meta:

@@ -18,12 +18,12 @@ IDLE_COLUMNS = {
     "id": "identifier of the positioner",
     "reason": "why the positioner has no target",
     "n_in_reach": "number of targets that the positioner can observe",
-    "n_free": "number of these targets that no positioner observes",
+    "n_free": "number of targets in reach that no positioner observes",
     "n_possible": "number of free targets at which the arm would not collide",
     "colliding_with": "arms and obstacles with which the arm would collide at free targets",
     "target_id": "identifier of a free target in reach",
-    "x": "target in the focal plane",
-    "y": "target in the focal plane",
+    "x": "position of the target in the focal plane",
+    "y": "position of the target in the focal plane",
     "kind": "science, standard or sky",
     "possible": "whether the arm can observe the target without a collision",
 }
@@ -31,7 +31,8 @@ IDLE_COLUMNS = {
 
 def idle_tables(found: IdleReasons, targets: "TargetsOfField", positioner_id: np.ndarray) -> tuple[QTable, QTable]:
     """Return a table of the positioners without a target, and a table of their free targets in reach."""
-    pairs: dict[tuple[int, int], list[set[int]]] = {}  # the attempts of a positioner at a target, one for each elbow
+    # for each positioner and free target, the arms and obstacles that block the arm, in one set for each handedness
+    pairs: dict[tuple[int, int], list[set[int]]] = {}
     for own, target, others in zip(found.owner.tolist(), found.target.tolist(), found.blocked_by, strict=True):
         pairs.setdefault((own, target), []).append(set(others))
     blockers: dict[int, set[int]] = {own: set() for own in found.positioner.tolist()}

@@ -1,4 +1,4 @@
-"""Description of the model of a tile or a survey: what was computed, and why this suffices."""
+"""Description of the model with which the collisions and positions of a tile or a survey were computed."""
 
 import numpy as np
 
@@ -16,12 +16,12 @@ ARMS = {
     "elbow_to_tip": "segments from elbow to fiber",
     "capsule": "segments of a given length from the elbow (capsules)",
     "fiber_tip": "points at the fiber",
-    "outline": "outlines of polygons",
+    "outline": "outlines (polygons, capsules and discs)",
 }
 
 
 def model_sentence(instrument: Instrument, posed: Arms | None = None, projection: str = "radial") -> str:
-    """Return a description of the model of a tile or of the tiles of a survey, and why it suffices.
+    """Return a description of the model with which collisions and positions were computed.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])
-            looked = f"Distances were computed for {n_near} of the {n_pairs} pairs of arms that can touch; they are"
+            looked = f"Of {n_pairs} pairs of arms that can touch, {n_near} are close; the distances of close pairs are"
         collisions = f"Collisions: {TYPES[kind]}. {looked} {arms}"
     if instrument.distortion is None or projection == "tangent":
         positions = "a tangent plane with one plate scale"

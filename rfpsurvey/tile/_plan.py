@@ -64,9 +64,9 @@ def plan_tile(
 ) -> Tile:
     """Assign the targets of a field to fibers, and find the arms that collide.
 
-    Without requirements, only targets of the kind ``science`` and required targets are assigned; other sky positions
-    and standard stars are only counted. If each fiber type has its own radial map, targets without a fiber type use the
-    map of the first type.
+    Without requirements, only science targets and required targets are assigned; all other sky positions and standard
+    stars are only counted. If each fiber type has its own radial map, targets without a fiber type are projected with
+    the map of the first fiber type.
 
     Parameters
     ----------
@@ -77,19 +77,19 @@ def plan_tile(
     center : SkyCoord or str, optional
         Field center, whose frame also defines north: for a center in ``FK5(equinox="J2026")``, position angles are
         measured from north at that equinox. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
-        in ICRS. By default, the mean direction of the catalog.
+        in ICRS. By default, the field center is the mean direction of the catalog.
     position_angle : Quantity, optional
         Position angle of +y of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions (a number is a Julian year). None: they are not
-        moved.
+        Epoch to which the targets are moved by their proper motions (a number is a Julian year). With None, the targets
+        are not moved.
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
     conditions : ObservingConditions, optional
-        Site, time or hour angle, wavelengths and weather, from which refraction is computed. The summary then states
-        under ``projection`` how far targets move if a simpler model of the projection neglects an effect, and which
-        model suffices.
+        Site, time or hour angle, wavelengths and weather, from which refraction is computed. The entry ``projection``
+        of the summary then states the displacements of targets that each simpler model of the projection neglects, and
+        which model suffices.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
         Model of the projection, as in `compare_projections`; ``auto`` is the cheapest model that suffices. By default,
         ``radial`` without conditions and ``full`` with them.
@@ -169,7 +169,7 @@ def plan_tile(
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
-    vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as an index of rows
+    vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as vectors[given]
     targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), extra=extra)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)

@@ -46,37 +46,40 @@ def score_tile(
 ) -> Tile:
     """Find the collisions in the assignments of another planner.
 
-    Arms whose target is out of reach are stretched toward it as far as possible, and are counted.
+    If a target is out of reach, the arm of its positioner is stretched toward the target as far as possible, and is
+    counted in the collision rate.
 
     Parameters
     ----------
     table : Table, QTable or DataFrame
-        A row for each assigned fiber: the positioner's id (``positioner``, ``hole_id``, ``robot_id``, ...) and either
-        its position on the focal plane (``x`` and ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a
-        positioner, and rows with 0 in the column ``assigned``, are ignored. The columns of a plan that
-        `~rfpsurvey.plans.read_plan` returned are known.
+        Table with a row for each assigned fiber. The columns contain the identifier of the positioner (``positioner``,
+        ``hole_id``, ``robot_id``, ...), and the position of its target on the focal plane (``x`` and ``y``, ``x_wok``,
+        ``tip_x``, ...) or on the sky. Rows without a positioner, and rows with 0 in the column ``assigned``, are
+        ignored. The column names of plans that `~rfpsurvey.plans.read_plan` returned are recognized.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`; by default it is read from the columns or meta entries ``racen`` and
         ``deccen``.
     position_angle : Quantity, optional
-        Position angle of +y, measured from north in the frame of the center; by default ``position_angle`` or
-        ``field_pa`` of the table.
+        Position angle of +y, measured from north in the frame of the center; by default it is read from the column or
+        meta entry ``position_angle`` or ``field_pa``.
     equinox : str, optional
         Equinox of north for position angles, such as ``"J2026.0"``; by default, north in ICRS. It is not
         allowed with ``center``, whose frame defines north.
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
-        Positions to use; by default the positions on the focal plane, if there are any.
+        Positions to use; by default, the positions on the focal plane if the table contains them, otherwise the
+        positions on the sky.
     conditions : ObservingConditions, optional
         Conditions under which positions on the sky are projected; without them, refraction is neglected.
     columns, units : dict, optional
-        Names and units of columns, as in `Catalog.from_table`; ``positioner``, ``x`` and ``y`` are further roles. The
-        columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
+        Names and units of columns, as in `Catalog.from_table`; ``columns`` can also contain the keys ``positioner``,
+        ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
-        Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
+        Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
+        arms of equal length can be parked.
 
     Returns
     -------
@@ -164,8 +167,8 @@ def score_tile(
         unused = [name for name, value in given.items() if value is not None]
         if unused:
             warn(
-                f"not used, because the table has positions on the focal plane: {', '.join(unused)}; to use positions "
-                "on the sky, give positions='sky'"
+                f"these parameters are not used, because the table has positions on the focal plane: "
+                f"{', '.join(unused)}; to use positions on the sky, give positions='sky'"
             )
         xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
         sky_deg = _sky_deg(find)
@@ -226,14 +229,14 @@ def _positioners(find: Finder, instrument: Instrument):
         raise InputError(
             f"column {name!r} names positioners that the instrument does not have: "
             f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "
-            f"its ids are such as {plane.id[0]} and {plane.id[-1]}{hint}"
+            f"examples of its ids are {plane.id[0]} and {plane.id[-1]}{hint}"
         )
     who = np.array([index[v] for v in names], dtype=int)
     twice, counts = np.unique(who, return_counts=True)
     if (counts > 1).any():
         raise InputError(
             f"positioner {plane.id[twice[counts > 1][0]]} is assigned more than once; "
-            f"a table of several fields is scored one field at a time, for example with --select COLUMN=VALUE"
+            f"if the table holds several fields, score one field at a time, for example with --select COLUMN=VALUE"
         )
     return rows, who, name
 

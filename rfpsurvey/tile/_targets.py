@@ -35,7 +35,7 @@ class TargetsOfField:
 
     @cached_property
     def given(self) -> np.ndarray:
-        """Row in this field of each target that the allocator received."""
+        """For each target that the allocator received, its index among all targets of the field."""
         every = len(self.allocated) == len(self.rows)
         return np.arange(len(self.rows)) if every else np.searchsorted(self.rows, self.allocated)
 
@@ -46,12 +46,12 @@ class TargetsOfField:
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """ICRS unit vectors."""
+        """Unit vectors of the directions of the targets in ICRS."""
         return self.catalog.arrays.vectors[self.rows]
 
     @cached_property
     def xy_mm(self) -> np.ndarray:
-        """Positions on the focal plane; NaN for targets that are not requested."""
+        """Positions of the targets on the focal plane in mm; NaN for targets that are not requested."""
         xy = np.full((len(self.rows), 2), np.nan)
         xy[self.given] = self.plan.allocation.xy.to_value(u.mm)[: len(self.given)]
         return xy
@@ -67,7 +67,7 @@ class TargetsOfField:
 
     @cached_property
     def outcome(self) -> np.ndarray:
-        """Index of ``OUTCOMES``."""
+        """Outcome of each target, as an index of ``OUTCOMES``."""
         plan, n = self.plan, len(self.given)
         of_catalog, colliding = plan.target >= 0, plan.report.in_collision[plan.positioner]
         outcome = np.full(len(self.rows), Outcome.NOT_REQUESTED, dtype=np.uint8)
@@ -122,7 +122,10 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
 
 
 def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
-    """Return the columns of the catalog by positioner; ``row_of`` is the row of each positioner in the plan, or -1."""
+    """Return columns of the catalog, with the values of the target of each positioner.
+
+    ``row_of`` contains the row of each positioner in the plan, or -1.
+    """
     if len(plan.target) == 0:
         return {}
     given = (row_of >= 0) & (plan.target >= 0)[row_of]

@@ -1,4 +1,4 @@
-"""The class of tiles, the results of planning and scoring."""
+"""The class `Tile`, which is the result of planning or scoring a tile."""
 
 import json
 import os
@@ -42,16 +42,17 @@ class Tile:
     ----------
     table : QTable
         Table with a row for each positioner. Columns: ``id``, ``spectrograph`` (if there are several), ``x``, ``y``
-        (center), ``status`` (``assigned``; ``out_of_reach``: the arm cannot reach its target; ``parked``: without a
-        target, and an obstacle for other positioners; ``idle``: without a target, and not an obstacle; ``disabled``;
-        ``stuck``), ``target_id`` (masked without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are
-        several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``,
-        ``colliding_with`` (identifiers, such as ``obstacle-3`` for a circle, separated by spaces), ``clearance``
-        (distance to the nearest other arm minus the minimum separation), ``arm_x``, ``arm_y`` (end of the colliding
-        segment, which begins at the elbow). Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or
-        empty; stuck positioners can also observe sky), and ``category``, ``priority`` and the further columns of the
-        catalog, if it has them. Numbers that do not apply are NaN; integers are masked. The ``meta`` contains
-        ``summary``, ``provenance`` and ``geometry``.
+        (center of the positioner), ``status`` (``assigned``; ``out_of_reach``: the arm cannot reach its target;
+        ``parked``: without a target, and an obstacle for other positioners; ``idle``: without a target, and not an
+        obstacle; ``disabled``; ``stuck``), ``target_id`` (masked for positioners without a target), ``ra``, ``dec``
+        (ICRS), ``fiber_type`` (if there are several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``,
+        ``tip_y``, ``in_collision``, ``colliding_with`` (identifiers, such as ``obstacle-3`` for a circle, separated by
+        spaces), ``clearance`` (distance to the nearest other arm minus the minimum separation), ``arm_x``, ``arm_y``
+        (end of the segment of the arm that can collide; the segment begins at the elbow). Planned tiles also have
+        ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners can also observe sky), and
+        ``category``, ``priority`` and the further columns of the catalog, if the catalog has them. Numbers that do not
+        apply to a positioner are NaN, or masked if they are integers. The ``meta`` contains ``summary``,
+        ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -93,7 +94,7 @@ class Tile:
 
     @property
     def table(self) -> QTable:
-        """Table with a row for each positioner, which is made on first use."""
+        """Table with a row for each positioner; the table is made on first use."""
         if isinstance(self._made_from, TableOfTile):
             self._made_from = self._made_from.make()
         return self._made_from
@@ -115,8 +116,8 @@ class Tile:
     def summary(self) -> dict:
         """Numbers and rates, a description of the model, and the computing time of each stage in seconds.
 
-        For planned tiles, ``n_required`` and ``n_required_observed`` are the numbers of required targets, and of
-        required targets that are assigned and not in collision.
+        For planned tiles, ``n_required`` is the number of required targets, and ``n_required_observed`` is the number
+        of required targets that are assigned and not in collision.
         """
         return self._made_from.meta["summary"]
 
@@ -152,7 +153,7 @@ class Tile:
 
     @cached_property
     def outcomes(self) -> QTable | None:
-        """Table of the outcome of each target of the field; None for tiles that were scored, or read from ECSV.
+        """Table of the outcome of each target of the field; None for scored tiles, and for tiles read from ECSV.
 
         Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (on the focal plane; NaN for targets that are not
         requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (masked or empty if there is no positioner), and
@@ -163,7 +164,7 @@ class Tile:
 
     @cached_property
     def completeness(self) -> QTable | None:
-        """Table of the completeness of the targets of the field by kind, category, and priority of science targets.
+        """Table of the completeness of the field, with a row for each kind, category, and priority of science targets.
 
         Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
         ``n_reachable`` (0 for targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in
@@ -178,23 +179,23 @@ class Tile:
 
     @property
     def idle(self) -> QTable | None:
-        """Table of the positioners without a target, and the reasons; None for tiles that were scored or read.
+        """Table of the positioners without a target, and the reasons; None for scored tiles, and tiles read from files.
 
         Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
         given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free`` (number
         of these targets that no positioner observes), ``n_possible`` (number of free targets at which its arm would not
         collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the arm
-        would collide at free targets, as in the table of the tile).
+        would collide at free targets, in the same format as in the table of the tile).
         """
         return None if self._idle is None else self._idle[0]
 
     @property
     def idle_targets(self) -> QTable | None:
-        """Table of the free targets in reach of positioners without a target; None for tiles that were scored or read.
+        """Table of the free targets in reach of positioners without a target; None if `idle` is None.
 
         Columns: ``id`` (of the positioner), ``target_id``, ``x``, ``y``, ``kind`` (if the catalog has it), ``possible``
-        (whether the arm can observe the target without a collision, with one of its elbows) and ``colliding_with``
-        (arms and obstacles with which it would collide otherwise, with any of its elbows).
+        (whether the arm can observe the target without a collision, bent to the right or to the left) and
+        ``colliding_with`` (all arms and obstacles with which the arm would collide if it is bent to either side).
         """
         return None if self._idle is None else self._idle[1]
 
@@ -210,7 +211,7 @@ class Tile:
         Returns
         -------
         Tile
-            The tile, equal to the one that was written; a tile from ECSV has no `outcomes`.
+            The tile that was written; a tile that is read from ECSV has no `outcomes`.
 
         Raises
         ------
@@ -240,9 +241,10 @@ class Tile:
     ) -> None:
         """Write the tile as FITS or ECSV; if writing fails, no incomplete file remains.
 
-        The first table of a FITS file, ``TILE``, is the attribute ``table``; the second, ``OUTCOMES``, is `outcomes`,
-        if there are any. An ECSV file contains only ``table``, and a tile that is read from it has neither outcomes nor
-        completeness. To keep the outcomes, write FITS, or write ``tile.outcomes`` to a separate file.
+        A FITS file contains the attribute ``table`` as its first table, ``TILE``, and `outcomes`, if the tile has them,
+        as its second table, ``OUTCOMES``. An ECSV file contains only ``table``, and a tile that is read from ECSV has
+        neither outcomes nor completeness. To keep the outcomes, write FITS, or write ``tile.outcomes`` to a separate
+        file.
 
         Parameters
         ----------
@@ -287,7 +289,7 @@ class Tile:
         Parameters
         ----------
         plans : dict of str to Tile, optional
-            Other plans of the same tile by name; the view shows the differences of any two plans.
+            Other plans of the same tile by name; the view shows the differences between any two plans.
         height : int, optional
             Height of the frame in pixels.
 

@@ -337,7 +337,7 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
-    assert "--n-targets must be used with random targets, but a catalog is given" in sentence(code, err)
+    assert "--n-targets can be used only with random targets, but a catalog was given" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 

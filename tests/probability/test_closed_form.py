@@ -105,7 +105,7 @@ def test_the_pitch_is_the_distance_of_first_neighbors():
 
 
 def test_the_printed_formula_has_no_area_for_equal_arms():
-    words = "no coverage area if the arms have equal lengths: the outer radius l2 - l1 . d is a misprint of l1 . l2 . d"
+    words = "if the arms have equal lengths: the outer radius l2 - l1 . d is a misprint for l1 . l2 . d"
     for plane in (lamost_like(1), replace(lamost_like(1), eccentric_arm=([8.25] * 6 + [16]) * MM)):
         with pytest.raises(rs.InputError, match=words):
             rs.collision_probability(plane, method="closed_form", variant="printed")

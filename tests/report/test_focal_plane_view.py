@@ -152,10 +152,10 @@ def test_targets_and_positioners_are_found_by_their_ids(page, tiles):
     reset(page)
     row = an_assigned(tiles["lamost"])
     for text in (row["id"], row["target_id"]):
-        page.get_by_label("Search a positioner").fill(text)
+        page.get_by_label("Search for a positioner").fill(text)
         page.keyboard.press("Enter")
         assert f"Positioner {row['id']}" in page.locator(".panel").inner_text()
-    page.get_by_label("Search a positioner").fill("nothing has this id")
+    page.get_by_label("Search for a positioner").fill("nothing has this id")
     page.keyboard.press("Enter")
     assert "has the id nothing has this id" in page.locator(".panel").inner_text()
 

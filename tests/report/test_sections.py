@@ -52,7 +52,7 @@ def test_the_page_of_a_tile_has_its_requirements_and_constraints(small, catalog,
     facts = found.facts()
     assert facts["required targets"] == ", ".join(map(str, near))
     assert facts["circles that no arm may cover"] == "cap 95.0 23.0 0.01"
-    assert facts["blank sky, away from all targets"] == "2 mm"
+    assert facts["minimum distance of sky positions from targets"] == "2 mm"
     assert "All requirements are met." in text_of(found)
     assigned = tile.table["kind"][tile.table["status"] == "assigned"].tolist()
     labels = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}

@@ -65,7 +65,7 @@ def test_every_tile_has_the_class_of_its_value(page, survey):
 
 
 def test_tiles_are_found_and_selected_with_keys(page, survey):
-    page.get_by_label("Search a tile").fill(str(survey.tiles["tile"][5]))
+    page.get_by_label("Search for a tile").fill(str(survey.tiles["tile"][5]))
     page.keyboard.press("Enter")
     assert page.evaluate(f"{VIEW}.selected") == 5
     page.locator("canvas").focus()

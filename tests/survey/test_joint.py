@@ -174,7 +174,7 @@ def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
     other = rs.Catalog(catalog.coord, id=[f"s{k}" for k in range(len(catalog))], visits=catalog.visits)
     with pytest.raises(rs.InputError, match="targets of this catalog"):
         rs.plan_survey(other, instrument, tiles, allocator="optimal", order=order)
-    with pytest.raises(rs.InputError, match="more visits than requested"):
+    with pytest.raises(rs.InputError, match="more visits of a target than requested"):
         rs.plan_survey(catalog, instrument, tiles, allocator="optimal", order=order, visits=0 * catalog.visits)
 
 

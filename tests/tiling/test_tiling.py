@@ -284,7 +284,7 @@ def test_centers_restrict_coverings():
         ({"radius": 95 * DEG}, "radius must be one finite value above 0 deg and below 90 deg"),
         ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
         ({"radius": None}, "an instrument or the radius of a tile"),
-        ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must be at least one"),
+        ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must contain at least one"),
         ({"exclude": 5}, "exclude must be a Region"),
         ({"instrument": "lamots"}, "unknown instrument 'lamots'"),
     ],

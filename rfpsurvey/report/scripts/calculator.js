@@ -1,6 +1,6 @@
-// The collision probability of a design while sliders are moved: the surrogate of rfpsurvey/probability/_surrogate.py.
+// A calculator with sliders for the collision probability of a design: the surrogate of rfpsurvey/probability/_surrogate.py.
 
-// The nonzero cubic B-splines at x, and the index of the first of them (de Boor's recurrence).
+// The index of the first cubic B-spline that is not 0 at x, and the values of the four such splines (de Boor's recurrence).
 function basis(knots, x) {
   let last = knots.length - 5;
   while (last > 3 && x < knots[last]) last -= 1;
@@ -104,7 +104,7 @@ class CalculatorView {
       make("p", { class: "large" }, problems.length ? "\u2013" : fixed(p, 4)),
       make("p", { class: problems.length ? "bad" : "count" }, problems.length ? `Outside the range of the surrogate: ${problems.join("; ")}.` :
         p === 0 ? "The arms cannot touch." : `Root-mean-square error ${error}, largest known error ${this.surrogate.largest_error}.`),
-      list([["Patrol area", `${fixed(Math.abs(l1 - l2), 2)} to ${fixed(l1 + l2, 2)} mm`], ["Minimum separation", fixed(2 * clearance, 2, " mm")],
+      list([["Radii of the patrol area", `${fixed(Math.abs(l1 - l2), 2)} to ${fixed(l1 + l2, 2)} mm`], ["Minimum separation", fixed(2 * clearance, 2, " mm")],
         ["Patrol area over area per positioner", fixed(Math.PI * 4 * l1 * l2 / cell, 3)],
         ["Positioners per cm\u00b2", fixed(100 / cell, 4)]]));
     this.fillSteps(problems.length ? null : p);

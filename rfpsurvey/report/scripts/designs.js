@@ -9,7 +9,7 @@ class Scatter {
     this.stage.changed = (whole) => { changed(whole); owner.follow(this); };
   }
 
-  // Coordinates of the world: 0 to 1.6 across and 0 to 1 up, within the range of each column.
+  // World coordinates of a design: x from 0 to 1.6 and y from 0 to 1, which span the ranges of the two plotted columns.
   place(k) {
     const scaled = (name) => (this.owner.columns[name][k] - this.owner.ranges[name][0]) / this.owner.ranges[name][1];
     return [1.6 * scaled(this.owner.x), scaled(this.y)];
@@ -145,7 +145,7 @@ class DesignsView {
       tools.append(field);
     }
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
-    const keys = make("p", { class: "keys" }, "Wheel, two fingers, + and \u2212: zoom; both plots show the same range of the horizontal axis. Drag, Shift and arrow keys: " +
+    const keys = make("p", { class: "keys" }, "Wheel, two fingers, + and \u2212: zoom; both plots show the same range of the horizontal axis. Drag, or Shift with arrow keys: " +
       "move. 0: show everything. Arrow keys: select a design. Large points are on the Pareto front: no other design is better in both objectives. Squares are instruments.");
     live.append(tools, make("div", { class: "panes" }, make("div", { class: "linked" }, ...this.plots.map((plot) => plot.stage.frame), keys), this.panel));
     this.update();

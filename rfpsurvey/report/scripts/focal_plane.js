@@ -15,7 +15,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const [[x0, x1], [y0, y1]] = [around(this.x), around(this.y)];
     this.stage = new Stage(this, [x0 - reach, y0 - reach, x1 + reach, y1 + reach], {
       flip: true, label: `Focal plane of ${data.instrument} with ${plural(n, "positioner")}. Arrow keys select positioners.`,
-      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, Shift and arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
+      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
         "Enter: show the row in the table. Escape: end the selection." });
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.count = make("p", { class: "count", role: "status" });
@@ -61,7 +61,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const search = make("input", { type: "search", placeholder: "id", spellcheck: "false", autocomplete: "off" });
     const find = make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
       make("label", {}, make("span", {}, "Positioner or target "), search));
-    search.setAttribute("aria-label", "Search a positioner or a target by its id");
+    search.setAttribute("aria-label", "Search for a positioner or a target by its id");
     search.addEventListener("search", () => this.find(search.value.trim()));
     box.append(this.filterField, find);
     return box;
@@ -74,7 +74,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.choose(this.selected, false);
   }
 
-  // All filters that select at least one positioner, as [value, text, test].
+  // All filters by group, as [value, text, test]; `update` omits filters that select no positioner.
   filters() {
     const { plan, compared } = this;
     const groups = new Map([["", [["all", "all positioners", () => true]]]]);
@@ -291,7 +291,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.table = make("table", { class: "rows rounded" }, make("thead", {}, make("tr", {}, ...heads)), body);
     this.scroll.replaceChildren(this.table);
     makeSortable(this.table);
-    this.scroll.dispatchEvent(new Event("scroll")); // the note on hidden columns
+    this.scroll.dispatchEvent(new Event("scroll")); // updates the note on hidden columns
     this.markRow(true);
   }
 

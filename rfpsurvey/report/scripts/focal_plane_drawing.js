@@ -77,7 +77,7 @@ class FocalPlaneDrawing {
     context.globalAlpha = 1;
   }
 
-  // Thin lines are the arms; the translucent band is as wide as the minimum separation: two arms collide where bands overlap.
+  // Thin lines are the arms; a translucent band is as wide as the minimum separation. Two arms collide if their bands overlap.
   paintArms(context, stage, rows, plan) {
     const path = (points, closed) => {
       context.beginPath();
@@ -159,12 +159,12 @@ class FocalPlaneDrawing {
     }
   }
 
-  // Arrows toward north and east. The position angle is that of +y, from north toward east.
+  // Arrows toward north and east. The position angle of +y is measured from north toward east.
   compass() {
     const angle = this.data.position_angle;
     if (angle === null) return null;
     const [s, c] = [Math.sin(angle * Math.PI / 180), Math.cos(angle * Math.PI / 180)];
-    return { N: [-this.stage.flip * s, c], E: [this.stage.flip * c, s] }; // on the screen, up is positive
+    return { N: [-this.stage.flip * s, c], E: [this.stage.flip * c, s] }; // (right, up) on the screen
   }
 
   paintCompass(context, stage) {

@@ -1,4 +1,4 @@
-// Parts of all interactive views. Data become text nodes, never HTML.
+// Functions and classes that all interactive views use. Data are inserted into the page as text nodes, never as HTML.
 
 function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
@@ -10,7 +10,7 @@ function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-// A column, as report/_pack.py writes it: numbers with NaN for missing values, or text.
+// Return the values of a column that report/_pack.py packed: numbers, with NaN for missing values, or texts.
 function unpack(column, n) {
   const scale = 10 ** (column.d ?? 0);
   const value = (v) => column.names ? column.names[v] : typeof v === "string" ? v : v === null ? NaN : v / scale;
@@ -41,8 +41,9 @@ function list(entries) {
 }
 
 // A canvas that can be zoomed and dragged with mouse, fingers, buttons and keys. The owner has these methods:
-// paint(context, stage), pick(x, y) (the item at a point of the world, or -1), card(item) (its elements or null),
-// choose(item), step(dx, dy) (selects the next item in a direction).
+// paint(context, stage); pick(x, y), which returns the item at a point in world coordinates, or -1; card(item), which
+// returns the HTML elements that describe an item, or null; choose(item), which selects an item, or none for -1; and
+// step(dx, dy), which selects the next item in a direction.
 class Stage {
   constructor(owner, box, { flip = false, label, keys, equal = true }) {
     Object.assign(this, { owner, box, flip: flip ? -1 : 1, equal, x: 0, y: 0, scale: 1, width: 1, height: 1 });
@@ -83,7 +84,7 @@ class Stage {
 
   changed(whole = false) {
     this.whole = whole;
-    this.canvas.style.touchAction = whole ? "pan-y" : "none"; // the page can be scrolled until the plot is enlarged
+    this.canvas.style.touchAction = whole ? "pan-y" : "none"; // touches scroll the page while the plot is not enlarged
     this.tip.hidden = true;
     this.draw();
   }
@@ -96,7 +97,7 @@ class Stage {
     return [this.x + this.flip * (px - this.width / 2) / this.scale, this.y - (py - this.height / 2) / this.scale];
   }
 
-  // The point (px, py) of the canvas keeps its position.
+  // Zoom by a factor; the point (px, py) of the canvas does not move.
   zoom(factor, px = this.width / 2, py = this.height / 2) {
     const [x, y] = this.toWorld(px, py);
     this.scale = Math.min(Math.max(this.scale * factor, this.least), this.least * 2000);

@@ -1,4 +1,4 @@
-// Tiles on the sky, colored by a column, with a slider over the passes.
+// Tiles on the sky, colored by a column, with a slider that selects the passes.
 
 const RAMPS = { light: [[198, 226, 244], [0, 114, 178], [30, 16, 70]], dark: [[52, 74, 92], [86, 180, 233], [255, 236, 160]] };
 const BINS = 8;
@@ -35,7 +35,7 @@ class SkyMapView {
     const r = data.radius;
     const box = data.whole ? [-163, -82, 163, 82] : [x0 - r, y0 - r, x1 + r, y1 + r];
     this.stage = new Stage(this, box, { flip: true, label: `Map of ${plural(n, "tile")}, east to the left. Arrow keys select tiles.`,
-      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, Shift and arrow keys: move. 0: show everything. Arrow keys: select a tile. " +
+      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a tile. " +
         "Escape: end the selection." });
     if (data.whole) this.stage.frame.classList.add("low");
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
@@ -62,7 +62,7 @@ class SkyMapView {
       this.passText = make("output", {});
       box.append(make("label", { class: "field" }, this.passText, this.slider), make("label", { class: "check" }, this.only, " only this pass"));
     }
-    const search = make("input", { type: "search", placeholder: "tile", autocomplete: "off", "aria-label": "Search a tile" });
+    const search = make("input", { type: "search", placeholder: "tile", autocomplete: "off", "aria-label": "Search for a tile" });
     box.append(make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
       make("label", {}, make("span", {}, "Tile "), search)));
     return box;

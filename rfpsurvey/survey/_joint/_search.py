@@ -75,7 +75,7 @@ class Search:
 
     @property
     def next_size(self) -> np.ndarray:
-        """Smallest size of the patches with which the bound of each level is computed again."""
+        """Size of the patches from which on the bound of each level is computed again; smaller patches do not help."""
         return self._next_size
 
     @property
