@@ -31,7 +31,7 @@ MAX_ROWS = 1000  # largest number of rows of a table, by default
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as HTML, with tables of at most ``max_rows`` rows; with None, tables have their default lengths."""
+    """Return a page as HTML; tables show at most ``max_rows`` rows, or ``MAX_ROWS`` rows if ``max_rows`` is None."""
     kinds = sorted({block.kind for section in page.sections for block in section.blocks if isinstance(block, View)})
     script = _script(tuple(kinds))
     return _template().render(

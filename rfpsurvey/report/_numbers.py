@@ -8,7 +8,7 @@ __all__ = ["column_texts", "number_text"]
 
 DIGITS = 4
 SMALL, LARGE = 1e-4, 1e7  # numbers outside of this range are written with an exponent
-WIDE = 100  # if the numbers of a column differ by more than this factor, their numbers of decimals differ
+WIDE = 100  # if the numbers of a column differ by this factor or more, each number has its own number of decimals
 
 
 def number_text(value: object) -> str:

@@ -13,7 +13,7 @@ __all__ = ["sky_view"]
 DECIMALS = 4
 """Number of decimals of positions in degrees, and of fractions."""
 WIDE = 70
-"""Angle in degrees. If a tile is farther than this from the mean direction of tiles, the map shows the whole sky."""
+"""If a tile is farther than this angle (degrees) from the mean direction of all tiles, the map shows the whole sky."""
 COLUMNS = (
     "tile",
     "pass",

@@ -24,7 +24,7 @@ LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
 USED_GRAY = re.compile(r"var\(--g([0-9a-f]{2}),")
-# colors that replace black and white on a dark screen; other colors do not change, because they can represent values
+# colors that replace black and white on a dark screen; only grays change, because other colors can represent values
 DARK_INK, DARK_PAPER = np.array([226, 229, 233]), np.array([22, 25, 29])
 
 
@@ -116,7 +116,7 @@ def _new_names(root, prefix: str) -> dict[str, str]:
 
 
 def _rename(attributes: dict, names: dict[str, str]) -> None:
-    """Give ids and references their new names, remove unused ids, and replace grays by variables of the page."""
+    """Give ids and references their new names, remove unused ids, shorten paths, and replace grays by CSS variables."""
     if attributes.get("id") not in names:
         attributes.pop("id", None)
     for key, value in attributes.items():
@@ -136,7 +136,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
 
 
 def _with_palette(image: str) -> str:
-    """Return a PNG image with only 256 colors, which suffice for drawings of lines; its size becomes a third."""
+    """Return a PNG image with only 256 colors, which suffice for line drawings, and with a third of the file size."""
     from PIL import Image
 
     file = io.BytesIO()

@@ -57,7 +57,7 @@ FIGURES = {
         "How often the interval for given targets contains the mean probability over all skies.",
         "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars extend "
         "two standard errors to each side. The gray line is the nominal fraction of 95 %. Points with the same number "
-        "of positioners are drawn beside each other.",
+        "of positioners are shifted sideways, so that they do not overlap.",
     ),
     "speed": (
         "Time and errors of each method.",
@@ -81,7 +81,7 @@ def page_of_estimate(estimate: Estimate, where: str) -> Page:
     return Page(
         "Estimate",
         "Collision probability",
-        f"Estimated by the method {kind}.",
+        f"Method of the estimate: {kind}.",
         highlights,
         [Section("Result", blocks)],
         meta,

@@ -91,7 +91,7 @@ def _asked(tile) -> dict:
         asked["center (ICRS)"] = f"{p['ra_deg']:.6f} {p['dec_deg']:+.6f} deg"
         asked["position angle"] = f"{p['position_angle_deg']:g} deg from the north of {p['north_of']}"
     asked["catalog"] = catalog.get("file") or catalog.get("synthetic") or "given in memory"
-    asked["epoch"] = p.get("epoch") or "as given"
+    asked["epoch"] = p.get("epoch") or "not stated"
     asked["requirements"] = p.get("requirements") or "none"
     if p.get("required"):
         asked["required targets"] = p["required"]

@@ -9,7 +9,7 @@ PER_WORD = 64
 
 
 def n_words(n_realizations: int) -> int:
-    """Return the number of 64-bit integers for each target."""
+    """Return the number of 64-bit integers that contain the bits of one target."""
     return -(-n_realizations // PER_WORD)
 
 

@@ -31,7 +31,7 @@ class SelectionFolder(RequestFolder):
 
     @property
     def result(self) -> Path | None:
-        """The path of the result; None if it is not finished."""
+        """Path of the file with the result; None if the computation is not finished."""
         return self.path / NAME if (self.path / NAME).is_file() else None
 
     def _open(self):
@@ -76,7 +76,7 @@ class SelectionFolder(RequestFolder):
             (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
 
     def load_block(self, number: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the masks of all targets and the counts of a finished block, or None if it is not finished."""
+        """Return the masks of all targets and the counts of a block, or None if the block is not finished."""
         found = self.load(_block(number))
         return None if found is None else (found["mask"], found["counts"])
 

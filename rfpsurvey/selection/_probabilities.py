@@ -42,7 +42,7 @@ class SelectionProbabilities:
     realizations : QTable
         Table with a row for each realization. Columns: ``realization``, ``seed``, ``n_assigned`` (number of positioners
         with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and ``n_observed``
-        (number of visits that count, by default the visits without a collision). The ``meta`` of the table contains
+        (number of visits to science targets, except targets lost to collisions). The ``meta`` of the table contains
         ``summary`` and ``provenance``.
 
     See Also
@@ -116,7 +116,7 @@ class SelectionProbabilities:
         Parameters
         ----------
         realization : int
-            Number of the realization, from 0.
+            Number of the realization, counted from 0.
 
         Returns
         -------

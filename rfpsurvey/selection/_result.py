@@ -8,11 +8,11 @@ from rfpsurvey.tile import describe, model_sentence
 __all__ = ["TARGETS", "realization_table"]
 
 REALIZATIONS = {
-    "realization": "number of the realization, which is the number of its bit",
+    "realization": "number of the realization, and of its bit",
     "seed": "seed of the subpriorities and of the random numbers of the realization",
     "n_assigned": "number of positioners with a target, summed over all tiles",
     "n_lost": "number of targets lost to collisions, summed over all tiles",
-    "n_observed": "number of visits that count",
+    "n_observed": "number of visits to science targets, except lost targets",
 }
 TARGETS = {
     "target_id": "identifier of the target",

@@ -1,4 +1,4 @@
-"""The rules of allocators for all realizations of a block.
+"""Rules by which three allocators assign the targets of a tile, each for all realizations of a block.
 
 A rule is a function of a `Field` and of an array ``chosen``. For each realization and positioner, the rule writes to
 ``chosen`` the index of the pair that assigns a target to the positioner, or -1 if the positioner has no target.
@@ -21,7 +21,7 @@ class Field(NamedTuple):
 
     pairs: Reach
     rank: np.ndarray
-    """Class of each target; 0 is the most important."""
+    """Priority class of each target; class 0 is assigned first."""
     n_ranks: int
     number: np.ndarray
     """Integer that represents the identifier of each target, and from which its subpriority is computed."""
@@ -54,7 +54,7 @@ class Field(NamedTuple):
 
 def balanced(field: Field, chosen: np.ndarray) -> None:
     """Add each target to the queue of a positioner, in the order of subpriority; then draw one target of each queue."""
-    # each realization has the random numbers of the survey with its seed
+    # a realization uses the same random numbers as the survey with the seed of the realization
     streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
     uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
     pairs = field.pairs
@@ -65,7 +65,7 @@ def lamost(field: Field, chosen: np.ndarray) -> None:
     """Assign the targets class by class: each free positioner nominates its target with the largest subpriority."""
     pairs = field.pairs
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
-    # If k other positioners reach candidates of a positioner, one of its first k + 1 candidates is always available.
+    # If k other positioners reach targets of a positioner, at least one of its first k + 1 targets is always free.
     start = np.concatenate([[0], np.cumsum(np.minimum(in_reach, field.n_sharing + 1))])
     kernels.lamost(
         pairs.indptr,

@@ -101,7 +101,7 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
 
 
 def count_type(n: int) -> type:
-    """Return the smaller of two integer types that can hold numbers up to n."""
+    """Return uint16 if this type can represent all integers up to n, otherwise uint32."""
     return np.uint16 if n < 1 << 16 else np.uint32
 
 

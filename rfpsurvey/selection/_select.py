@@ -83,8 +83,8 @@ def selection_probabilities(
         the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished plans and the number of
-        all plans. There is one plan for each tile and realization; in addition, the count of
-        the targets in reach of each tile counts as one plan.
+        all plans. There is one plan for each tile and realization. For each tile, the search for the targets in reach
+        counts as one additional plan.
     rng : int, Generator or None, optional
         Seed or random number generator. With None, a seed is drawn; it is recorded in ``provenance``.
 

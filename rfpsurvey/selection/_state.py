@@ -30,7 +30,7 @@ class State:
         self.n_rounds = 0
         """Number of rounds that are finished."""
         self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
-        """Numbers per realization: positioners with a target, targets lost to a collision, and visits that count."""
+        """Per realization: numbers of positioners with a target, of lost targets, and of visits to science targets."""
 
     def take(self, slot: np.ndarray) -> np.ndarray:
         """Return the remaining visits of the targets with the given slots, shape (k, n_realizations)."""

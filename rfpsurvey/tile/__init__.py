@@ -1,4 +1,4 @@
-"""Single tiles: planned from a catalog, or scored with the assignments of another planner."""
+"""Plan a single tile from a catalog, or find the collisions in the assignments of another planner."""
 
 from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit

@@ -37,11 +37,12 @@ def build_tile(
     targets: TargetsOfField | None = None,
     software: dict | None = None,
 ) -> Tile:
-    """Return a tile, whose table is made when it is used for the first time.
+    """Return a tile; its table is made when the table is used for the first time.
 
-    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
-    target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner;
-    ``targets`` are all targets of the field. ``software`` lists further packages whose versions the tile records.
+    ``ids``, ``sky_deg`` (right ascensions and declinations in ICRS) and ``kind`` describe the targets. ``target_of``
+    contains, for each positioner, the row of its target, or -1 if the positioner has no target. ``carried`` contains
+    further columns of the table, by name. ``targets`` contains all targets of the field. ``software`` contains the
+    versions of further packages, which the provenance of the tile lists.
     """
     plane = instrument.focal_plane
     projection = parameters.get("projection", "radial")
@@ -79,7 +80,7 @@ def build_tile(
             **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }
-    meta = json.loads(json.dumps(meta, default=str))  # converts to types that all file formats support
+    meta = json.loads(json.dumps(meta, default=str))  # converts the values to types that all file formats support
     columns = TableOfTile(instrument, ids, sky_deg, target_of, fiber_type, posed, report, kind, carried, meta)
     return Tile(columns, targets)
 

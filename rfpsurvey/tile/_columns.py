@@ -53,9 +53,9 @@ OUTCOMES_COLUMNS = {
     "positioner": "identifier of the positioner of the target",
 }
 COMPLETENESS = {
-    "kind": "kind of the counted targets; all stands for every kind",
-    "category": "category of the counted targets; all stands for every category",
-    "priority": "priority of the counted targets; all stands for every priority",
+    "kind": "kind of the counted targets, or 'all' for every kind",
+    "category": "category of the counted targets, or 'all' for every category",
+    "priority": "priority of the counted targets, or 'all' for every priority",
     "n_in_field": "number of targets in the field",
     "n_reachable": "number of targets in reach of a positioner",
     "n_assigned": "number of targets with a positioner",
@@ -65,7 +65,7 @@ COMPLETENESS = {
 
 
 def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
-    """Set the descriptions of columns from ``about`` (``others`` for all other columns), and return the table."""
+    """Set the description of each column to its text in ``about``, or to ``others`` without one; return the table."""
     for name in table.colnames:
         if name in about or others:
             table[name].info.description = about.get(name, others)

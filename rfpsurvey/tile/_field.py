@@ -1,4 +1,4 @@
-"""The field of a tile: its center and the direction of north, in tables and in the provenance."""
+"""Read the center and the orientation of a field from a table, and describe them in the provenance of a tile."""
 
 import astropy.units as u
 import numpy as np
@@ -17,7 +17,7 @@ FIELD = {
     "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
     "position angle": ("position_angle", "field_pa", "pa", "posang"),
 }
-# the names of these entries in tiles of this package
+# the names of the same values in the provenance of tiles that this package made
 OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
 
 
@@ -73,7 +73,7 @@ def field_value(table, what: str) -> float:
 
 
 def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
-    """Return the center and orientation of a field for the provenance."""
+    """Return the center and the orientation of a field in the form in which the provenance stores them."""
     icrs = center.icrs
     return {
         "ra_deg": float(icrs.ra.deg),

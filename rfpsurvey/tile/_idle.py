@@ -16,7 +16,7 @@ __all__ = ["idle_tables"]
 
 IDLE_COLUMNS = {
     "id": "identifier of the positioner",
-    "reason": "why the positioner has no target",
+    "reason": "reason why the positioner has no target",
     "n_in_reach": "number of targets that the positioner can observe",
     "n_free": "number of targets in reach that no positioner observes",
     "n_possible": "number of free targets at which the arm would not collide",

@@ -42,7 +42,7 @@ from rfpsurvey.tile._tile import Tile
 
 __all__ = ["plan_tile"]
 
-# Largest number of objectives that a summary lists; the last line is the sum of all further objectives.
+# Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
@@ -65,8 +65,8 @@ def plan_tile(
     """Assign the targets of a field to fibers, and find the arms that collide.
 
     Without requirements, only science targets and required targets are assigned; all other sky positions and standard
-    stars are only counted. If each fiber type has its own radial map, targets without a fiber type are projected with
-    the map of the first fiber type.
+    stars are counted, but not assigned. If each fiber type has its own radial map, targets without a fiber type are
+    projected with the map of the first fiber type.
 
     Parameters
     ----------
@@ -91,11 +91,11 @@ def plan_tile(
         of the summary then states the displacements of targets that each simpler model of the projection neglects, and
         which model suffices.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
-        Model of the projection, as in `compare_projections`; ``auto`` is the cheapest model that suffices. By default,
-        ``radial`` without conditions and ``full`` with them.
+        Model of the projection, as in `compare_projections`; ``auto`` is the fastest model that suffices. By default,
+        the model is ``full`` if conditions are given, and ``radial`` otherwise.
     progress : bool or callable, optional
         Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
-        the finished fraction and 1.
+        two numbers: the finished fraction of the search, and 1.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers. With the default seed, all calls give
         the same tile.
@@ -158,7 +158,7 @@ def plan_tile(
     if len(given) == 0:
         raise InputError(
             f"none of the {len(rows)} targets in the field is a science target; "
-            "requirements such as 'sky=20' assign other targets"
+            "requirements such as 'sky=20' also assign targets of other kinds"
         )
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
@@ -229,22 +229,22 @@ def plan_tile(
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
-    """Return the number of required targets (marked by row of the field) that are assigned and not in collision."""
+    """Return the number of targets marked in ``is_required`` that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
     return 0 if is_required is None else int(is_required[observed].sum())
 
 
 def _outside(required: tuple, ids: np.ndarray) -> list[str]:
-    """Return a sentence on the required targets outside the field, if there are any."""
+    """Return a list with a sentence on the required targets outside the field; the list is empty if there are none."""
     there = are_among(required, ids) if required else np.ones(0, dtype=bool)
     outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
     return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:
-    """Return name, value and bound of each objective.
+    """Return the name, value and bound of each objective.
 
-    If there are many objectives, the last item is the sum of the remaining ones.
+    If there are more than ``MOST_OBJECTIVES`` objectives, the last item is the sum of all further objectives.
     """
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
@@ -254,7 +254,7 @@ def _objectives(levels: list) -> list:
 
 
 def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
-    """Issue a warning for requirements on categories that no target has, except requirements of the instrument."""
+    """Issue a warning for each requirement on a category that no target has, unless the instrument defines it."""
     if isinstance(options.requirements, str) or not options.requirements:
         return
     category = np.array([""]) if catalog.category is None else catalog.category
@@ -266,7 +266,7 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
-    """Return a remedy if right ascensions may be in hours: all are below 24, and targets would then be in the field."""
+    """Return a hint if all right ascensions are below 24, and targets would be in the field if the unit were hours."""
     if coord.ra.deg.max() >= 24:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
@@ -280,7 +280,7 @@ def _known(value):
 
 
 def _generator(rng):
-    """Return a Generator, and a record from which it can be reproduced."""
+    """Return a random number generator, and the seed or state with which this generator can be made again."""
     generator = to_generator(rng)
     if isinstance(rng, np.random.Generator):
         state = rng.bit_generator.state

@@ -1,4 +1,4 @@
-"""The function that scores assignments of other planners."""
+"""The function that finds the collisions in the assignments of other planners."""
 
 from time import perf_counter
 
@@ -65,8 +65,8 @@ def score_tile(
         Position angle of +y, measured from north in the frame of the center; by default it is read from the column or
         meta entry ``position_angle`` or ``field_pa``.
     equinox : str, optional
-        Equinox of north for position angles, such as ``"J2026.0"``; by default, north in ICRS. It is not
-        allowed with ``center``, whose frame defines north.
+        Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
+        ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
@@ -183,7 +183,7 @@ def score_tile(
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
-    if _is_ours(part):  # include arms that were stretched before
+    if _is_ours(part):  # arms that were already stretched when this tile was made remain out of reach
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
     if 2 * n_out > len(part):
@@ -205,7 +205,11 @@ def score_tile(
 
 
 def _positioners(find: Finder, instrument: Instrument):
-    """Return the rows that assign a positioner, their positioners, and the name of the column of positioners."""
+    """Return the assignments of a table.
+
+    The returned tuple contains the rows that assign a positioner, the index of the positioner of each of these rows,
+    and the name of the column with the identifiers of the positioners.
+    """
     plane = instrument.focal_plane
     name = find.name_of("positioner")
     if name is None:
@@ -213,7 +217,7 @@ def _positioners(find: Finder, instrument: Instrument):
     values = to_plain(find.table[name])
     if values.ndim != 1:
         raise InputError(f"column {name!r} must have one value per row, got the shape {values.shape}")
-    if values.dtype.kind == "f":  # integers in a column with missing values
+    if values.dtype.kind == "f":  # integers become floats in a column with missing values
         values = np.array(["" if np.isnan(v) else f"{v:.15g}" for v in values])
     names = np.char.strip(values.astype(str))
     if plane.id.dtype.kind == "i":  # columns of CSV files can have leading zeros
@@ -247,7 +251,11 @@ def _is_ours(table) -> bool:
 
 
 def _assigned(table) -> np.ndarray:
-    """Return which rows assign a fiber: the rows marked in the column ``assigned`` if it exists, otherwise all rows."""
+    """Return which rows of a table assign a fiber.
+
+    The column ``status`` marks these rows in tiles of this package, and the column ``assigned`` in other tables. If
+    another table has no column ``assigned``, all of its rows assign a fiber.
+    """
     if _is_ours(table):
         return np.isin(to_plain(table["status"]), ("assigned", "out_of_reach"))
     if "assigned" not in table.colnames:
@@ -263,7 +271,7 @@ def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
 
 
 def _sky_deg(find: Finder) -> np.ndarray:
-    """Return the sky positions of the table, or NaN if it has none, shape (2, n)."""
+    """Return the right ascensions and declinations of a table in deg, shape (2, n); NaN if the table has none."""
     if find.name_of("ra") is None or find.name_of("dec") is None:
         return np.full((2, len(find.table)), np.nan)
     return np.array([find.quantity("ra").value, find.quantity("dec").value])

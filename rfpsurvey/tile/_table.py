@@ -17,8 +17,9 @@ __all__ = ["TableOfTile", "status_of"]
 class TableOfTile:
     """The data from which the table of a tile is made.
 
-    ``ids``, ``sky_deg`` (rows ra, dec in ICRS) and ``kind`` describe the targets; ``target_of`` contains the row of the
-    target of each positioner, or -1 if it has no target. The columns in ``carried`` have a value for each positioner.
+    ``ids``, ``sky_deg`` (right ascensions and declinations in ICRS) and ``kind`` describe the targets. ``target_of``
+    contains, for each positioner, the row of its target, or -1 if the positioner has no target. ``carried`` contains
+    further columns of the table, by name.
     """
 
     instrument: Instrument
@@ -78,7 +79,7 @@ def status_of(plane, posed: Arms) -> np.ndarray:
 
 
 def _partners(plane, report):
-    """Return for each positioner one string with the identifiers of everything that it collides with."""
+    """Return for each positioner a string with the identifiers of the arms and obstacles that collide with its arm."""
     partners = {}
     for i, j in report.pairs.tolist():
         partners.setdefault(i, []).append(str(plane.id[j]))

@@ -1,4 +1,4 @@
-"""The outcome of every target of a field, and completeness by class."""
+"""The outcome of every target of a field, and the completeness for each kind, category and priority."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +30,7 @@ class TargetsOfField:
     rows: np.ndarray
     """Rows of the targets of the field in the catalog."""
     allocated: np.ndarray
-    """Rows of the targets that the allocator received."""
+    """Rows in the catalog of the targets that the allocator received."""
     plan: FieldPlan
 
     @cached_property

@@ -46,13 +46,13 @@ class Tile:
         ``parked``: without a target, and an obstacle for other positioners; ``idle``: without a target, and not an
         obstacle; ``disabled``; ``stuck``), ``target_id`` (masked for positioners without a target), ``ra``, ``dec``
         (ICRS), ``fiber_type`` (if there are several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``,
-        ``tip_y``, ``in_collision``, ``colliding_with`` (identifiers, such as ``obstacle-3`` for a circle, separated by
-        spaces), ``clearance`` (distance to the nearest other arm minus the minimum separation), ``arm_x``, ``arm_y``
-        (end of the segment of the arm that can collide; the segment begins at the elbow). Planned tiles also have
-        ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners can also observe sky), and
-        ``category``, ``priority`` and the further columns of the catalog, if the catalog has them. Numbers that do not
-        apply to a positioner are NaN, or masked if they are integers. The ``meta`` contains ``summary``,
-        ``provenance`` and ``geometry``.
+        ``tip_y``, ``in_collision``, ``colliding_with`` (identifiers of the positioners and obstacles with which the
+        arm collides, separated by spaces, such as ``12 obstacle-3``), ``clearance`` (distance to the nearest other arm
+        minus the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the arm that can collide).
+        Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners can also
+        observe sky), and ``category``, ``priority`` and the further columns of the catalog, if the catalog has them.
+        Numbers that do not apply to a positioner are NaN, or masked if they are integers. The ``meta`` contains
+        ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -114,7 +114,7 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Numbers and rates, a description of the model, and the computing time of each stage in seconds.
+        """Counts and rates of the tile, a description of the model, and the computing time of each stage in seconds.
 
         For planned tiles, ``n_required`` is the number of required targets, and ``n_required_observed`` is the number
         of required targets that are assigned and not in collision.
@@ -133,7 +133,7 @@ class Tile:
 
     @property
     def center(self) -> SkyCoord | None:
-        """Field center (ICRS); None for assignments that were scored on the focal plane."""
+        """Field center (ICRS); None for tiles that were scored with positions on the focal plane."""
         parameters = self.provenance["parameters"]
         if "ra_deg" not in parameters:
             return None
@@ -167,7 +167,7 @@ class Tile:
         """Table of the completeness of the field, with a row for each kind, category, and priority of science targets.
 
         Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
-        ``n_reachable`` (0 for targets that are not requested), ``n_assigned``, ``n_observed`` (assigned, and not in
+        ``n_reachable`` (only requested targets), ``n_assigned``, ``n_observed`` (assigned, and not in
         collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. The table is None if there
         are no `outcomes`.
         """
@@ -282,7 +282,7 @@ class Tile:
         _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
 
     def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
-        """Return the interactive view of the focal plane, as in a report, for a notebook.
+        """Return an interactive view of the focal plane for a notebook, the same as in a report.
 
         The view is in a frame that can run the script of the view, but has no access to the notebook or the network.
 
@@ -341,13 +341,13 @@ class Tile:
         )
 
     def _kinds(self) -> str:
-        """Return the numbers of positioners by kind as text, if there are several kinds."""
+        """Return as text the number of positioners for each kind of target, unless all targets are science targets."""
         counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
         return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
 
 
 def _plain(table: QTable) -> QTable:
-    """Replace masked values from a file by NaN or empty text; integers without a target remain masked."""
+    """Replace masked values of a table from a file by NaN, empty text or False; masked integers remain masked."""
     for name in table.colnames:
         column = table[name]
         if isinstance(column, Masked):

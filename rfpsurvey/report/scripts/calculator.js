@@ -105,7 +105,7 @@ class CalculatorView {
       make("p", { class: problems.length ? "bad" : "count" }, problems.length ? `Outside the range of the surrogate: ${problems.join("; ")}.` :
         p === 0 ? "The arms cannot touch." : `Root-mean-square error ${error}, largest known error ${this.surrogate.largest_error}.`),
       list([["Radii of the patrol area", `${fixed(Math.abs(l1 - l2), 2)} to ${fixed(l1 + l2, 2)} mm`], ["Minimum separation", fixed(2 * clearance, 2, " mm")],
-        ["Patrol area over area per positioner", fixed(Math.PI * 4 * l1 * l2 / cell, 3)],
+        ["Patrol area divided by area per positioner", fixed(Math.PI * 4 * l1 * l2 / cell, 3)],
         ["Positioners per cm\u00b2", fixed(100 / cell, 4)]]));
     this.fillSteps(problems.length ? null : p);
     this.curve();
