@@ -135,7 +135,7 @@ CALLS = {
     "keep_out must be one or more circles made by Region.cap, got <Region polygon": lambda: rs.AllocationOptions(
         keep_out=[CIRCLE, rs.Region.parse("polygon 1 1 2 1 2 2")]
     ),
-    "forbidden must be rows (positioner, target) of whole numbers, got [[0], [1, 2]]": lambda: rs.allocate(
+    "forbidden must be pairs (positioner, target) of row numbers, got [[0], [1, 2]]": lambda: rs.allocate(
         PLANE, XY, forbidden=[[0], [1, 2]]
     ),
     "fiber_type of 'sky' must be a name, got 3": lambda: rs.Requirement("sky", 1, fiber_type=3),
@@ -233,7 +233,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             lambda s: replace(s.focal_plane, stuck=np.full((37, 2), [30, np.nan]) * u.deg),
             "stuck must contain both theta",
         ),
-        (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must be finite rows"),
+        (lambda s: replace(s.focal_plane, obstacles=[[np.nan, 0, 1]] * MM), "obstacles must have rows"),
         (lambda s: replace(s.focal_plane, id=3), "id must have one value per positioner"),
         (
             lambda s: rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets="ten"),

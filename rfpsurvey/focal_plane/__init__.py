@@ -1,4 +1,4 @@
-"""The positioners of an instrument as columns: positions, neighbors, and targets in reach."""
+"""Focal planes: the positioners of an instrument, their neighbors, and the targets that they reach."""
 
 from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._coverage import on_footprint

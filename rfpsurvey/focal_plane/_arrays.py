@@ -25,7 +25,7 @@ SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 
 
 class FocalPlaneArrays:
-    """The columns of a focal plane as read-only numbers without units, in mm and radians.
+    """The columns of a focal plane as read-only arrays without units, in mm and radians.
 
     Each array is computed on first use and is then stored. Row i belongs to positioner i.
 
@@ -45,15 +45,15 @@ class FocalPlaneArrays:
     largest_radius : ndarray of float, shape (n,)
         Largest outer radius of the patrol areas of all fibers of each positioner, mm.
     equal_arms : ndarray of bool, shape (n,)
-        Whether both arms have the same length.
+        Whether the two arms of each positioner have the same length.
     arm_reach : ndarray of float, shape (n,)
         Largest distance from the center of a positioner to a point of its arm that can collide, mm.
     usable : ndarray of bool, shape (n,)
         Whether each positioner may have a target: it is neither disabled nor stuck.
     stuck : ndarray of float, shape (n, 2)
-        theta and phi of stuck positioners, NaN for other positioners.
+        theta and phi of stuck positioners in radians, NaN for other positioners.
     is_stuck : ndarray of bool, shape (n,)
-        Whether each positioner cannot move.
+        Whether each positioner is stuck, that is, cannot move.
     obstacles : ndarray of float, shape (m, 3)
         Circles (x, y, radius) that no arm may touch, mm.
     obstacle_polygons : tuple of ndarray of float, shape (k, 2)
@@ -65,17 +65,17 @@ class FocalPlaneArrays:
     first_index : ndarray of int, shape (n,)
         Index of ``first_type`` in ``fiber_types``.
     fiber_index : ndarray of int, shape (n,)
-        Index in ``fiber_types`` of the fiber type that each positioner uses. It equals ``first_index``, unless `using`
-        sets other indices.
+        Index in ``fiber_types`` of the fiber type that each positioner uses. It equals ``first_index``, unless the
+        method `using` sets other indices.
     neighbors : ndarray of int, shape (k, 2)
-        Pairs of positioners to test for collisions, including pairs that can collide only because of rounding errors.
+        Row numbers of the pairs of positioners whose arms may collide, with a margin for rounding errors.
     obstacle_pairs : ndarray of int, shape (k, 2)
-        Pairs of rows (positioner, obstacle) that can touch; circles are numbered first, then polygons.
+        Pairs (positioner, obstacle) that can touch, as row numbers; circles are numbered first, then polygons.
     n_sharing : ndarray of int, shape (n,)
-        For each positioner, an upper limit of the number of other positioners that can reach one of its targets.
+        For each positioner, the number of other positioners with overlapping patrol areas (an upper limit).
     separation, clearance, length : float
         Minimum separation of two arms, clearance of an arm, and length of the segment that can collide, mm. The length
-        0 means that the segment extends from the elbow to the fiber.
+        is 0 for the arm models ``elbow_to_tip`` and ``fiber_tip``, which have no fixed length.
 
     Examples
     --------
@@ -194,7 +194,7 @@ class FocalPlaneArrays:
         return locked(np.array([self.plane.fiber_types.index(name) for name in self.first_type.tolist()]))
 
     def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
-        """Return the indices of names in ``fiber_types``; ``""`` means the first fiber type of the positioner."""
+        """Return the index of each fiber type in ``fiber_types``; ``""`` means the first type of the positioner."""
         found = self.first_index.copy() if own is None else self.first_index[own]
         for k, name in enumerate(self.plane.fiber_types):
             found[fiber_type == name] = k
@@ -205,7 +205,7 @@ class FocalPlaneArrays:
         return self.first_index
 
     def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
-        """Return the arrays for positioners that use the fiber types ``fiber`` (indices); None changes nothing."""
+        """Return the arrays for positioners that use the fiber types with the indices ``fiber`` (None: no change)."""
         if fiber is None:
             return self
         for name in SHARED:
@@ -302,7 +302,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def limits(self) -> collisions.Limits:
-        """The minimum separation, and the limits of rounding errors."""
+        """Minimum separation of arms and limits of rounding errors, in the form that the collision kernels require."""
         return find_limits(self)
 
     @cached_property
@@ -314,12 +314,12 @@ class FocalPlaneArrays:
 
     @cached_property
     def obstacle_slack(self) -> float:
-        """Upper limit of the rounding error of the distance between an arm and an obstacle that it barely touches."""
+        """Upper limit (mm) of the rounding error of the distance between an arm and an obstacle that it touches."""
         return find_obstacle_slack(self)
 
     @cached_property
     def runs(self) -> np.ndarray:
-        """Neighbors as sorted rows (i, j, n); each row stands for n pairs: (i, j), (i + 1, j + 1), and so on."""
+        """Neighbors as sorted entries (i, j, n), each of which stands for n pairs: (i, j), (i + 1, j + 1), ..."""
         return find_runs(self.neighbors)
 
     @cached_property
@@ -329,11 +329,11 @@ class FocalPlaneArrays:
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cosine and sine of the angle at the elbow from the fiber in use to the capsule, for each positioner."""
+        """Cosine and sine of the angle at the elbow from the fiber in use to the capsule axis, for each positioner."""
         return self.angles_of(np.arange(len(self.plane)), self.fiber_index)
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosine and sine of the angle at the elbow from fiber to capsule, for the positioners ``own``."""
+        """Return cosine and sine of the angle at the elbow from fiber to capsule axis, for the positioners ``own``."""
         angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
         if self.fibers is not None:
             angle = angle - self.fibers.angle[fiber, own]
@@ -364,27 +364,27 @@ class FocalPlaneArrays:
         return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Convert the angles that the kernels use to joint angles."""
+        """Convert angles from the convention of the kernels (see `Joints`) to joint angles."""
         if self.joints is None:
             return theta, phi
         own, fiber = self.rows_of(own, fiber)
         return self.joints.from_kernel(theta, phi, own, fiber)
 
     def from_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Convert joint angles to the angles that the kernels use."""
+        """Convert joint angles to the convention of the kernels (see `Joints`)."""
         if self.joints is None:
             return theta, phi
         theta_zero, phi_zero = self.joints.zeros(*self.rows_of(own, fiber))
         return theta + theta_zero, phi + phi_zero
 
     def rows_of(self, own, fiber):
-        """Return ``own`` (None: all rows) and ``fiber`` (None: the fiber types that the positioners use)."""
+        """Return the rows ``own`` (None: all rows) and the fiber indices ``fiber`` (None: the fiber types in use)."""
         own = np.arange(len(self.plane)) if own is None else own
         return own, self.fiber_index[own] if fiber is None else fiber
 
     @cached_property
     def home(self) -> np.ndarray:
-        """Joint angles theta and phi of parked positioners, shape (2, n)."""
+        """Joint angles theta and phi of parked positioners in radians, shape (2, n)."""
         numbers = self.plane.positioner.numbers
         if self.joints is None:
             return np.repeat(numbers.home[:, None], len(self.plane), axis=1)

@@ -14,7 +14,7 @@ __all__ = ["check_columns"]
 
 
 def check_columns(plane) -> None:
-    """Check the columns of a focal plane and convert them to arrays without units."""
+    """Check the columns of a focal plane, and convert columns that have no unit to arrays."""
     if not isinstance(plane.positioner, Positioner):
         raise InputTypeError(f"positioner must be a Positioner, got {type(plane.positioner).__name__}")
     xy = to_points_mm(plane.xy, "xy")
@@ -75,7 +75,7 @@ def check_columns(plane) -> None:
         if getattr(plane, name) is None:
             continue
         circles = to_mm(getattr(plane, name), name)
-        what = f"{name} must be finite rows (x, y, radius) with radius >= 0"
+        what = f"{name} must have rows (x, y, radius) of finite values with radius >= 0"
         if circles.ndim != 2 or circles.shape[1] != 3:
             raise InputError(f"{what}, got the shape {circles.shape}")
         strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]

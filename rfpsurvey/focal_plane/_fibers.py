@@ -42,19 +42,19 @@ class Joints:
     Parameters
     ----------
     plane : FocalPlane
-        The focal plane, which has ``zero_points``, ``fiber_xy``, or joint limits of single positioners.
+        Focal plane with at least one of the columns ``zero_points``, ``fiber_xy``, ``theta_range`` and ``phi_range``.
     fibers : Fibers or None
-        The positions of the fibers.
+        Positions of the fibers relative to the elbows; None if the focal plane has no ``fiber_xy``.
     l1, l2 : ndarray of float, shape (n,) and (k, n)
         Lengths of the central arms, and distances from the elbow to the fiber of each type, mm.
 
     Attributes
     ----------
     inner, outer : ndarray of float, shape (k, n)
-        Smallest and largest distance between fiber and center that the limits of phi allow, mm. The values are 0 and
-        infinity if the limits of phi do not restrict this distance, or cannot be replaced by limits of this distance.
+        Smallest and largest distance from fiber to center of the positioner that the limits of phi allow, mm. The
+        values are 0 and infinity if limits of this distance are not necessary, or cannot replace the limits of phi.
     free : dict of float to ndarray of bool, shape (n,)
-        Whether the limits allow all points between ``inner`` and ``outer``, for the handedness 1 (right) and -1 (left).
+        Whether joint limits allow all points from ``inner`` to ``outer``, for the handedness 1 (right) and -1 (left).
     """
 
     def __init__(self, plane, fibers: Fibers | None, l1: np.ndarray, l2: np.ndarray):
@@ -100,7 +100,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return joint angles, from the lower joint limit (-180 deg if there is no limit) to 360 deg above it."""
+        """Return joint angles between the lower joint limit (-180 deg if there is no limit) and 360 deg above it."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -121,16 +121,16 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance between fiber and center; mark positioners with new limits.
+        """Replace limits of phi by limits of the distance from fiber to center; return which limits were replaced.
 
-        The replacement is possible if theta is free and the allowed values of phi form one interval. The points in
-        reach then form a ring, because the distance between fiber and center depends only on phi.
+        The replacement is possible if theta has no limits and if the allowed values of phi form one interval. The
+        points in reach then form a ring, because the distance between fiber and center depends only on phi.
         """
         low, high, phi_low, phi_high = self.limits
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)
         start = -np.pi if side < 0 else 0.0
         with np.errstate(invalid="ignore"):
-            # phi from the start of the range of this handedness, [0, pi]; intervals may continue beyond 2 pi
+            # phi relative to the start of the range of this handedness, which is now [0, pi]; intervals may exceed 2 pi
             first = np.mod(phi_low + offset - start, 2 * np.pi)
             last = first + (phi_high - phi_low)
         before, after = first <= np.pi, last >= 2 * np.pi

@@ -1,4 +1,4 @@
-"""The positioners of an instrument as columns: positions, neighbors, and targets in reach."""
+"""Focal planes: the positioners of an instrument, their neighbors, and the targets that they reach."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -42,7 +42,7 @@ class FocalPlane:
     central_arm, eccentric_arm : Quantity, shape (n,), optional
         Arm lengths of each positioner; by default, the arm lengths of ``positioner``.
     disabled : array_like of bool, shape (n,), optional
-        Positioners that take no target and are parked.
+        Whether each positioner is disabled: a disabled positioner takes no target and is parked.
     stuck : Quantity, shape (n, 2), optional
         theta and phi of positioners that cannot move; NaN for all other positioners.
     obstacles : Quantity, shape (m, 3), optional
@@ -57,10 +57,10 @@ class FocalPlane:
         theta = 0, counter-clockwise from +x. The zero point of phi is the angle from the central arm to the mechanical
         axis of the eccentric arm at phi = 0.
     theta_range, phi_range : Quantity, shape (n, 2), optional
-        Joint limits of each positioner; NaN where the limits of ``positioner`` apply.
+        Lower and upper joint limits of each positioner; NaN where the limits of ``positioner`` apply.
     hidden : Quantity, shape (k, 3), optional
-        Circles (x, y, radius) where fibers receive no light, such as the circles behind dots. Targets inside a circle
-        are out of reach, but arms may cover a circle. Collision probabilities do not take the circles into account.
+        Circles (x, y, radius) where fibers receive no light, such as the areas behind the black dots of PFS. Targets
+        inside a circle are out of reach, but arms may enter it. Collision probabilities do not depend on the circles.
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
         Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
         polygon that is not convex into convex polygons.
@@ -139,7 +139,7 @@ class FocalPlane:
         if len(pairs) == 0:
             return 1
         distance = np.hypot(*(self.arrays.xy[pairs[:, 0]] - self.arrays.xy[pairs[:, 1]]).T)
-        # Distances above 4/3 of the largest distance of a pair are infinite here; they do not change the result.
+        # Distances above 4/3 of the largest distance of a pair are replaced by infinity; the result is the same.
         nearest = nearest_within(self.arrays.xy, 4 / 3 * distance.max())
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
 
@@ -149,7 +149,7 @@ class FocalPlane:
         Returns
         -------
         ndarray of int, shape (k, 2)
-            Row numbers i < j, sorted.
+            Row numbers (i, j) of the positioners of each pair, with i < j; the pairs are sorted.
         """
         return self.arrays.neighbors[self.arrays.can_touch(self.arrays.neighbors)]
 
@@ -162,19 +162,19 @@ class FocalPlane:
         Parameters
         ----------
         xy : Quantity, shape (n_targets, 2)
-            Targets on the focal plane; NaN is out of reach.
+            Positions of the targets on the focal plane; a target with a NaN is out of reach.
         fiber_type : array_like of str, shape (n_targets,), optional
             Fiber type that each target requires; ``""`` means any.
 
         Returns
         -------
         scipy.sparse.csr_array of bool, shape (n_positioners, n_targets)
-            Sparse matrix whose ``indptr`` and ``indices`` list the targets that each positioner reaches, ascending.
+            Sparse matrix; ``indptr`` and ``indices`` list the targets of each positioner in ascending order.
 
         Raises
         ------
         InputError
-            If ``xy`` is not a length of the shape ``(n_targets, 2)``, or if the focal plane lacks a fiber type.
+            If ``xy`` has no unit of length, if a shape is wrong, or if a required fiber type is unknown.
         """
         return self.arrays.reach(to_points_mm(xy, "xy"), fiber_type).matrix
 
@@ -186,7 +186,7 @@ class FocalPlane:
         theta, phi : Quantity, shape (n,)
             Joint angles; a NaN results in a NaN position.
         fiber_type : str or array_like of str, shape (n,), optional
-            Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
+            Fiber type, or another name in ``fiber_xy``; by default, the first fiber type of each positioner.
 
         Returns
         -------
@@ -196,7 +196,7 @@ class FocalPlane:
         Raises
         ------
         InputError
-            If the angles do not have the shape ``(n,)``, or if the focal plane does not have the fiber.
+            If the angles do not have the shape ``(n,)``, or if a name in ``fiber_type`` is unknown.
 
         Examples
         --------
@@ -222,7 +222,7 @@ class FocalPlane:
         xy : Quantity, shape (n, 2)
             Points on the focal plane, one for each positioner.
         fiber_type : str or array_like of str, shape (n,), optional
-            Fiber type, or a name in ``fiber_xy``; by default the first fiber type of each positioner.
+            Fiber type, or another name in ``fiber_xy``; by default, the first fiber type of each positioner.
         handedness : {"right", "left"} or array_like of str, shape (n,), optional
             Handedness of each arm; by default, the handedness of the positioner.
 
@@ -233,12 +233,12 @@ class FocalPlane:
             above it. An angle is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner
             lacks the fiber.
         phi : Quantity, shape (n,)
-            Angles of the eccentric arms in deg, with the corresponding range and NaN for the same positioners.
+            Angles of the eccentric arms in deg, in the corresponding range, with NaN for the same positioners.
 
         Raises
         ------
         InputError
-            If the points do not have the shape ``(n, 2)``, or if the focal plane does not have the fiber.
+            If the points do not have the shape ``(n, 2)``, or if a name in ``fiber_type`` is unknown.
         """
         return _kinematics.inverse(self, xy, fiber_type, handedness)
 
@@ -250,12 +250,12 @@ class FocalPlane:
         Parameters
         ----------
         xy : Quantity, shape (n, 2)
-            Points on the focal plane; NaN is out of reach.
+            Points on the focal plane; no positioner reaches a point with a NaN.
 
         Returns
         -------
         ndarray of int, shape (n,)
-            Number of positioners.
+            Number of positioners that reach each point.
 
         Raises
         ------
@@ -315,8 +315,8 @@ class FocalPlane:
     ) -> "FocalPlane":
         """Make a focal plane of positioners on a hexagonal lattice around the origin.
 
-        Cell (q, k) has its center at pitch (q + k / 2, sqrt(3) k / 2), with x and y exchanged for ``rows_along="y"``.
-        The positioners are ordered by k, then by q of their cells.
+        The center of the cell (q, k) is x = pitch (q + k / 2), y = pitch sqrt(3) k / 2; ``rows_along="y"`` exchanges
+        x and y. The positioners are sorted by k; positioners with the same k are sorted by q.
 
         Parameters
         ----------

@@ -11,7 +11,7 @@ __all__ = ["Idle", "find_idle"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Poses of arms without a target; a pose is NaN if the arm avoids all other arms and is thus not an obstacle."""
+    """Poses of arms without a target; NaN for arms that are no obstacles, because they avoid all other arms."""
 
     theta: np.ndarray
     phi: np.ndarray
@@ -22,8 +22,8 @@ class Idle:
 
 
 NEARLY_EQUAL = 0.05
-"""Largest difference between two measured arm lengths, as a fraction of their sum, with which an idle positioner is
-parked. The value applies if the nominal arm lengths are equal."""
+"""If the nominal arm lengths are equal, idle positioners whose measured arm lengths differ by at most this fraction of
+their sum are parked."""
 
 
 def find_idle(columns) -> dict[bool, Idle]:

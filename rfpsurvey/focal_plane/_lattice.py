@@ -16,7 +16,8 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     """Return centers in mm, shape (n, 2), and cells (q, k), shape (n, 2), of a hexagonal lattice."""
     step = to_scalar(pitch, u.mm, "pitch", low=0, high=1e6)
     if (rings is None) == (count is None) and not (rings is None and radius is not None):
-        raise InputError(f"give rings, or count, or only radius, got rings={rings}, count={count}, radius={radius}")
+        given = f"rings={rings}, count={count}, radius={radius}"
+        raise InputError(f"either rings or count must be given, or only radius, got {given}")
     for name, value in (("rings", rings), ("count", count)):
         least, most = (1, 1_000_000) if name == "count" else (0, 500)
         if value is not None and not (

@@ -27,7 +27,7 @@ def find_limits(columns) -> collisions.Limits:
 
 
 def find_obstacle_slack(columns) -> float:
-    """Return an upper limit of the rounding error of the distance between an arm and an obstacle that it touches."""
+    """Return an upper limit (mm) of the rounding error of the distance from an arm to an obstacle that it touches."""
     size = float(columns.obstacles[:, 2].max(initial=0.0)) + columns.clearance + columns.longest
     for polygon in columns.obstacle_polygons:  # the vertices of a polygon can be far from the arms
         size = max(size, 2 * float(np.hypot(*polygon.T).max()) + columns.longest)

@@ -30,9 +30,9 @@ def nearest_within(xy: np.ndarray, limit: float) -> np.ndarray:
 
 
 def find_runs(pairs: np.ndarray) -> np.ndarray:
-    """Return neighbors as sorted rows (i, j, n); each row stands for n pairs: (i, j), (i + 1, j + 1), and so on.
+    """Return neighbors as sorted entries (i, j, n), each of which stands for n pairs: (i, j), (i + 1, j + 1), ...
 
-    If the positioners of a lattice are numbered row by row, a few rows (i, j, n) contain thousands of pairs.
+    If positioners are numbered along the rows of a lattice, a few entries (i, j, n) represent thousands of pairs.
     """
     if len(pairs) == 0:
         return np.empty((0, 3), dtype=np.int64)

@@ -15,7 +15,7 @@ def to_polygons(given) -> tuple[np.ndarray, ...]:
 
 
 def find_polygons(columns) -> Polygons:
-    """Return the polygons in the form that the kernels require."""
+    """Return the polygons of the obstacles in the form that the collision kernels require."""
     polygons, shape = columns.obstacle_polygons, columns.plane.positioner.outline
     if not polygons:
         return NO_POLYGONS
@@ -29,7 +29,7 @@ def find_polygons(columns) -> Polygons:
 
 
 def find_obstacle_pairs(columns) -> np.ndarray:
-    """Return the pairs of rows (positioner, obstacle) that can touch; circles are numbered first, then polygons."""
+    """Return the pairs (positioner, obstacle) that can touch; circles are numbered first, then polygons."""
     circles = columns.obstacles
     if columns.obstacle_polygons:
         around = [(*one.mean(axis=0), np.hypot(*(one - one.mean(axis=0)).T).max()) for one in columns.obstacle_polygons]

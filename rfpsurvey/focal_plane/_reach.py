@@ -26,7 +26,7 @@ class Reach:
     indptr : ndarray of int, shape (n_targets + 1,)
         Index of the first pair of each target, followed by the total number of pairs.
     owner : ndarray of int, shape (n_pairs,)
-        Row of the positioner of each pair, ascending within a target.
+        Row number of the positioner of each pair; the row numbers for one target are in ascending order.
     r2 : ndarray of float, shape (n_pairs,)
         Squared distance between target and center of the positioner, mm^2.
     n_positioners : int
@@ -55,7 +55,7 @@ class Reach:
 
     @cached_property
     def target(self) -> np.ndarray:
-        """Row of the target of each pair."""
+        """Row number of the target of each pair."""
         return locked(np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr)))
 
     @property
@@ -130,7 +130,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 
 def find_reach(plane, points, accepts) -> Reach:
-    """Return the pairs of targets (``points``, mm) and positioners in reach; `accepted_types` returns ``accepts``."""
+    """Return the pairs of targets at ``points`` (mm) and positioners in reach; `accepted_types` makes ``accepts``."""
     kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
     parts = []
     for kind in kinds.tolist():
@@ -196,7 +196,7 @@ def _find_pairs(columns, points, accepts) -> Reach:
 def sides(columns, points, own=None, fiber=None) -> np.ndarray:
     """Return the handedness with which each positioner (or each row in ``own``) reaches its point: +1 right, -1 left.
 
-    If the positioners can have both, the result is right, unless the joint limits allow only left.
+    If arms can bend to both sides, the result is right, unless the joint limits allow only left.
     """
     handedness = columns.plane.positioner.handedness
     side = np.full(len(points), -1.0 if handedness == "left" else 1.0)

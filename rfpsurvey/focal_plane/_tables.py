@@ -21,7 +21,7 @@ JOINTS = {
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 """Names of the columns with the radii of circles; each circle has its own row."""
 POLYGONS = "obstacle_polygons_mm"
-"""Key under which the ``meta`` of a table contains the vertices of obstacles."""
+"""Key under which the ``meta`` of a table contains the vertices of polygonal obstacles."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:

@@ -1,4 +1,4 @@
-"""Methods of `Instrument` that change the arm model, the part of each positioner that can collide."""
+"""Methods of `Instrument` that change the arm model, the shape of a positioner that is used to find collisions."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -28,13 +28,13 @@ class ArmModels:
         return (own, *simpler, *(("outline",) if FULL_OUTLINE in self.values else ()))
 
     def with_arm_model(self, arm_model: str) -> "Instrument":
-        """Return the instrument with another model of the part of its positioners that can collide (:doc:`/outlines`).
+        """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
 
         Parameters
         ----------
         arm_model : {"elbow_to_tip", "capsule", "fiber_tip", "outline"}
-            One of ``arm_models``. ``outline`` is the published outline of both arms; its polygons include all margins,
-            so that the clearance becomes 0. ``elbow_to_tip`` and ``fiber_tip`` have the clearance of the instrument.
+            One of ``arm_models``. ``outline`` is the published outline of both arms. Its polygons include all margins;
+            therefore, the clearance is set to 0. ``elbow_to_tip`` and ``fiber_tip`` keep the clearance.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Methods of `Instrument` that read files of observatories, which describe instruments as built."""
+"""Methods of `Instrument` that read instruments as built from the files of observatories."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ class AsBuilt:
 
     @classmethod
     def _read_as_built(cls, path: Path):
-        """Return the instrument in a file or folder of an observatory, or None for any other file or folder."""
+        """Return the instrument that files of an observatory describe, or None for any other file or folder."""
         if _desi.recognizes(path):
             return cls.from_desi(path)
         if _sdssv.recognizes(path):
@@ -39,21 +39,22 @@ class AsBuilt:
     ) -> "Instrument":
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
-        The files contain no optics and no requirements. The optics and the requirements are taken from the preset
-        ``desi``. If the files do not contain the clearance, it is also taken from the preset. The x axis is
+        The files contain neither the optics nor the requirements on sky fibers and standard stars; both are taken from
+        the preset ``desi``. If the files do not contain the clearance, it is also taken from the preset. The x axis is
         reversed, because +x is west in the files and east in this package.
 
         Parameters
         ----------
         path : str or path-like
-            Path of ``fp-metrology.csv`` or of ``desi-focalplane_DATE.ecsv``, or a folder with focal planes and the
-            files of their states and exclusions.
+            Path of ``fp-metrology.csv`` or of ``desi-focalplane_DATE.ecsv``, or of a folder that contains such files
+            and, optionally, the files for ``state`` and ``exclusions``.
         state : str or path-like, optional
-            Path of ``desi-state_DATE.ecsv``, a log of stuck, broken and restricted positioners. Without it, all
-            positioners of a focal plane count as working.
+            Path of ``desi-state_DATE.ecsv``, a log of stuck, broken and restricted positioners. Without a
+            state, all positioners count as working.
         exclusions : str or path-like, optional
-            Path of ``desi-exclusion_DATE.json`` (or ``.yaml``). The clearance becomes the median of the half widths
-            of the phi polygons, and ``with_arm_model("outline")`` uses the most common polygons.
+            Path of ``desi-exclusion_DATE.json`` (or ``.yaml``), which contains the exclusion polygons of the arms. The
+            clearance is set to the median half width of the polygons of the eccentric arm (``phi``), and
+            ``with_arm_model("outline")`` uses the most common polygons.
         time : Time or str, optional
             Time at which the state is evaluated, in UTC. By default, the state after the last event is used.
 
@@ -66,7 +67,7 @@ class AsBuilt:
         ------
         InputError
             If a file cannot be read, if a column is missing or has values that are not valid, if identifiers are not
-            unique, or if there is no focal plane or event at that time.
+            unique, or if there is no focal plane or event at or before ``time``.
 
         Examples
         --------
@@ -94,16 +95,16 @@ class AsBuilt:
         Parameters
         ----------
         dots : str or path-like
-            File of the dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a folder
-            with this file and, optionally, the other files. Targets behind a dot are out of reach.
+            File of the black dots (``black_dots_mm*.csv``) with the columns ``spotId``, ``x``, ``y`` and ``r``, or a
+            folder with this file and, optionally, the other files. Targets behind a dot are out of reach.
         fiducials : str or path-like, optional
             File of the fiducials (``fiducial_positions*.csv``), which are obstacles of radius 0.
         interference : str or path-like, optional
             File of the cobras whose joint angles are limited by a fiducial (``cobraInterference*.csv``).
         cobras : str, path-like or list of them, optional
-            Calibration model of the cobras: XML with centers, arm lengths, joint limits and status. Without this model,
-            arms and joint limits are nominal, and the center of a cobra is the position of its dot minus the mean
-            offset of all dots from the nominal centers.
+            XML files with the calibration model of the cobras: centers, arm lengths, joint limits and status. Without
+            this model, arms and joint limits are nominal, and the center of a cobra is the position of its dot minus
+            the mean offset of all dots from the nominal centers.
 
         Returns
         -------
@@ -136,12 +137,12 @@ class AsBuilt:
         site : {"APO", "LCO"}, optional
             Site of the rows to use; it is required if ``positionerTable.csv`` has rows of several sites.
         disabled : sequence of str, optional
-            Holes of robots that take no target and are parked.
+            Holes of the robots to disable; these robots take no target and are parked.
 
         Returns
         -------
         Instrument
-            The instrument. Its ``notes`` count the rows that are not used, and name the robots that are disabled
+            The instrument. Its ``notes`` state the number of rows that are not used, and the robots that are disabled
             because values are missing.
 
         Raises

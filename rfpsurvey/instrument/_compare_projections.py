@@ -34,7 +34,7 @@ ROUNDING = 1e-9 * u.mm
 
 @dataclass(frozen=True, eq=False)
 class ProjectionComparison:
-    """How far targets move on the focal plane if a model of the projection neglects an effect.
+    """Displacements of targets on the focal plane if a model of the projection neglects an effect.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class ProjectionComparison:
 
     @property
     def record(self) -> dict:
-        """The result as plain numbers and text, for the records of results."""
+        """The comparison as plain numbers and text, for the records of results."""
         return {
             "sufficient": self.sufficient,
             "sentence": str(self),
@@ -127,8 +127,8 @@ def compare_projections(
         Hour angles of the field center, which replace the time or hour angle of the conditions. The result then
         includes the displacements at all of these hour angles.
     tolerance : Quantity, optional
-        Largest displacement that is negligible. By default, the tolerance of the conditions, or a tenth of the diameter
-        of the instrument's fibers.
+        Largest displacement that is negligible. By default, the tolerance of the conditions or, if they have none, a
+        tenth of the diameter of the instrument's fibers.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def compare_projections(
 def choose_projection(
     instrument: Instrument, plane: TangentPlane, conditions: ObservingConditions | None, model: str | None
 ) -> tuple[FieldProjection | ObservedField, dict]:
-    """Return the projection of a field with a model, and a record of the displacements that each model neglects.
+    """Return the projection of a field by a model, and a record of the displacements that each model neglects.
 
     The model ``auto`` is the cheapest model that is accurate enough.
     """

@@ -37,7 +37,7 @@ def load(path: Path, heirs: tuple = ()) -> dict:
     beside = path.with_name(f"{parent}.toml")
     if not beside.exists():
         known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
-        beside = PRESETS / f"{check_choice(parent, known, f'description in {path} to inherit from')}.toml"
+        beside = PRESETS / f"{check_choice(parent, known, f'value of inherits in {path}:')}.toml"
     base = load(beside, (*heirs, path))
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
@@ -158,7 +158,7 @@ def _hole_names(cells, rings):
 
 
 def _groups(xy, n_groups, shape):
-    """Return the group of each positioner; groups have equal size and are wedges or blocks (by repeated halving)."""
+    """Return the spectrograph of each positioner; groups of equal size are wedges, or blocks (by repeated halving)."""
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")

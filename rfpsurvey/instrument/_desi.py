@@ -30,10 +30,11 @@ LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
-    "x is the negative x of CS5, because +x is east here and west in CS5. A segment with a clearance replaces the "
-    "polygons of a positioner and leaves out the wider elbow and the central bodies; with_arm_model('outline') "
-    "includes them. Guide cameras, fiducials and petal edges are not treated as obstacles. The arms move in the plane "
-    "of the centers, not in planes tangent to the focal surface. The radial map is the map of the preset desi."
+    "x is the negative x of CS5, because +x is east in this package and west in CS5. A segment with a clearance "
+    "replaces the polygons of each positioner. The segment omits the wider elbow and the central bodies of the "
+    "positioners, which with_arm_model('outline') includes. Guide cameras, fiducials and petal edges are not treated "
+    "as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal surface. The radial "
+    "map is the map of the preset desi."
 )
 
 
@@ -175,7 +176,7 @@ def _mirrored(positioner):
 
 
 def _limits(limits) -> list[float]:
-    """Return joint limits in degrees; for many positioners, return the median limits."""
+    """Return joint limits in degrees; if each positioner has its own limits, return the median limits."""
     return np.median(np.atleast_2d(limits.to_value(u.deg)), axis=0).tolist()
 
 
@@ -191,7 +192,7 @@ def _positioners(table, names, path):
     if not rows.any():
         raise InputError(f"{path}: DEVICE_TYPE must be POS for positioners, got {', '.join(np.unique(kinds))}")
     if rows.sum() != N_POSITIONERS:
-        warn(f"{path}: DESI has {N_POSITIONERS} positioners, but the file has {rows.sum()}; it may be incomplete")
+        warn(f"{path}: DESI has {N_POSITIONERS} positioners, but the file has {rows.sum()} and may be incomplete")
     types, counts = np.unique(kinds[~rows], return_counts=True)
     counts = ", ".join(f"{n} {kind or 'without type'}" for kind, n in zip(types, counts, strict=True))
     others = f" Rows of other devices are not used: {counts}." if counts else ""
@@ -201,7 +202,8 @@ def _positioners(table, names, path):
     if len(wrong):
         k = wrong[0]
         raise InputError(
-            f"{path}: LOCATION must be 1000 {names[1]} + {names[2]}, got {ids[k]} for {petal[k]}, {device[k]}"
+            f"{path}: LOCATION must be 1000 {names[1]} + {names[2]}, got {ids[k]} for {names[1]} {petal[k]} and "
+            f"{names[2]} {device[k]}"
         )
     found, counts = np.unique(ids, return_counts=True)
     if (counts > 1).any():

@@ -9,17 +9,17 @@ __all__ = ["find_outline"]
 
 
 def find_outline(polygons: dict) -> ArmOutline:
-    """Return the outline of exclusion polygons in CS5.
+    """Return the outline of a positioner from its exclusion polygons in CS5.
 
     The polygons ``phi`` are in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles
-    become discs. The program fiberassign tests only the lines themselves, which need not be closed. Here, all lines
-    that are not closed are connected at their nearest ends and form one closed polygon.
+    become discs. The lines of the polygons need not be closed, because the program fiberassign tests only whether
+    lines intersect. Here, all lines that are not closed are connected at their nearest ends to one closed polygon.
     """
     return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
 
 
 def _parts(shape: dict) -> list:
-    """Return the convex parts of lines and circles."""
+    """Return the convex parts of a shape that consists of lines and circles."""
     lines = [np.array(line, dtype=float).reshape(-1, 2) for line in shape["segments"] if len(line)]
     closed = [line for line in lines if len(line) > 3 and np.allclose(line[0], line[-1])]
     open_lines = [line for line in lines if not any(line is one for one in closed)]

@@ -28,7 +28,7 @@ MOST_WIDTH = 1000
 
 
 def moment_of(value: object, what: str) -> datetime:
-    """Convert a Time, or text in ISO 8601, to a datetime; text without an offset is UTC."""
+    """Convert a Time, or text in ISO 8601, to a datetime; text without a time zone is UTC."""
     try:
         if isinstance(value, Time):
             return value.utc.to_datetime(timezone=UTC)
@@ -52,15 +52,14 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
     valid = dates if moment is None else [date for date in dates if date <= moment]
     if not valid:
         raise InputError(
-            f"{folder}: time must be at least {dates[0].isoformat()}, the date of the first focal plane, "
-            f"got {moment.isoformat()}"
+            f"{folder}: time must not be before the first focal plane, {dates[0].isoformat()}, got {moment.isoformat()}"
         )
     files = found[valid[-1]]
     return files.pop("focalplane"), files
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note, valid at a time.
+    """Return columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note for a given time.
 
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
@@ -118,7 +117,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
 
 
 def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, ArmOutline | None, str]:
-    """Return the half widths (mm) of the phi polygons of n positioners, their outline, and a text about the polygons.
+    """Return the half widths (mm) of the phi polygons of n positioners, one outline for all of them, and a note.
 
     The outline, in CS5, consists of the most common polygons. It is None if these polygons form no outline.
     """
@@ -132,7 +131,7 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndar
         widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
     found = np.array([widths[name] for name in names.tolist()])
     text = (
-        f"The clearance is the median of the half widths of the phi polygons in {path.name}, which are from "
+        f"The clearance is the median of the half widths of the phi polygons in {path.name}, which range from "
         f"{found.min():.3f} to {found.max():.3f} mm."
     )
     most, others = str(different[np.argmax(counts)]), n - int(counts.max())
@@ -176,9 +175,9 @@ def _load(path: Path) -> dict:
         else:
             found = json.loads(content)
     except RecursionError:
-        raise InputError(f"{path} cannot be read: it is nested too deep") from None
+        raise InputError(f"{path} cannot be read: it is nested too deeply") from None
     except Exception as error:  # the parsers raise exceptions of several types
         raise InputError(f"{path} cannot be read: {sentence(error)}") from None
     if not isinstance(found, dict):
-        raise InputError(f"{path}: the file must hold polygons by name, got {type(found).__name__}")
+        raise InputError(f"{path}: the file must contain a dict of polygons, got {type(found).__name__}")
     return found

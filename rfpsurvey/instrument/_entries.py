@@ -97,7 +97,8 @@ CELLS = Kind(
     lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
 )
 OUTLINE = Kind(
-    "a table with eccentric (and central), which are lists of parts with vertices (and a radius of at least 0)",
+    "a table with the list eccentric (and, optionally, central) of parts, each of which has vertices (and, optionally, "
+    "a radius of at least 0)",
     _is_outline,
     u.mm,
 )
@@ -154,7 +155,7 @@ ENTRIES = {
     "optics.fiber_diameter": LENGTH,
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
-        "a table that contains, under each fiber type or under any, a table with form and coefficients (and, "
+        "a table that contains, under each fiber type or the key any, a table with form and coefficients (and, "
         "optionally, radius and unit_tangent above 0)",
         lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
     ),
@@ -185,7 +186,7 @@ TOP = {
 
 
 def with_defaults(content: dict) -> dict:
-    """Return a description in which entries without a status or source have the defaults of the description."""
+    """Return a description in which entries without status or source have the values from the top of the file."""
     defaults = {part: content[part] for part in DEFAULTS if part in content}
     for part, value in defaults.items():
         if not TOP[part].fits(value):
@@ -223,7 +224,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
             f"{full} must be a table with value, status and source, got {_short(entry)}; write {_example(kind, entry)}"
         )
     for part in entry:
-        check_choice(part, PARTS, f"part of {full}")
+        check_choice(part, PARTS, f"key of {full}")
     for part in ("value", "status", "source"):
         if part not in entry:
             remedy = f'; {part} = "..." at the top of the file applies to all entries without a {part}'

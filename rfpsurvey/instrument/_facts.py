@@ -15,10 +15,11 @@ N_POINTS = 2**18
 """Number of points at which coverage and multiplicity are computed; their standard errors are then below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
-"""Number of pieces of each edge of the field; edges that are straight on the focal plane are curved on the sky."""
+"""Number of pieces into which each edge of the field is divided. Straight edges on the focal plane are curved on the
+sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""Largest mean difference between the radii of a field and of the shape after which it is named (mean radius: 1)."""
+"""A field is named after a shape if the mean difference between their radii is below this value (mean radius: 1)."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",

@@ -50,9 +50,9 @@ class Instrument(ArmModels, AsBuilt, Projections):
     name : str
         Short name.
     focal_plane : FocalPlane
-        The positioners.
+        Focal plane with the positioners.
     plate_scale : Quantity, optional
-        Length per angle at the field center; required without ``distortion``.
+        Length on the focal plane per angle on the sky, at the field center; required without ``distortion``.
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
         Radial map or distortion map of the field, or a dict with one map for each fiber type.
     title : str, optional
@@ -132,7 +132,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Requirements on sky fibers and standards, in the form for `allocate`, such as ``sky=20/spectrograph``."""
+        """Requirements on sky fibers and standards for `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)
@@ -211,7 +211,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
             ) from error
 
     def facts(self) -> dict:
-        """Return facts derived from the description: numbers of fibers, field, patrol areas and their overlap.
+        """Return facts about the fibers, the field, the patrol areas and their overlap, derived from the description.
 
         Returns
         -------

@@ -1,6 +1,6 @@
 """PFS as built, from files of the observatory: dots, fiducials, interference limits and calibration of the cobras.
 
-Cobras have the identifiers of the observatory, 1 to 2394.
+Cobras, the positioners of PFS, have the identifiers of the observatory, 1 to 2394.
 """
 
 import gzip
@@ -26,8 +26,8 @@ PATTERNS = {
 }
 MAP = "https://github.com/Subaru-PFS/pfs_utils data/fiberids"
 ANGLES = "https://github.com/Subaru-PFS/ics_cobraCharmer python/ics/cobraCharmer/targetValidation.py"
-# Median range of phi (deg) in the calibration files. If the range ends with the arm extended (phi = 0), it starts at
-# the folded stop, phi = -185.9 deg.
+# Median width (deg) of the range of phi in the calibration files. A range of this width that ends with the extended arm
+# (phi = 0) starts at the folded stop, phi = -185.9 deg.
 FOLDED = 185.9
 
 
@@ -143,16 +143,18 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         "contain the poses of cobras that cannot move"
     )
     others = int((unknown & ~bad).sum())
-    return columns, text + (f"; {others} cobras with an arm below 1 or above 5 mm are also parked." if others else ".")
+    return columns, text + (
+        f"; {others} cobras with an arm length outside 1 to 5 mm are also parked." if others else "."
+    )
 
 
 def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
-    """Restrict one joint of each cobra with an interference limit, such that the cobra never interferes; return a note.
+    """Restrict a joint of each cobra with an interference limit, so that the cobra avoids fiducials; return a note.
 
-    A cobra interferes if its phi, measured from the folded stop, exceeds a limit while the direction of the central arm
-    or of the fiber is in a window. Interference is avoided by restricting phi to values below the limit, or by
-    restricting theta to values for which neither direction can be in the window. The restriction that leaves the larger
-    patrol area is used.
+    A cobra interferes with a fiducial if its phi, measured from the folded stop, exceeds a limit while the
+    direction of the central arm or of the fiber is in a window. To avoid interference, either phi is restricted to
+    values below the limit, or theta is restricted to values for which neither direction can be in the window. The
+    restriction that leaves the larger patrol area is used.
     """
     rows = np.flatnonzero(np.isfinite(limits[:, 0]))
     begin, end, most = limits[rows].T

@@ -39,7 +39,7 @@ def read_dots(path: Path) -> np.ndarray:
     if apart.max() > FARTHEST_DOT:
         raise InputError(
             f"{path}: each dot must be within {FARTHEST_DOT:g} mm of the nominal center of its cobra, got "
-            f"{apart.max():.3g} mm for dot {int(apart.argmax()) + 1}; x, y and r are in mm on the PFI"
+            f"{apart.max():.3g} mm for dot {int(apart.argmax()) + 1}; give x, y and r in mm on the PFI"
         )
     if not ((circles[:, 2] > 0) & (circles[:, 2] < FARTHEST_DOT)).all():
         raise InputError(f"{path}: r must be radii above 0 and below {FARTHEST_DOT:g} mm, got {circles[:, 2].max():g}")
@@ -67,7 +67,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
 
 
 def read_interference(path: Path) -> np.ndarray:
-    """Return the limits of each cobra (deg): begin and end of the window of directions, and ``max_phi_angle``."""
+    """Return the interference limits of each cobra (deg): start and end of a window of directions, and a phi limit."""
     names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
@@ -99,8 +99,8 @@ def read_cobras(paths) -> dict:
         middle = np.median(columns[name])
         if not 1 < middle < 5:
             raise InputError(
-                f"{names}: {KINEMATICS[name]} must be in mm, about 2.4, got {middle:.4g} in the median; models in "
-                "pixels of a camera cannot be used"
+                f"{names}: {KINEMATICS[name]} must be about 2.4 mm, got the median {middle:.4g}; models in pixels of "
+                "a camera cannot be used"
             )
     good = columns["status"] == GOOD
     apart = np.hypot(*(np.column_stack([columns["x"], columns["y"]]) - nominal_centers()).T)

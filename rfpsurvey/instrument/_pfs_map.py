@@ -1,4 +1,4 @@
-"""Numbers of the cobras and fibers of PFS: nominal centers, spectrographs and fibers of cobras 1 to 2394.
+"""Nominal centers, spectrographs and fibers of the cobras of PFS, which are numbered from 1 to 2394.
 
 The cobras are in three fields; each field has 14 modules, and each module has 57 cobras.
 """
@@ -38,7 +38,7 @@ def cobra_ids(xy: np.ndarray) -> np.ndarray:
     """Return the numbers of the cobras (1 to 2394) that have the nominal centers ``xy`` (mm)."""
     apart, row = scipy.spatial.cKDTree(nominal_centers()).query(xy)
     if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
-        raise InputError(f"names = 'cobra' needs the {N} nominal centers of PFS, got other positions")
+        raise InputError(f"names = 'cobra' requires the {N} nominal centers of PFS, got other positions")
     return row + 1
 
 

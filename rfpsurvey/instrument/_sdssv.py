@@ -46,7 +46,7 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
     robots = _Rows(folder / TABLE, ("site", "holeID", "alphaArmLen", *OFFSETS, *sum(FIBERS.values(), ())))
     site = robots.keep_site(site)
     nominal = preset(PRESETS[site])
-    notes = [f"The positioners are the {number_of(len(robots), 'robot')} in {folder.name}/{TABLE} of the site {site}."]
+    notes = [f"The positioners are the {number_of(len(robots), 'robot')} of the site {site} in {folder.name}/{TABLE}."]
     robots.order_as(nominal.focal_plane.id)
     ids = robots.text("holeID")
     robots.check_unique("holeID")
@@ -145,7 +145,7 @@ class _Rows:
             raise InputError(f"{self.path}: column {name!r} must have a value in each row, got an empty one")
 
     def rows_of(self, holes: np.ndarray) -> np.ndarray:
-        """Return the row of each hole; -1 if the table has no row for the hole."""
+        """Return the row number of each hole; -1 if the table has no row for the hole."""
         self.check_unique("holeID")
         row = {hole: k for k, hole in enumerate(self.text("holeID").tolist())}
         return np.array([row.get(hole, -1) for hole in holes.tolist()])
@@ -163,7 +163,7 @@ def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes:
 
 
 def _bases(folder, site, robots, notes):
-    """Return the positions of the robots' holes (mm), and the direction of i (rad) at each hole."""
+    """Return the positions of the robots' holes (mm), and the direction of the unit vector i (rad) at each hole."""
     wok = _Rows(folder / "wokCoords.csv", ("site", "holeID", "xWok", "yWok"))
     wok.keep_site(site)
     if wok.has("wokID") and robots.has("wokID"):
@@ -206,8 +206,8 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     if len(lacking):
         notes.append(f"These robots have no row in fiberAssignments.csv and thus no fibers: {', '.join(lacking)}.")
     if extra:
-        text = f"{number_of(extra, 'positioner')} of fiberAssignments.csv without a row in {TABLE}"
-        notes.append(f"Not used: {text}.")
+        text = f"fiberAssignments.csv has {number_of(extra, 'positioner')} without a row in {TABLE}"
+        notes.append(f"{text}; these positioners are not used.")
         warn(f"{folder}: {text}, which may be truncated")
     fibers = np.column_stack([rows.text(name) != "" for name in ("BOSSFiber", "APOGEEFiber")])
     return fibers[index] & (index >= 0)[:, None]
@@ -274,7 +274,7 @@ def _obstacles(folder, site, nominal, ids, notes):
 
 
 def _maps(folder, site, nominal, notes):
-    """Return the radial map of each fiber type, with the field angle limit and the factor of the preset."""
+    """Return the radial map of each fiber type, with the largest field angle and the factor of the preset."""
     rows = _optional(folder, "focalPlaneModel.csv", site, ("direction", "waveCat", "R", *COEFFICIENTS), notes)
     if rows is None:
         return nominal
@@ -293,7 +293,7 @@ def _maps(folder, site, nominal, notes):
 
 
 def _check_orientation(folder, site, notes) -> None:
-    """Warn if the wok is shifted or tilted on the focal plane, which projections of the sky do not include."""
+    """Warn if the wok is shifted or tilted on the focal plane, because projections of the sky neglect both."""
     names = ("x", "y", "xTilt", "yTilt")
     rows = _optional(folder, "wokOrientation.csv", site, names, notes)
     if rows is None:
@@ -301,8 +301,8 @@ def _check_orientation(folder, site, notes) -> None:
     values = {name: rows.numbers(name, finite=True)[0] for name in names}
     if any(values.values()):
         given = ", ".join(f"{name} = {value:g}" for name, value in values.items() if value)
-        text = f"{rows.path}: the wok is shifted or tilted ({given}), which projections of the sky do not include"
-        notes.append(f"The wok is shifted or tilted ({given}), which projections of the sky do not include.")
+        text = f"{rows.path}: the wok is shifted or tilted ({given}); projections of the sky neglect the shift and tilt"
+        notes.append(f"The wok is shifted or tilted ({given}); projections of the sky neglect the shift and tilt.")
         warn(text)
 
 

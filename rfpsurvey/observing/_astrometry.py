@@ -98,7 +98,7 @@ def _check_covered(time: Time) -> None:
     days = _tables()["MJD"].value
     if not days[0] + 1 <= time.mjd <= days[-1] - 1:
         first, last = (Time(day, format="mjd").isot[:10] for day in (days[0] + 1, days[-1] - 1))
-        # TAI is used, because astropy warns of UTC dates that are long after the last known leap second
+        # TAI is used, because astropy warns about UTC dates that are long after the last known leap second
         given = Time(time.mjd, format="mjd", scale="tai").isot
         raise InputError(
             f"time must be from {first} to {last}, which the installed tables of the Earth's rotation cover, got "

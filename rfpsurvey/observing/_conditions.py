@@ -41,7 +41,7 @@ class ObservingConditions:
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
         are treated as apparent places.
     wavelength : Quantity or dict of str to Quantity, optional
-        Wavelength in vacuum at which the fibers are placed, or one for each fiber type.
+        Wavelength in vacuum for which the positions of fibers are computed, or a dict with one for each fiber type.
     guide_wavelength : Quantity, optional
         Wavelength at which the telescope follows the field. By default, ``wavelength`` or, if it is a dict, the
         wavelength of the first fiber type in the dict.
@@ -62,7 +62,7 @@ class ObservingConditions:
     ------
     InputError
         If the site is unknown, if not exactly one of time and hour angle is given, if a value has a wrong unit or is
-        not possible, or if the tables of the Earth's rotation do not cover the time.
+        impossible, or if the tables of the Earth's rotation do not cover the time.
 
     Examples
     --------
@@ -176,7 +176,7 @@ class ObservingConditions:
 
     @property
     def without_exposure(self) -> "ObservingConditions":
-        """The conditions at the midpoint of the exposure."""
+        """The conditions at the midpoint of the exposure, with the exposure time 0."""
         return replace(self, site=self._name or self.site, exposure_time=0 * u.s)
 
     def shifted(self, time: u.Quantity) -> "ObservingConditions":
@@ -221,7 +221,7 @@ class ObservingConditions:
 
     @property
     def record(self) -> dict:
-        """The values as plain numbers and text, for the records of results."""
+        """The conditions as plain numbers and text, for the records of results."""
         numbers = {
             "longitude_deg": self.site.lon.to_value(u.deg),
             "latitude_deg": self.site.lat.to_value(u.deg),
@@ -290,7 +290,7 @@ class ObservingConditions:
 
 
 def check_conditions(conditions: object, *, optional: bool = False) -> None:
-    """Raise an error for an object that is not observing conditions; None is accepted if ``optional`` is true."""
+    """Raise an error unless an object is an `ObservingConditions`; if ``optional`` is true, None is also accepted."""
     if not isinstance(conditions, ObservingConditions) and not (optional and conditions is None):
         words = " or None" if optional else ""
         raise InputTypeError(f"conditions must be ObservingConditions{words}, got {short(conditions)}")

@@ -114,7 +114,7 @@ class ObservedField:
         ]
 
     def _observe(self, vectors, fiber_type):
-        """Return mean observed directions over the exposure in the frame of the field, shape (n, 3)."""
+        """Return observed directions, averaged over the exposure, in the frame of the field, shape (n, 3)."""
         out = np.empty((len(vectors), 3))
         for rows, wavelength in self.wavelength_groups(fiber_type, len(vectors)):
             part = 0.0

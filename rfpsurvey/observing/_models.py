@@ -48,7 +48,7 @@ def field_of_model(
 def displacements(
     points: np.ndarray, fiber_types: Iterable[str], *field: object, names: Iterable[str] = MODELS
 ) -> dict[str, np.ndarray]:
-    """Return the distances (mm) between the images of targets by each model and by the model ``full``.
+    """Return, for each model, the distances (mm) of the images of targets from their images by the model ``full``.
 
     ``points`` (n, 2) are positions of fibers (mm); ``field`` contains the parameters of `field_of_model` that follow
     the name of the model.

@@ -222,7 +222,7 @@ def without(name):
         (without("LOCATION"), "must have the column 'LOCATION'"),
         (text("Y_FP"), r"column 'Y_FP' must hold one number for each row, got 'broken'"),
         (set_("X_FP", 5, np.nan), r"column 'X_FP' must hold a finite number for each row, but 1 of 200 rows"),
-        (set_("LOCATION", 5, 7000), "LOCATION must be 1000 PETAL_LOC [+] DEVICE_LOC, got 7000 for 0, 5"),
+        (set_("LOCATION", 5, 7000), "PETAL_LOC [+] DEVICE_LOC, got 7000 for PETAL_LOC 0 and DEVICE_LOC 5"),
         (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
         (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
         (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got FIF"),
@@ -245,7 +245,7 @@ def test_a_damaged_metrology_is_refused(tmp_path, edit, sentence):
         (unit("OFFSET_X", "degrees"), "column 'OFFSET_X' must have a unit convertible to mm, got deg"),
         (unit("OFFSET_T", "mm"), "column 'OFFSET_T' must have a unit convertible to deg, got mm"),
         (set_("MIN_P", 2, 195.0), r"MIN_P must be less than MAX_P, but is not for 1 positioner \(2\)"),
-        (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for 0, 0"),
+        (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for PETAL 0 and DEVICE 0"),
         (set_("LENGTH_R2", 0, -3.0), "eccentric_arm must be 200 positive lengths below 1 km, got -3 mm"),
     ],
 )
@@ -313,7 +313,7 @@ def test_exclusions_that_are_not_polygons_are_refused(folder):
     plane = next(folder.glob("desi-focalplane*"))
     for content, sentence in (
         ("{", "bad.json cannot be read"),
-        ("[]", "must hold polygons by name, got list"),
+        ("[]", "must contain a dict of polygons, got list"),
         ("{}", "there must be polygons with the name 'default'"),
         ('{"default": {"phi": {"segments": [[[0, "x"]]], "circles": []}}}', "must be lists of segments"),
         ('{"default": {"phi": {"segments": [], "circles": []}}}', "must be lists of segments"),

@@ -64,7 +64,7 @@ def test_the_base_is_good(tmp_path):
         ("layout.pitch", figure("12.0", "deg"), "the unit of layout.pitch must be convertible to mm, got 'deg'"),
         ("layout.pitch", "3", "layout.pitch must be a table with value, status and source, got 3"),
         ("layout.pitch", "{ value = 3 }", "layout.pitch must have a status, got only value"),
-        ("layout.pitch", figure("12.0", "mm")[:-1] + ", note = 1 }", "unknown part of layout.pitch 'note'"),
+        ("layout.pitch", figure("12.0", "mm")[:-1] + ", note = 1 }", "unknown key of layout.pitch 'note'"),
         ("layout.spectrographs", figure(-1), "spectrographs must be a whole number from 1 to 1000000, or 'one a"),
         ("layout.spectrographs", figure("true"), "layout.spectrographs must be a whole number"),
         ("layout.rings", figure("true"), "layout.rings must be a whole number from 0 to 500, got True"),
@@ -90,7 +90,7 @@ def test_the_base_is_good(tmp_path):
         (
             "optics.radial_map",
             figure("3"),
-            "radial_map must be a table that contains, under each fiber type or under any, a",
+            "radial_map must be a table that contains, under each fiber type or the key any, a",
         ),
         ("optics.radial_map", figure("{ any = { form = 1, coefficients = [1] } }"), "radial_map must be a table"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefficients = 1 } }'), "optics.radial_map must be"),
@@ -218,7 +218,7 @@ def test_a_preset_can_be_inherited_from(tmp_path):
     wide = rs.Instrument.read(tmp_path / "wide.toml")
     assert (len(wide.focal_plane), wide.facts()["pitch"].value) == (4000, 28)
     (tmp_path / "wide.toml").write_text(text.replace('"lamost"', '"lamst"'))
-    with pytest.raises(rs.InputError, match="to inherit from 'lamst'; choose one of: .* Did you mean 'lamost'"):
+    with pytest.raises(rs.InputError, match="inherits in .*: 'lamst'; choose one of: .* Did you mean 'lamost'"):
         rs.Instrument.read(tmp_path / "wide.toml")
 
 

@@ -191,7 +191,7 @@ def test_cobras_with_defects_are_disabled(folder, tmp_path):
     pfs = rs.Instrument.from_pfs(folder / DOTS, cobras=write_cobras(tmp_path / "a.xml", columns))
     assert np.flatnonzero(pfs.focal_plane.disabled).tolist() == [3, 8, 20]
     assert "2 cobras whose Status is not 1" in pfs.notes
-    assert "1 cobras with an arm below 1 or above 5 mm" in pfs.notes
+    assert "1 cobras with an arm length outside 1 to 5 mm" in pfs.notes
 
 
 def test_models_of_modules_in_separate_files_are_joined(folder, model, tmp_path):
@@ -279,7 +279,7 @@ MODELS = [
     (tag("Joint2_CW_limit_angle", "-20"), "got the opposite for cobra 11"),
     (edit("<ARM_DATA_CONTAINER>.*?</ARM_DATA_CONTAINER>", ""), "must have 2394 rows"),
     (edit("<ARM_DATA>", "<!DOCTYPE x><ARM_DATA>"), "no document type"),
-    (edit("(<Link._Link_Length>)[^<]*", r"\g<1>29.7", count=0), "must be in mm, about 2.4, got 29.7 in the median"),
+    (edit("(<Link._Link_Length>)[^<]*", r"\g<1>29.7", count=0), "must be about 2.4 mm, got the median 29.7"),
 ]
 
 

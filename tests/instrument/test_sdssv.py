@@ -216,7 +216,7 @@ def test_truncated_files_are_refused(folder, name):
 
 def test_a_table_that_ends_early_gives_a_warning(tmp_path):
     folder = sdssv_files.calibration(tmp_path / "short", positionerTable=lambda rows: rows[:-2])
-    with pytest.warns(rs.RfpsurveyWarning, match="2 positioners of fiberAssignments.csv without a row"):
+    with pytest.warns(rs.RfpsurveyWarning, match="fiberAssignments.csv has 2 positioners without a row"):
         assert len(rs.Instrument.read(folder).focal_plane) == 5
 
 
