@@ -59,7 +59,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
-    # each point of the union is counted only once: for the positioner with the largest row that reaches the point
+    # each point of the union is counted only once: for the last positioner (largest row) that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)

@@ -57,9 +57,9 @@ def collision_probability(
 ) -> Estimate:
     """Estimate the probability that a positioner at its target collides with another positioner.
 
-    The probability is the expected fraction of the counted positioners that are in collision. Positioners with a target
-    are counted. A positioner without a target is counted only if its arms have equal lengths: it is then parked, and is
-    an obstacle for its neighbors.
+    The probability is the expected collision rate: the number of positioners in collision, divided by the number of
+    counted positioners. Positioners with a target are counted. A positioner without a target is counted only if its
+    arms have equal lengths: it is then parked, and is an obstacle for its neighbors.
 
     Each method estimates one of two quantities; this quantity is the estimand of the method. For the first quantity,
     targets are **allocated** to the queues of positioners, and each positioner observes one target of its queue. For
@@ -77,28 +77,28 @@ def collision_probability(
         integrate over the patrol areas of each positioner and its neighbors with scrambled Sobol points. Three other
         methods (independent) give no error estimate: ``closed_form`` (Eq. 5 to 9 of Chen et al.), ``overlap_ratio``
         (fraction of the patrol area that other positioners also reach), and ``close_pair`` (probability that another
-        observed target lies within the minimum separation). ``auto``: the fastest method with an error estimate for the
-        requested estimand. Any other name refers to a method of an installed package. A function is called
-        with a `~rfpsurvey.probability.ProbabilityQuestion`.
+        observed target is closer than the minimum separation). ``auto``: the fastest method that estimates the
+        requested estimand and its error. Any other name refers to a method of an installed package. A function is
+        called with a `~rfpsurvey.probability.ProbabilityQuestion`.
     estimand : {"allocated", "independent"}, optional
         Quantity that ``auto`` estimates, ``allocated`` by default. With any other ``method``, the only allowed value is
         the estimand of that method.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
-        Allocated targets; methods for independent targets ignore them. For random targets, give
+        Targets to allocate; methods for independent targets ignore this argument. For random targets, give
         `~rfpsurvey.probability.RandomTargets`, the name of a kind of random targets (``"uniform"`` or ``"poisson"``),
         or a function that takes a Generator and returns new targets (a Quantity of shape (n, 2)) at each call. For one
-        realization of the sky, give points on the focal plane, or a Catalog, whose science targets are projected to the
-        focal plane of the Instrument.
+        fixed set of targets, give points on the focal plane (a Quantity of shape (n, 2)), or a Catalog. The science
+        targets of a Catalog are projected onto the focal plane of the Instrument.
     center : SkyCoord, optional
-        Field center for a Catalog; by default the mean direction of the Catalog.
+        Field center for a Catalog; by default the mean direction of all targets in the Catalog.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost``, gives one
-        configuration for each realization. AllocationOptions also state whether idle positioners whose arms have equal
-        lengths are obstacles and are counted (``parked_obstacles``, true by default). The options must not contain
-        requirements, a sky separation, required targets or keep-out regions.
+        configuration for each realization. With AllocationOptions, ``parked_obstacles`` states whether unassigned
+        positioners with arms of equal lengths are obstacles and are counted (by default, they are). The options must
+        not contain requirements, a sky separation, required targets or keep-out regions.
     most_entries : int, optional
-        Maximum number of targets of each queue that ``conditional`` uses. If a queue is longer, each realization uses a
-        random sample of this size from the queue. Realizations are then faster, and a given precision is reached
+        Maximum number of targets that ``conditional`` uses from each queue. If a queue is longer, each realization uses
+        a random sample of this size from the queue. Realizations are then faster, and a given precision is reached
         sooner. With None, all targets are used.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
@@ -112,7 +112,7 @@ def collision_probability(
         is then 0/0 if both arms have the same length.
     precision : float or Precision, optional
         Standard error to reach, or a `~rfpsurvey.probability.Precision`, which states when iterations end and how the
-        interval is computed. By default 0.001.
+        interval is computed. The default is a standard error of 0.001.
     dynamic : float, optional
         Probability that a positioner does not reach its target, for example because of a dynamic collision. Such
         failures of different positioners are assumed to be independent. For LAMOST, this probability is 0.025.
@@ -122,27 +122,29 @@ def collision_probability(
         Executor that runs parts of the computation. A thread pool is sufficient, because the kernels release the GIL.
         With None, the calling thread runs all parts.
     progress : bool or callable, optional
-        Whether to show the progress on the standard error, or a function that is called with (fraction done, 1).
+        Whether to show the progress on the standard error stream, or a function that is called with the completed
+        fraction of the work and the number 1.
 
     Returns
     -------
     Estimate
         The probability with its confidence interval, the probability of each positioner, and the expected number of
-        colliding pairs per positioner. If ``targets`` is a Quantity or a Catalog, the value applies to these targets,
-        and the error states by how much the value for another patch of the same kind of sky may differ. A focal plane
-        with too few positioners, for example seven, does not allow an estimate of this error. In this case, there is no
-        interval, and ``meta["no_interval"]`` states the reason.
+        colliding pairs per positioner. If ``targets`` is a Quantity or a Catalog, the value applies to these targets.
+        The standard error then states how much the value may differ from the mean over all skies of the same kind. A
+        focal plane with too few positioners, for example seven, does not allow an estimate of this error. In this case,
+        there is no interval, and ``meta["no_interval"]`` states the reason.
 
     Raises
     ------
     InputError
-        If a name is unknown, if a number is out of range, if an option does not belong to the method, or if a method
-        that is not built in fails or returns an invalid result.
+        If the name of a preset, method, estimand, allocator or other option is unknown, if a number is out of range, if
+        an option is given that the method does not use, or if a method that is not built in fails or returns an invalid
+        result.
 
     Warns
     -----
     RfpsurveyWarning
-        If the precision was not reached.
+        If the requested precision was not reached.
 
     References
     ----------
@@ -208,7 +210,7 @@ def collision_probability(
     if wanted is not None and not found.pop("met", True):
         warn(
             f"the standard error after {found['n']} iterations{' (the maximum)' if name in MOST_ITERATIONS else ''} is "
-            f"{found['standard_error']:.2g}: the interval is wider than the precision {wanted:g} requires"
+            f"{found['standard_error']:.2g}: the interval is too wide for the precision {wanted:g}"
         )
     found.pop("met", None)
     meta = {
@@ -225,7 +227,7 @@ def collision_probability(
 
 
 def _check_options_of_method(name, *, density, variant, interval, center, targets):
-    """Raise an error for options that belong to another method."""
+    """Raise an error if an option is given that the method does not use."""
     if density is not None and name != "quadrature":
         raise InputError(f"density must be given only with the method 'quadrature', got the method {name!r}")
     if variant != "corrected" and name != "closed_form":
@@ -240,7 +242,7 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
 
 
 def _check_science_only(options):
-    """Raise an error for allocation options that concern a catalog, or targets other than science targets."""
+    """Raise an error for allocation options that require a catalog, or targets that are not science targets."""
     if options.requirements or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets are treated as science "

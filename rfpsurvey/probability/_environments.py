@@ -16,9 +16,8 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
 
     Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
     depends on the direction, environments that differ only by a rotation by a multiple of 60 deg are also the same.
-    Environments are compared by their keys. The key of an environment is the sum of the hashes of its neighbors, which
-    does not depend on the order of the neighbors. The sum is computed for each rotation, and the smallest sum is the
-    key.
+    Environments are compared by their keys. For each rotation of an environment, the hashes of its neighbors are added;
+    the sum does not depend on the order of the neighbors. The smallest of these sums is the key.
     """
     n, xy = len(plane), plane.arrays.xy
     pairs = cKDTree(xy).query_pairs(radius, output_type="ndarray").astype(np.int64)

@@ -16,11 +16,11 @@ class Estimate:
     Parameters
     ----------
     value : float
-        Expected fraction of the counted positioners that are in collision. Assigned positioners are counted. A
-        positioner without a target is counted only if its arms have equal lengths: it is then parked, and is an
+        Expected fraction of positioners in collision, among the counted positioners. Assigned positioners are counted.
+        A positioner without a target is counted only if its arms have equal lengths: it is then parked, and is an
         obstacle for its neighbors.
     value_assigned : float
-        Expected fraction of the assigned positioners that are in collision.
+        Expected fraction of positioners in collision, among the assigned positioners.
     low, high : float
         Confidence interval of ``value``; ``meta`` contains the confidence level. NaN for methods without an error
         estimate, and for given targets on a focal plane that is too small (``meta["no_interval"]`` then states the
@@ -29,8 +29,8 @@ class Estimate:
         Standard error of ``value``; NaN if there is no interval.
     n : int
         Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner in each
-        random repetition (``quadrature``). If allocations define the density for ``quadrature``, this is the mean
-        number of queued targets of an allocation. The number is 0 for formulas, and if no arms can touch.
+        randomized repetition (``quadrature``). If allocations define the density for ``quadrature``, this is the mean
+        number of targets in the queues of an allocation. The number is 0 for formulas, and if no arms can touch.
     n_effective : float
         Number of independent trials that would give the same standard error.
     pairs_per_positioner : float
@@ -81,7 +81,7 @@ class Estimate:
 
 
 def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
-    """Return the estimate if each positioner also fails independently, with the probability ``rate``."""
+    """Return an estimate that includes independent failures of the positioners with the probability ``rate``."""
     if rate == 0:
         return estimate
 

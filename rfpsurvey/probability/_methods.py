@@ -1,4 +1,4 @@
-"""Methods of collision probability: functions of a `ProbabilityQuestion` that return the fields of an `Estimate`."""
+"""Methods for collision probabilities: functions of a `ProbabilityQuestion` that return fields of an `Estimate`."""
 
 from functools import partial
 
@@ -17,9 +17,12 @@ from rfpsurvey.probability._targets import Source
 __all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Number of realizations per task. Results depend on this number, but not on the number of workers."""
+"""Number of realizations that one task simulates, by method.
+
+Results depend on this number, but not on the number of workers.
+"""
 QUEUEING = ("balanced",)
-"""Allocators that make queues, over which `conditional` averages."""
+"""Allocators that make a queue of targets for each positioner; ``conditional`` averages over these targets."""
 
 
 def check_usable(plane: FocalPlane) -> None:
@@ -47,7 +50,7 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
 def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:  # one task averages over all configurations
+    if given and name == "conditional" and question.most_entries is None:  # a task averages over all configurations
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
@@ -118,7 +121,7 @@ METHODS = {
     "monte_carlo": partial(_simulated, "monte_carlo"),
     "conditional": partial(_simulated, "conditional"),
 }
-"""Methods by name; each is a function of a `ProbabilityQuestion`."""
+"""Methods by name; each method is a function that takes a `ProbabilityQuestion`."""
 
 ESTIMANDS = {
     "overlap_ratio": "independent",
@@ -131,11 +134,11 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""With fewer targets per positioner than this, ``monte_carlo`` reaches a precision sooner than ``conditional``."""
+"""Number of targets per positioner below which ``monte_carlo`` reaches a precision sooner than ``conditional``."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
-    """Return the reason why a method was used; ``chosen`` states whether `cheapest` chose it."""
+    """Return the reason why a method was used; ``chosen`` states whether `cheapest` chose the method."""
     if not chosen:
         return f"{name}, as requested"
     if name == "quadrature":
@@ -148,11 +151,11 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
 
 
 def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
-    """Return the fastest method for an estimand that also estimates its error.
+    """Return the name of the fastest method that estimates both the given estimand and the error of this estimate.
 
-    ``conditional`` averages over the targets of the queues. Longer queues increase the time of a realization, but they
-    decrease the variance by a much larger factor. If each queue has one target, ``conditional`` has the same variance
-    as ``monte_carlo``.
+    ``conditional`` averages over the targets of the queues. Longer queues increase the computing time per realization,
+    but they decrease the variance by a much larger factor. If each queue has one target, ``conditional`` has the same
+    variance as ``monte_carlo``.
     """
     if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
         return "monte_carlo"

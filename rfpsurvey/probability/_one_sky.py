@@ -20,10 +20,11 @@ CORRELATION = 0.2
 The correlation is 0.13 to 0.28 for LAMOST, SDSS-V and MOONS. Only the degrees of freedom depend on this value.
 """
 BEYOND = -0.03
-"""Typical correlation between neighbors beyond the nearest ring, which compete for targets but rarely collide.
+"""Typical correlation between collisions of a positioner and collisions of a neighbor beyond the nearest ring.
 
-This value is assumed, since it cannot be measured on a small focal plane. For SDSS-V and MOONS, this correlation is
--0.03 to -0.05 with four targets per positioner, and 0 to -0.01 with one target per positioner.
+Such neighbors compete for targets, but rarely collide with each other. This value is assumed, since it cannot be
+measured on a small focal plane. For SDSS-V and MOONS, this correlation is -0.03 to -0.05 with four targets per
+positioner, and 0 to -0.01 with one target per positioner.
 """
 
 
@@ -83,7 +84,7 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
-    """Return whether the two positioners of each pair of neighbors are in the nearest ring of each other."""
+    """Return, for each pair of neighbors, whether each of the two positioners is in the nearest ring of the other."""
     first, second = plane.arrays.neighbors.T
     distance = np.hypot(*(plane.arrays.xy[first] - plane.arrays.xy[second]).T)
     nearest = np.full(len(plane), np.inf)
@@ -100,7 +101,7 @@ def _adjacency(n: int, pairs: np.ndarray):
 
 
 def _profile(numbers: np.ndarray) -> np.ndarray:
-    """Return orthonormal columns that span the constant 1 and the number of neighbors, shape (n, 1) or (n, 2)."""
+    """Return orthonormal columns that span a constant and the numbers of neighbors, shape (n, 1) or (n, 2)."""
     constant = np.full(len(numbers), len(numbers) ** -0.5)
     slope = numbers - numbers.mean()
     length = np.sqrt(slope @ slope)
@@ -152,7 +153,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance, or the estimate without covariance of neighbors if the latter is larger."""
+        """Return the estimated variance; it is at least the estimate for neighbors without covariance."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

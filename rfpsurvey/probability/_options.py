@@ -1,4 +1,4 @@
-"""Options of a collision probability: its random targets and its precision."""
+"""Options of `collision_probability`: the random targets, and the precision to reach."""
 
 from dataclasses import dataclass, fields, replace
 from numbers import Number
@@ -16,7 +16,7 @@ KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
 MOST_TARGETS = 1_000_000
 MOST_POINTS = 2**14
-"""Maximum number of quadrature points of each positioner in each random repetition."""
+"""Maximum number of points per positioner in each of the randomized repetitions of a quadrature."""
 STANDARD_ERROR = 1e-3
 MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
 
@@ -32,8 +32,8 @@ class RandomTargets:
         ``uniform``: independent points in a circle. ``poisson``: independent points whose number has a Poisson
         distribution. ``poisson_disc``: points of which no two are closer than ``min_separation``.
     number : float, optional
-        Number of targets (for ``poisson``, the expected number). By default the number of positioners multiplied by the
-        instrument's ``targets_per_fiber``, or by four for a FocalPlane.
+        Number of targets (for ``poisson``, the expected number). The default is the number of positioners multiplied by
+        the ``targets_per_fiber`` of the instrument. For a FocalPlane, the default is four targets per positioner.
     radius : Quantity, optional
         Radius (a length) of the circle on the focal plane that contains the targets. The center of the circle is the
         origin, or the midpoint of a focal plane that does not contain the origin. By default, the circle covers all
@@ -94,12 +94,11 @@ class Precision:
     ----------
     standard_error : float, optional
         Standard error to reach. Iterations end when the interval is no wider than the interval of a normal distribution
-        with this standard error. If collisions are rare, there is also a minimum number of iterations. By
-        default 0.001, or None if ``max_iterations`` is given.
+        with this standard error. If collisions are rare, there is also a minimum number of iterations. The
+        default is 0.001; if ``max_iterations`` is given, the default is None.
     max_iterations : int, optional
-        Maximum number of iterations, realizations or points, depending on the method. Without ``standard_error``,
-        exactly this number is used (``quadrature`` rounds it down to a power of two). By default the maximum that is
-        defined for the method.
+        Maximum number of iterations, realizations or points, depending on the method. If ``standard_error`` is None,
+        exactly this number is used (``quadrature`` rounds it down to a power of two). Each method has its own default.
     confidence : float, optional
         Confidence level of the interval.
     interval : {"wilson", "wilson_naive", "bootstrap"}, optional
@@ -108,14 +107,14 @@ class Precision:
         independent trial; it is too narrow for ``monte_carlo`` and too wide for ``conditional``. ``bootstrap``:
         percentiles of the means of resampled iterations.
     stop : {"interval", "convergence"}, optional
-        ``interval``: the interval decides when iterations end. ``convergence``: iterations end when the running mean
-        changes by less than ``standard_error`` three times in a row. This rule does not limit the error; it is provided
-        for comparison.
+        ``interval``: iterations end when the interval is narrow enough for ``standard_error``. ``convergence``:
+        iterations end when the running mean changes by less than ``standard_error`` three times in a row. The rule
+        ``convergence`` does not limit the error; it is provided for comparison.
 
     Raises
     ------
     InputError
-        If a name is unknown or a value is out of range.
+        If ``interval`` or ``stop`` is unknown, or if a number is out of range.
 
     See Also
     --------
@@ -152,11 +151,11 @@ class Precision:
 
     @property
     def half_width(self) -> float:
-        """Half width of the interval at which iterations end; 0 if ``standard_error`` is None."""
+        """Half width of the confidence interval at which iterations end; 0 if ``standard_error`` is None."""
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
     def for_method(self, name: str) -> "Precision":
-        """Return a copy with the defaults of a method in place of values that are not given.
+        """Return a copy in which the options that are not given have the default values of a method.
 
         Parameters
         ----------
@@ -166,7 +165,7 @@ class Precision:
         Returns
         -------
         Precision
-            The precision, whose ``max_iterations`` is a number.
+            The copy, in which ``max_iterations`` is never None.
         """
         if self.max_iterations is None:
             error = STANDARD_ERROR if self.standard_error is None else self.standard_error
@@ -184,7 +183,7 @@ def as_precision(given: object) -> Precision:
 
 
 def _short(options: object, *lead: str) -> str:
-    """Return the text that represents options.
+    """Return the ``repr`` of an object with options.
 
     The text contains ``lead``, which represents the first field, and all other fields that differ from their defaults.
     """

@@ -1,4 +1,4 @@
-"""Call methods for collision probabilities from other packages, or functions of the user, and check their results."""
+"""Call user-defined functions and methods of other packages for collision probabilities, and check their results."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
@@ -19,7 +19,7 @@ __all__ = ["find_method"]
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
 PARTS = ("value", "value_assigned", "low", "high", "per_positioner")
-"""Fields with values from 0 to 1."""
+"""Fields whose values must be from 0 to 1."""
 SLACK = 1e-9
 
 
@@ -52,7 +52,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     """Return all fields of an estimate from the result of a plugin, or raise an error if the result is invalid."""
     answer = dict(given) if isinstance(given, Mapping) else {"per_positioner": given}
     for name in answer:
-        check_choice(name, ANSWERS, "field of an answer")
+        check_choice(name, ANSWERS, "field of a result")
     plane, meta = question.focal_plane, answer.pop("meta", {})
     if not isinstance(meta, Mapping):
         raise InputError(f"meta must be a dict, got {meta!r}")
@@ -62,7 +62,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     known = probability[~np.isnan(probability)]
     if "value" not in answer and len(known) == 0:
         raise InputError(
-            "the answer must contain value, or per_positioner with the probability of at least one positioner that is "
+            "the result must contain value, or per_positioner with the probability of at least one positioner that is "
             "not disabled or stuck"
         )
     answer = {"value": known.mean() if len(known) else None, **answer}

@@ -31,7 +31,7 @@ An environment is an arrangement of neighbors. The errors of several environment
 are sufficient if there are several environments.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum numbers of points without and with weights, in this order.
+"""Minimum numbers of points per positioner: without weights (first number), and with weights (second number).
 
 Weights require more points, because the bias of a weighted mean does not average out.
 """
@@ -39,7 +39,7 @@ BITS = 30
 NARROW = 2**12
 """Minimum number of points before an error states that the density is 0 in a patrol area.
 
-If the density is 0 at all of fewer points, the computation is repeated with more points.
+If the density is 0 at all points of a smaller set, the computation is repeated with more points.
 """
 
 
@@ -84,7 +84,7 @@ class Quadrature:
         if not (entries.total[moving] > 0).all():
             where = plane.arrays.xy[own[moving][entries.total[moving] <= 0][0]]
             raise InputError(
-                f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} points of the "
+                f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} samples in the "
                 f"patrol area around ({where[0]:.4g}, {where[1]:.4g}) mm"
             )
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
@@ -106,7 +106,7 @@ class Quadrature:
         return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
-        """Return points (mm) of the patrol areas, computed from points of the unit square by an equal-area map."""
+        """Return points (mm) in the patrol areas, computed from points in the unit square by an equal-area map."""
         inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
@@ -147,7 +147,7 @@ class Quadrature:
 
 
 def _limits_of(limits, own):
-    """Return the collision limits with the outlines of only the positioners ``own``, in this order."""
+    """Return collision limits that contain only the outlines of the positioners ``own``, in this order."""
     outline = limits.outline
     if outline.start.size == 1:
         return limits
@@ -173,7 +173,7 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return the probability, its interval and its error; use as many points as the precision requires."""
+    """Return the collision probability, its interval and its error, from as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)

@@ -1,4 +1,4 @@
-"""The input of every method of collision probability."""
+"""The input of every method that computes collision probabilities."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -35,23 +35,24 @@ class ProbabilityQuestion:
     targets : Source, optional
         Source of allocated targets; None for independent targets.
     options : AllocationOptions, optional
-        Options that state how targets are allocated, and whether idle positioners with arms of equal lengths are
-        obstacles.
+        Options that state how targets are allocated, and whether unassigned positioners with arms of equal
+        lengths are obstacles.
     precision : Precision, optional
-        Options that state when iterations end. Here, ``max_iterations`` is a number; if ``standard_error`` is None, the
-        method does exactly this number of iterations.
+        Options that state when iterations end. In this object, ``max_iterations`` is never None. If ``standard_error``
+        is None, the method does exactly ``max_iterations`` iterations.
     rng : numpy.random.Generator, optional
         Random number generator. Methods must use no other generator, so that estimates are reproducible.
     most_entries : int, optional
-        Maximum number of targets of each queue that ``conditional`` uses; None for all targets.
+        Maximum number of targets that ``conditional`` uses from each queue; None for all targets.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets.
     variant : str, optional
         Variant of the closed form.
     executor : concurrent.futures.Executor, optional
-        Executor that runs parts of a computation; with None, the calling thread runs all parts.
+        Executor that runs parts of the computation. With None, the calling thread runs all parts.
     progress : bool or callable, optional
-        Whether to show the progress on the standard error, or a function that is called with (fraction done, 1).
+        Whether to show the progress on the standard error stream, or a function that is called with the completed
+        fraction of the work and the number 1.
 
     Examples
     --------
@@ -81,7 +82,7 @@ class ProbabilityQuestion:
 
     @property
     def parked_obstacles(self) -> bool:
-        """Whether idle positioners with arms of equal lengths are obstacles and are counted."""
+        """Whether unassigned positioners with arms of equal lengths are obstacles and are counted."""
         return self.options.parked_obstacles
 
     @cached_property
@@ -93,8 +94,8 @@ class ProbabilityQuestion:
 
     @property
     def realize(self) -> Callable[[np.random.Generator], Allocation] | None:
-        """Function that draws targets with a given generator, and returns an Allocation of these targets with queues.
+        """Function that draws targets with a random generator, allocates them, and returns an Allocation with queues.
 
-        The targets are allocated as ``options`` states. The attribute is None for independent targets.
+        The attribute ``options`` states how the targets are allocated. ``realize`` is None for independent targets.
         """
         return None if self.simulation is None else self.simulation.realize

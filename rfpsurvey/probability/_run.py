@@ -23,20 +23,20 @@ GROWTH = 8
 HITS = 25
 """Minimum number of realizations with a collision, if most realizations have no collision.
 
-With fewer such realizations, the scatter of the rates is not known. Conversely, if all positioners collide in most
-realizations, at least this number of realizations must have a positioner that does not collide.
+With fewer realizations that have a collision, the scatter of the rates is not known. Conversely, if all positioners
+collide in most realizations, at least this number of realizations must have a positioner that does not collide.
 """
 FLOOR = 4.0
-"""Factor in the minimum number of realizations if collisions are rare.
+"""Factor that determines the minimum number of realizations if collisions are rare.
 
 The minimum number is this factor, divided by the standard error to reach, and multiplied by the collision rate that one
-colliding pair causes. With fewer realizations, simulations without a collision would end early, and the mean of many
-estimates would be too low.
+colliding pair causes. Without this minimum, simulations that by chance contain no collision would end too early, and
+the mean of many estimates would be too low.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
-TOO_FEW = "the focal plane has too few positioners to estimate from one sky by how much other patches of the sky differ"
-"""The reason why an estimate has no interval."""
+TOO_FEW = "the focal plane has too few positioners to estimate from one sky how much the rate differs between skies"
+"""Message that states why an estimate has no interval."""
 
 
 def run(
@@ -52,8 +52,8 @@ def run(
 ) -> tuple[Tally, dict]:
     """Simulate realizations until the precision or the maximum number is reached; return the tally and its summary.
 
-    The sizes of tasks and steps depend only on the results. Therefore, the number of workers does not change the
-    result.
+    The number of tasks and the number of realizations per task depend only on earlier results. Therefore, the number
+    of workers does not change the result.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0
@@ -95,8 +95,8 @@ def _fewest(tally, precision):
 
     Collisions are rare if fewer than half of the realizations have a collision; their absence is rare if all
     positioners collide in more than half of the realizations. The estimated error grows with the number of rare events.
-    A stopping rule based on this error therefore ends the simulation too early if there are too few events by chance. A
-    minimum number of realizations that does not depend on the number of events prevents this.
+    A stopping rule based on this error therefore ends the simulation too early if, by chance, there are too few events.
+    A minimum number of realizations that does not depend on the number of events prevents this.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -105,16 +105,17 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return the value, interval and error of a tally, and the half width that more iterations would reduce.
+    """Return the mean collision rate of a tally, its interval and standard error, and a half width.
 
-    If the targets are given, or if all realizations have the same rate, the tally is treated as one sky. In this case,
-    the error states by how much the value of another patch of the same kind of sky may differ. If the focal plane is
-    too small to estimate this error, there is no interval, and ``no_interval`` states the reason.
+    The half width determines when iterations end: it contains only the error that more iterations reduce. If the
+    targets are given, or if all realizations have the same rate, the tally is treated as the result for one sky. The
+    standard error then states how much the rate may differ from the mean over all skies of the same kind. If the focal
+    plane is too small to estimate this error, there is no interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
         raise InputError(
-            "at least one positioner must be counted, but no positioner reaches any target or is a parked obstacle"
+            "at least one positioner must be counted, but no positioner reaches a target, and none is a parked obstacle"
         )
     n, p = len(rates), min(float(rates.mean()), 1.0)
     scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
@@ -148,7 +149,7 @@ def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.ran
 
 
 def _of_one_sky(tally, plane, p, scatter, confidence, *, single):
-    """Return the standard error, number of trials and quantile for one sky; NaN if the plane is too small.
+    """Return the standard error, the number of trials and the quantile for one sky, or NaN if the plane is too small.
 
     If ``single`` is false, the tally contains several skies, which all have the same rate. If this rate is 0 or 1, each
     sky is one trial.
@@ -168,10 +169,10 @@ def _trials(plane, n):
 
 
 def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence: float) -> tuple[float, float, float]:
-    """Return the mean probability over positioners and fields, and the two ends of its interval.
+    """Return the mean collision probability over positioners and fields, and the two ends of its confidence interval.
 
-    The interval includes the differences that are expected between fields of the same kind, which are estimated from
-    the scatter between positioners. Each row of ``probabilities`` contains the values of one field, with NaN for
+    The interval allows for differences between fields of the same kind. These differences are estimated from the
+    scatter between positioners. Each row of ``probabilities`` contains the values of one field, with NaN for
     positioners that are not counted. The ends of the interval are NaN if the fields have too few positioners for this
     estimate.
     """

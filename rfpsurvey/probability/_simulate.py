@@ -17,16 +17,19 @@ __all__ = ["Simulation", "Tally", "merge"]
 
 @dataclass(frozen=True)
 class Tally:
-    """Numbers of collisions: per realization, and per positioner, summed over all realizations."""
+    """Numbers of collisions in each realization, and of each positioner, summed over all realizations."""
 
     colliding: np.ndarray
-    """Numbers of positioners per realization: counted and colliding, counted, assigned and colliding, assigned."""
+    """Four columns with numbers of positioners: counted and colliding; counted; assigned and colliding; assigned.
+
+    There is a row for each realization.
+    """
     pairs: np.ndarray
     times: np.ndarray
     counted: np.ndarray
 
     def rates(self, column: int = 0) -> np.ndarray:
-        """Return the fraction of the counted (for ``column=2``, assigned) positioners that collide in each realization.
+        """Return the collision rate of the counted (for ``column=2``, assigned) positioners in each realization.
 
         Realizations without counted (or assigned) positioners are omitted.
         """
@@ -60,13 +63,13 @@ def merge(parts: list[Tally]) -> Tally:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A simulation of targets, their allocation, and collisions."""
+    """A simulation that draws targets, allocates them, and finds collisions."""
 
     plane: FocalPlane
     source: Source
     options: AllocationOptions
     most_entries: int | None = None
-    """Maximum number of targets of each queue that `expect` uses; None means all targets."""
+    """Maximum number of targets that `expect` uses from each queue; None means all targets."""
 
     @property
     def compiled(self) -> bool:

@@ -36,12 +36,12 @@ FILE = "surrogate.npz"
 def surrogate_probability(
     central_arm: u.Quantity, eccentric_arm: u.Quantity, pitch: u.Quantity, min_separation: u.Quantity
 ) -> np.ndarray:
-    """Return the collision probability of positioners on a hexagonal lattice without an edge, by interpolation.
+    """Return the collision probability of positioners on an infinite hexagonal lattice, by interpolation.
 
     The result approximates the result of the method ``quadrature`` of `~rfpsurvey.collision_probability` for a
     positioner far from the edge. Targets are independent and uniform over each patrol area; arms are right-handed, and
-    the segment from elbow to tip can collide. The interpolation is a cubic spline through the probabilities of 3969
-    designs; the documentation states the errors of the interpolation.
+    only the segment from elbow to fiber can collide. The interpolation is a cubic spline through the probabilities of
+    3969 designs; the documentation states the errors of the interpolation.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def surrogate_probability(
     Returns
     -------
     ndarray of float
-        Probability of each design.
+        Collision probability of each design.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def outside_box(name: str, value: np.ndarray) -> np.ndarray:
 def interior_probability(
     shape: tuple[float, float, float], n_points: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Return the collision probability of the central positioner of a lattice, and the error of this probability.
+    """Return the collision probability of the central positioner of a lattice, and its standard error.
 
     ``shape`` contains the coordinates of the design on the axes of `AXES`.
     """
@@ -131,7 +131,7 @@ def make_surrogate(
 
 @cache
 def surrogate_spline() -> "NdBSpline":
-    """Return the cubic spline that `surrogate_probability` uses.
+    """Return the cubic spline that `~rfpsurvey.probability.surrogate_probability` uses.
 
     The variables of the spline are the ratio of the central arm to the pitch, the ratio of the eccentric to the central
     arm, and the ratio of the minimum separation to the pitch. The probability is 0 if two arms cannot touch; otherwise,

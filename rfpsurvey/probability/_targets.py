@@ -27,7 +27,7 @@ Discs that are added at random positions without overlap fill at most a fraction
 adding discs is slow.
 """
 FINEST = 700
-"""Largest ratio of the radius of the circle of targets to the minimum separation.
+"""Largest ratio of the radius of the circle of targets to the minimum separation of the targets.
 
 Smaller separations have little effect, but require much memory.
 """
@@ -35,7 +35,7 @@ Smaller separations have little effect, but require much memory.
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A source of targets in mm: given points, a user-defined function, or ``number`` random points."""
+    """A source of target positions in mm: given points, a user-defined function, or ``number`` random points."""
 
     kind: str
     number: float = 0.0
@@ -140,7 +140,7 @@ def _random(plane, instrument, targets):
 
 
 def _center(plane):
-    """Return the center (mm) of random targets: the origin, or the midpoint of a plane without the origin."""
+    """Return the center (mm) of the circle of targets: the origin or, for a plane without the origin, its midpoint."""
     low, high = plane.arrays.xy.min(axis=0), plane.arrays.xy.max(axis=0)
     away = (low > 0).any() or (high < 0).any()
     return tuple((0.5 * (low + high)).tolist()) if away else (0.0, 0.0)

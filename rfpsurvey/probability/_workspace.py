@@ -1,4 +1,4 @@
-"""Arrays for the kernels of simulation and quadrature: their input, and the arrays to which they write."""
+"""Input arrays and output arrays of the kernels for simulation and quadrature."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ __all__ = ["make_entries", "make_positioners", "make_realization"]
 def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
     """Return the data that determine which targets each positioner reaches, and which poses its arms have.
 
-    Kernels that draw targets assume that the joint limits allow the whole patrol areas.
+    Kernels that draw targets assume that joint limits do not restrict the patrol areas.
     """
     idle = setup.idle.copy()
     arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
@@ -47,7 +47,7 @@ def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Rea
 
 
 def make_entries(n: int, number: int) -> queues.Entries:
-    """Return arrays for the queues of n positioners with ``number`` targets; all targets have the weight 1."""
+    """Return arrays for the queues of n positioners with ``number`` targets in total; each target has the weight 1."""
     size = number + n
     return queues.Entries(
         start=np.empty(n, dtype=np.int64),

@@ -29,13 +29,15 @@ class DistortionMap:
     The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half
     difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 determines its
     orientation. The coefficients of the polynomials are Fourier series in s. The system is symmetric about the plane
-    y = 0: if s and y change their signs, so does the position along y. The image of the field center is at (0, 0) at
-    every setting, because guiding removes a common shift.
+    y = 0: if s and y change their signs, the position along y also changes its sign, and the position along x does not
+    change. The image of the field center is at (0, 0) at every setting, because guiding removes a common shift of all
+    images.
 
     Parameters
     ----------
     coefficients : sequence of float
-        Coefficients in mm of the terms that the symmetry allows: first for positions along x, then along y.
+        Coefficients in mm of the terms that the symmetry allows: first all terms of the position along x, then all
+        terms of the position along y.
     degree : int
         Degree of the polynomials.
     harmonics : int
@@ -103,7 +105,7 @@ class DistortionMap:
 
     @classmethod
     def from_ray_trace(cls, path: str | os.PathLike, *, degree: int = 5, harmonics: int = 2) -> "DistortionMap":
-        """Fit a map to a ray trace of DESI, as distributed with desimeter.
+        """Fit a map to a ray trace of DESI in the format of the package desimeter.
 
         Parameters
         ----------
@@ -116,7 +118,7 @@ class DistortionMap:
         Returns
         -------
         DistortionMap
-            The map at ADC1 = ADC2 = 0; the residuals of all settings are in ``residuals``.
+            The map at ADC1 = ADC2 = 0. Its attribute ``residuals`` contains the residuals of all settings.
 
         Raises
         ------
@@ -135,7 +137,7 @@ class DistortionMap:
         except (TypeError, ValueError) as error:
             raise InputError(f"{path}: the columns must contain numbers: {error}") from None
         if not np.isfinite([adc1, adc2, x, y, x_fp, y_fp]).all() or (np.abs(adc1 + adc2) > 1e-6).any():
-            raise InputError(f"{path}: the values must be finite, with ADC1 = -ADC2")
+            raise InputError(f"{path}: all values must be finite, and ADC1 must be -ADC2")
         check_whole(degree, "degree", 1, 20)
         check_whole(harmonics, "harmonics", 0, 20)
         unit = MARGIN * np.hypot(x, y).max()
@@ -302,7 +304,7 @@ def _wave(kind: str, k: int, strength: np.ndarray) -> np.ndarray:
 
 
 def _tables(values, degree, harmonics, strength) -> np.ndarray:
-    """Return the coefficients of x^i y^j at a strength of the compensation, shape (2, degree + 1, degree + 1)."""
+    """Return the coefficients of x^i y^j for one value of s (``strength``), shape (2, degree + 1, degree + 1)."""
     out, used = np.zeros((2, degree + 1, degree + 1)), 0
     for table, terms in zip(out, _terms(degree, harmonics), strict=True):
         for (i, j, kind, k), value in zip(terms, values[used : used + len(terms)], strict=True):
@@ -312,5 +314,5 @@ def _tables(values, degree, harmonics, strength) -> np.ndarray:
 
 
 def _scatter(distance: np.ndarray) -> tuple[int, float, float, float]:
-    """Return the number, the median, the root mean square and the maximum of residuals."""
+    """Return the number of residuals, and their median, root mean square and maximum."""
     return len(distance), float(np.median(distance)), float(np.sqrt(np.mean(distance**2))), float(distance.max())

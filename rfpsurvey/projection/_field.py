@@ -16,9 +16,9 @@ class FieldProjection:
     Parameters
     ----------
     basis : ndarray, shape (3, 3)
-        ICRS unit vectors as rows: the directions of +x and +y at the field center, and the center.
+        ICRS unit vectors as rows: the directions of +x and +y at the field center, and the direction of the center.
     focal_length : float
-        Plate scale at the center, in mm per radian; used only without ``distortion``.
+        Plate scale at the field center, in mm per radian; used only if ``distortion`` is None.
     distortion : RadialMap, DistortionMap, dict of str to one of them, or None
         Radial map or distortion map, or a dict with one map for each fiber type.
 

@@ -44,12 +44,12 @@ class RadialMap:
     radius : Quantity, optional
         Radius R of the focal surface; required for the form ``sine`` and only for this form.
     factor : float, optional
-        Scale factor applied to every radius.
+        Scale factor that multiplies every distance r.
 
     Raises
     ------
     InputError
-        If the map does not increase from 0 to ``max_angle``, or if a parameter is invalid.
+        If r does not increase with theta from 0 to ``max_angle``, or if a parameter is invalid.
 
     Examples
     --------
@@ -102,11 +102,14 @@ class RadialMap:
         real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
         quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
         if c[0] <= 0 or (real <= edge**2).any() or quarter:
-            raise InputError(f"the radial map must rise from the center to max_angle = {self.max_angle}")
+            raise InputError(f"the radial map must increase from the center to max_angle = {self.max_angle}")
 
     @cached_property
     def arguments(self) -> tuple:
-        """Arguments of the kernels as numbers without units: form, coefficients, argument, inner, output, limit."""
+        """Arguments of the kernels, without units: form, coefficients, argument, inner, output, limit.
+
+        ``argument``, ``inner`` and ``output`` multiply the argument of p, the argument of the sine, and the result.
+        """
         unit = float(to_radian(self.unit_angle, "unit_angle"))
         argument = 1 / self.unit_tangent if self.form == "tan_theta" else 1 / unit
         output = float(self.factor)
@@ -123,7 +126,7 @@ class RadialMap:
         return sky.radius_and_slope(0.0, form, c, argument, inner, output)[1] * _SCALE.to(u.mm / u.deg) * (u.mm / u.deg)
 
     def to_radius(self, angle: u.Quantity) -> u.Quantity:
-        """Return the distances from the field center for field angles.
+        """Return the distance from the field center on the focal plane for each field angle.
 
         Parameters
         ----------
@@ -146,12 +149,12 @@ class RadialMap:
         return out.reshape(theta.shape) * u.mm
 
     def to_angle(self, radius: u.Quantity) -> u.Quantity:
-        """Return the field angles for distances from the field center.
+        """Return the field angle for each distance from the field center on the focal plane.
 
         Parameters
         ----------
         radius : Quantity
-            Distances on the focal plane.
+            Distances from the field center on the focal plane.
 
         Returns
         -------

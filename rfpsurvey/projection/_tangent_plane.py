@@ -127,7 +127,7 @@ class TangentPlane:
         return FieldProjection(field_basis(ra, dec, angle), focal_length, self.distortion)
 
     def to_focal_plane(self, coord: SkyCoord, fiber_type: str | np.ndarray | None = None) -> u.Quantity:
-        """Return the positions on the focal plane of directions on the sky.
+        """Return the focal-plane positions of directions on the sky.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class TangentPlane:
         return u.Quantity(self.plain.project(vectors, fiber_type), u.mm, copy=False)
 
     def to_sky(self, xy: u.Quantity, fiber_type: str | np.ndarray | None = None) -> SkyCoord:
-        """Return the directions on the sky of points on the focal plane.
+        """Return the sky directions of points on the focal plane.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class TangentPlane:
         Raises
         ------
         InputError
-            If the points are not lengths of this shape, or if a fiber type has no map.
+            If ``xy`` is not a Quantity of lengths with the shape (n, 2), or if a fiber type has no map.
         """
         lon, lat = to_lonlat(self.plain.unproject(to_points_mm(xy, "xy"), fiber_type))
         return SkyCoord(lon * u.rad, lat * u.rad, frame="icrs")

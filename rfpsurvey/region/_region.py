@@ -86,10 +86,10 @@ class Region:
         Parameters
         ----------
         ra : tuple of Quantity
-            Western and eastern limit of right ascension. If the western limit is larger, the box contains RA = 0. With
-            a difference of 360 deg, the box contains all right ascensions.
+            Western and eastern limit of right ascension. If the western limit is larger than the eastern limit, the box
+            contains RA = 0. If the limits differ by 360 deg, the box contains all right ascensions.
         dec : tuple of Quantity
-            Lower and upper declination.
+            Lower and upper limit of declination.
 
         Returns
         -------
@@ -116,7 +116,7 @@ class Region:
 
     @classmethod
     def polygon(cls, vertices: SkyCoord) -> "Region":
-        """Make a polygon with great-circle edges, which may be convex or not.
+        """Make a polygon with great-circle edges; the polygon need not be convex.
 
         The edges divide the sky into two parts; the smaller part is the region.
 
@@ -162,7 +162,7 @@ class Region:
         Parameters
         ----------
         pixels : array_like of int
-            Numbers of HEALPix pixels whose coordinate frame is ICRS.
+            Numbers of the HEALPix pixels; the coordinate frame of the pixels is ICRS.
         nside : int
             Resolution, a power of two.
         order : {"nested", "ring"}, optional
@@ -176,13 +176,13 @@ class Region:
         Raises
         ------
         InputError
-            If there are no pixels, or if a pixel does not exist.
+            If ``pixels`` is empty, or if there is no pixel with a given number.
         """
         nside = _healpix.check_nside(nside)
         check_choice(order, ("nested", "ring"), "order of pixels")
         numbers = np.unique(np.asarray(pixels))
         if numbers.size == 0 or numbers.dtype.kind not in "iu":
-            raise refusal("pixels must be at least one whole number", pixels, Number, list, np.ndarray)
+            raise refusal("pixels must contain one or more whole numbers", pixels, Number, list, np.ndarray)
         if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
             raise InputError(
                 f"pixels must be from 0 to {12 * nside**2 - 1} for nside {nside}, got {numbers[0]} to {numbers[-1]}"
@@ -203,7 +203,7 @@ class Region:
 
     @classmethod
     def parse(cls, text: str) -> "Region":
-        """Make a region from text that contains its kind and numbers in degrees (ICRS).
+        """Make a region from a text that contains the kind of the region, followed by angles in degrees (ICRS).
 
         Parameters
         ----------

@@ -48,7 +48,7 @@ def box_area(box):
 
 
 def _east_of(begin, vectors):
-    """Return declinations, and differences of right ascension from ``begin`` toward east, from 0 to 2 pi."""
+    """Return the declinations of directions, and their right ascensions east of ``begin``, from 0 to 2 pi."""
     lon, dec = to_lonlat(vectors)
     return dec, (lon % (2 * np.pi) - begin) % (2 * np.pi)
 
@@ -64,10 +64,10 @@ def box_contains(box, vectors):
 
 
 def box_distance(box, vectors):
-    """Return distances to a box.
+    """Return the distance from each direction to a box.
 
-    For a direction within the right ascensions of the box, this is the distance to the nearer parallel. For all other
-    directions, it is the distance to the nearer of the western and eastern sides.
+    The distance is 0 inside the box. For other directions within the right ascensions of the box, it is the distance to
+    the nearer parallel. For all other directions, it is the distance to the nearer of the western and eastern sides.
     """
     begin, width, low, high = box
     dec, east = _east_of(begin, vectors)
@@ -80,7 +80,7 @@ def box_distance(box, vectors):
 
 
 def _to_arc(vectors, a, b):
-    """Return distances to the shorter great-circle arc from a to b."""
+    """Return the distance from each direction to the shorter great-circle arc from a to b."""
     normal = np.cross(a, b)
     length = np.linalg.norm(normal)
     ends = np.minimum(angle(vectors, a), angle(vectors, b))

@@ -12,7 +12,7 @@ REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, the result of this package, the verdict, and how the claim was interpreted (reading)."""
+    """A claim of the paper, the result of this package, the verdict, and the interpretation of the claim (reading)."""
 
     experiment: str
     claim: str
@@ -23,7 +23,7 @@ class Claim:
 
 
 def verdict(paper: float, ours: float, error: float, *, sigmas: float = 2.0) -> str:
-    """Return the verdict on a number of the paper.
+    """Return the verdict on a number that the paper states.
 
     The verdict is "reproduced" if the numbers ``paper`` and ``ours`` differ by at most ``sigmas`` times the error, and
     "not reproduced" otherwise.

@@ -1,4 +1,4 @@
-"""The designs of the paper, and estimates of their collision probabilities."""
+"""The designs of Chen et al. (2024), and estimates of their collision probabilities."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -52,7 +52,7 @@ class Settings:
         return usual if self.error is None else self.error
 
     def pick(self, full: int, quick: int) -> int:
-        """Return the first number for a full run, and the second number for a quick run."""
+        """Return the number ``full`` for a full run, and the number ``quick`` for a quick run."""
         return quick if self.quick else full
 
 
@@ -63,7 +63,7 @@ def plane_of(l1: float, ratio: float, pitch: float, rings: int) -> FocalPlane:
 
 
 def random_designs(settings: Settings) -> QTable:
-    """Return the designs of the experiment "large", drawn uniformly from its ranges of parameters."""
+    """Return the designs of the experiment "large", whose parameters are drawn from uniform distributions."""
     rng = np.random.default_rng([settings.seed, 80])
     l1, ratio, pitch = rng.uniform((7.25, 1, 24.6), (14.5, 2, 35), (80, 3))[: settings.pick(80, 24)].T
     return QTable({"central_arm": l1 * u.mm, "ratio": ratio, "pitch": pitch * u.mm})

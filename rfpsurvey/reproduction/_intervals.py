@@ -1,4 +1,4 @@
-"""Coverage of the confidence intervals: the fraction of intervals that contain the true value, by stopping rule."""
+"""Coverage of the confidence intervals: the fraction of intervals that contain the true value."""
 
 from dataclasses import replace
 
@@ -79,11 +79,11 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def coverage(settings: Settings, repeats: int | None = None) -> QTable:
-    """Return how often each interval contains the true value, for plain and for conditional simulation.
+    """Return how often each kind of interval contains the true value, for plain and for conditional simulation.
 
-    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation. Its
-    standard error is one twentieth (in a quick run, one fifth) of the smallest standard error that is requested from
-    the repeats.
+    Every repeat runs until its stopping rule is met. The true value is estimated by a conditional simulation. The
+    standard error of this estimate is one twentieth (in a quick run, one fifth) of the smallest standard error that the
+    repeats must reach.
     """
     repeats = settings.pick(4000, 100) if repeats is None else repeats
     jobs = [

@@ -14,9 +14,9 @@ COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
-"""Relative half width of the 95 % interval below which a number of iterations is called "proper", as in the paper.
+"""A number of iterations is "proper" if the relative half width of the 95 % interval is smaller than this value.
 
-The paper states no value.
+The paper calls a number of iterations "proper", but does not define the word.
 """
 NORMALIZATIONS = {
     "scaled to 0 and 1": scaled,
@@ -49,7 +49,7 @@ def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **options: object) -> Estimate:
-    """Return the estimate of design number k with uniform targets."""
+    """Return the estimated collision probability of design number k with uniform targets."""
     seed = [settings.seed, 469, list(WAYS).index(way), k]
     return estimate(*numbers_of(design), WAYS[way], settings, seed, **options)
 

@@ -26,7 +26,7 @@ CLUSTERED = {
 }
 """Focal planes that are also simulated with clustered targets."""
 CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
-"""Mean number of targets in a cluster, and standard deviation of their positions in x and y (mm)."""
+"""Mean number of targets per cluster, and standard deviation (mm) of the target positions along x and along y."""
 MOST_LARGE = 800
 """Number of skies for focal planes of 200 positioners or more; for smaller focal planes, the number is 2000."""
 CONFIDENCE = 0.95

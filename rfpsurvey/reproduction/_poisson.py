@@ -26,7 +26,7 @@ PAPER = 2.6
 MARGIN = 0.2
 """Minimum tolerance for the agreement of a result with the paper, in percentage points.
 
-The tolerance is two standard errors if two standard errors are larger.
+The tolerance is this number or two standard errors of the result, whichever is larger.
 """
 SEPARATIONS = (0.52, 1.05, 1.57, 1.9, 2.0)
 """Minimum separations (mm) of Poisson-disc targets.
@@ -124,7 +124,7 @@ def _averages(table, name):
 
 
 def _of_means(part, name):
-    """Return the percentage by which the mean probability is larger for uniform targets, and its standard error."""
+    """Return the drop of the mean probability over all designs, and its standard error; `_averages` defines a drop."""
     means = [np.asarray(part[c]).mean() for c in ("uniform", name)]
     errors = [np.sqrt((np.asarray(part[f"{c} error"]) ** 2).sum()) / len(part) for c in ("uniform", name)]
     ratio = means[0] / means[1]
@@ -170,10 +170,11 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 
 
 def _of_reading(name, table):
-    """Compare the drops for all designs, for small arm ratios and for LAMOST's design with the claim of the paper.
+    """Return the claim for one interpretation of the paper: compare the drops with the drop in the paper.
 
-    The paper averages over its designs. The claim is therefore reproduced if an average over all designs agrees with
-    the paper. If only some of the designs agree, the text of the paper does not determine the verdict.
+    The drops for all designs, for designs with small arm ratios, and for LAMOST's design are compared. The paper
+    averages over its designs. The claim is therefore reproduced if an average over all designs agrees with the paper.
+    If only some of the designs agree, the text of the paper does not determine the verdict.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]
@@ -205,9 +206,9 @@ def _mean(values, errors):
 
 
 def _coordinates(scale):
-    """Return a function that draws points whose coordinates are Poisson-distributed numbers of mean 100, minus 100.
+    """Return a function that draws random points with Poisson-distributed coordinates.
 
-    The coordinates are in units of ``scale`` mm.
+    Each coordinate, in units of ``scale`` mm, is a Poisson-distributed number with the mean 100, minus 100.
     """
 
     def sampler(rng):

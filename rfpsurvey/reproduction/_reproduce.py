@@ -31,7 +31,7 @@ EXPERIMENTS: dict[str, Callable] = {
     "intervals": intervals,
     "speed": speed,
 }
-"""Experiments by name; each is a function of `Settings` that returns (tables by name, claims)."""
+"""Experiments by name; each is a function that takes `Settings` and returns a dict of tables and a list of claims."""
 TABLES = {
     "small": ("small",),
     "large": ("large", "large_differences", "large_plain"),
@@ -77,7 +77,7 @@ def reproduce(
     overwrite : bool, optional
         Whether to replace outputs of an earlier run.
     progress : bool, optional
-        Whether to show the progress on the standard error.
+        Whether to show the progress on the standard error stream.
 
     Returns
     -------
@@ -90,8 +90,8 @@ def reproduce(
     Raises
     ------
     InputError
-        If the name of the experiment is unknown, if ``rng`` or ``workers`` is invalid, or if outputs exist and
-        ``overwrite`` is False.
+        If the name of the experiment is unknown, if ``rng`` or ``workers`` is invalid, if ``folder`` is a file, or if
+        outputs exist and ``overwrite`` is False.
 
     References
     ----------

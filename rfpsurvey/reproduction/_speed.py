@@ -10,7 +10,7 @@ from rfpsurvey.reproduction._designs import Settings
 __all__ = ["speed"]
 
 FAR_LESS = 1.0
-"""If arms of 64 segments take more than this percentage of the time of swept areas, the claim is refuted."""
+"""If arms of 64 segments take more than this percentage of the computing time of swept areas, the claim is refuted."""
 
 
 def speed(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:

@@ -371,7 +371,7 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"method": "monte_carlo", "density": "uniform"}, "density must be given only .* got the method 'monte_carlo'"),
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
-        ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations by 'balanced'"),
+        ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations with queues"),
         ({"precision": np.nan}, "standard_error must be a number above 0 and below 1, got nan"),
         ({"precision": 0}, "standard_error must be"),
         ({"precision": 1.0}, "standard_error must be"),

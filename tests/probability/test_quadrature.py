@@ -262,7 +262,7 @@ def test_points_come_in_powers_of_two_and_no_more_than_allowed():
     assert loose.n < tight.n
     for got, precision in ((loose, 1e-3), (tight, 5e-5)):
         assert (got.high - got.low) / 2 <= 1.96 * precision
-    with pytest.warns(rs.RfpsurveyWarning, match="the interval is wider than the precision 1e-06 requires"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the interval is too wide for the precision 1e-06"):
         flat.collision_probability(plane, method="quadrature", precision=1e-6, max_iterations=256)
 
 
@@ -300,7 +300,7 @@ def test_bad_densities_are_named(density, words):
 def test_allocations_have_to_fit(rng):
     xy = rng.uniform(-30, 30, (20, 2)) * MM
     plane = lamost_like(1)
-    with pytest.raises(rs.InputError, match="density must be Allocations by 'balanced'"):
+    with pytest.raises(rs.InputError, match="density must be Allocations with queues"):
         rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost"))
     with pytest.raises(rs.InputError, match="the allocation is for 7 positioners, not for 19"):
         rs.collision_probability(lamost_like(2), method="quadrature", density=rs.allocate(plane, xy))

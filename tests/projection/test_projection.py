@@ -113,7 +113,7 @@ def test_inverse_of_the_radial_map_agrees_with_brentq(form):
 
 
 def test_a_map_that_turns_over_is_refused():
-    with pytest.raises(rs.InputError, match="must rise from the center"):
+    with pytest.raises(rs.InputError, match="must increase from the center"):
         rs.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # the radial map has a maximum at 0.577 deg
     rs.RadialMap("theta", [1, -1], max_angle=0.57 * u.deg)
     with pytest.raises(rs.InputError, match="must rise"):
@@ -174,7 +174,7 @@ def test_bad_input_is_named(arguments, message):
         ({"form": "cubic"}, "unknown form of radial map 'cubic'; choose one of: sine, tan_theta, theta"),
         ({"form": "sine"}, "radius must be given for the form 'sine' and only for this form"),
         ({"form": "sine", "radius": -9 * u.m}, "radius must be one finite value above 0 mm"),
-        ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must rise from the center"),
+        ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must increase from the center"),
     ],
 )
 def test_bad_maps_are_named(arguments, message):

@@ -153,7 +153,7 @@ def test_samples_are_the_pixels_inside():
         (lambda: rs.Region.box(ra=1 * DEG, dec=(1 * DEG, 2 * DEG)), "ra must be two angles"),
         (lambda: rs.Region.cap(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG), "center must be one direction"),
         (lambda: rs.Region.cap(SkyCoord(1 * DEG, 3 * DEG), 1 * u.mm), "radius must have a unit convertible to deg"),
-        (lambda: rs.Region.healpix([], 8), "at least one whole number"),
+        (lambda: rs.Region.healpix([], 8), "one or more whole numbers"),
         (lambda: rs.Region.healpix([768], 8), "pixels must be from 0 to 767"),
         (lambda: rs.Region.healpix([1], 6), "power of two"),
         (lambda: rs.Region.healpix([1], 8, "nest"), "unknown order of pixels 'nest'"),
