@@ -10,8 +10,8 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# Largest number of digits after the prefix of an identifier that is text, and number of integers that no identifier of
-# the catalog may use.
+# If the identifiers are text: largest number of digits after the prefix. If the identifiers are integers: number of
+# integers that are reserved for blank sky positions.
 DIGITS, ROOM = 6, 1_000_000
 
 
@@ -19,7 +19,10 @@ class BlankIds(NamedTuple):
     """Identifiers for blank sky positions; no target of the catalog has one of these identifiers."""
 
     first: int | str
-    """The first identifier (an integer, from which the identifiers decrease by 1), or the text before each number."""
+    """The first identifier, if the identifiers are integers; each further identifier is smaller by 1.
+
+    If the identifiers are text, this is the text before the number in each identifier.
+    """
     dtype: np.dtype
     """Type of a column that contains the identifiers of targets and of blank positions."""
 
@@ -33,13 +36,15 @@ class BlankIds(NamedTuple):
 def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
     """Return identifiers for blank sky that differ from all identifiers of a catalog.
 
-    ``parts`` contains one array of identifiers for each part of the catalog.
+    The catalog may consist of several parts; ``parts`` contains an array with the identifiers of each part.
 
     If the identifiers of the catalog are integers, the identifiers of blank sky are less than -1 and less than all
     identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are greater than all
-    identifiers of the catalog. If the identifiers are text, the identifiers of blank sky begin with ``blank-sky-``. If
-    the catalog already has identifiers of this form, underscores precede ``blank-sky-``, one more than in any
-    identifier of the catalog.
+    identifiers of the catalog.
+
+    If the identifiers of the catalog are text, the identifiers of blank sky begin with ``blank-sky-``. If the catalog
+    already contains such identifiers, with or without underscores before ``blank-sky-``, the identifiers of blank sky
+    begin with more underscores than any of these.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

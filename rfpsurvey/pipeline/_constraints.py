@@ -14,13 +14,13 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Number of points on the rim of a circle on the sky, and a factor that enlarges the radius of the image of the circle,
-# because the image of the rim can be slightly farther from the center between two of the points.
+# Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. Between
+# two of the points, the image of the rim can be slightly farther from the center than at the points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with the circles ``keep_out`` that arms can touch in a field as additional obstacles."""
+    """Return the instrument with additional obstacles: the circles of ``keep_out`` that its arms can touch."""
     if not options.keep_out:
         return instrument
     plane, circles = instrument.focal_plane, options.circles
@@ -56,7 +56,7 @@ def image_of_circle(
     center = np.array([x, y, z])
     names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
     east = np.cross(center, projection.basis[2])
-    # For a circle around the field center, any direction perpendicular to the center can replace ``east``.
+    # If the circle is around the field center, ``east`` is zero. Any perpendicular direction can then replace it.
     east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
     inward = np.cross(east, center)
     turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
@@ -77,7 +77,7 @@ def image_of_circle(
 def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
     """Return whether each target of a catalog is required, or None if no targets are required.
 
-    ``parts`` contains one array of identifiers for each part of the catalog.
+    The catalog may consist of several parts; ``parts`` contains an array with the identifiers of each part.
     """
     if not required:
         return None
@@ -102,7 +102,7 @@ def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
 
 
 def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return names as integers or text, like the identifiers, and a mask of the names that can be converted."""
+    """Return names with the type of ``ids`` (integers or text), and a mask of the names that can be converted."""
     if names.dtype.kind == ids.dtype.kind:
         return names, np.ones(len(names), dtype=bool)
     if ids.dtype.kind == "U":

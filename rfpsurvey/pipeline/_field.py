@@ -40,7 +40,7 @@ class FieldTargets(NamedTuple):
     others: np.ndarray | None = None
     """Unit vectors of other targets, which are not assigned; blank sky positions must avoid these targets."""
     extra: dict | None = None
-    """Values of the targets in additional columns of the plan, by name."""
+    """Additional columns of the plan: the values of all targets, by the name of the column."""
 
 
 class FieldPlan(NamedTuple):
@@ -54,15 +54,15 @@ class FieldPlan(NamedTuple):
     positioner: np.ndarray
     """Row in the focal plane of each positioner that has a target."""
     target: np.ndarray
-    """Row in the `FieldTargets` of the target of each positioner; -1 for blank sky."""
+    """Row of the target of each positioner in the `FieldTargets`; -1 for blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
     """Latitudes in ICRS, in radians; the longitudes (``lon_rad``) are from 0 to 2 pi."""
     kind: np.ndarray
-    """``science``, ``standard`` or ``sky``."""
+    """Kind of each target: ``science``, ``standard`` or ``sky``."""
     carried: dict
-    """Priority, category and further columns of the targets, if the catalog has them. For blank sky, the value is
+    """Priority, category and additional columns of the targets, if the catalog has them. For blank sky, the value is
     NaN, empty text, False or -1, depending on the type of the column."""
     seconds: dict
     """Computing time of each stage in seconds."""
@@ -71,13 +71,13 @@ class FieldPlan(NamedTuple):
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
     """Return the radius (radians) of a circle that contains all targets of a field, with an allowance for rounding.
 
-    Refraction and dispersion shift the edge of the field. Both are neglected unless ``projection`` is an
+    Refraction and dispersion shift the edge of the field. These shifts are neglected unless ``projection`` is an
     `ObservedField`.
     """
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if not isinstance(projection, ObservedField):
         return radius
-    # The ring is slightly inside of the edge, so that it has an image under all conditions.
+    # The ring is slightly inside the edge, so that all its points have an image under all conditions.
     turn = np.linspace(0, 2 * np.pi, N_RING, endpoint=False)[:, None]
     x, y, center = projection.basis
     ring = np.cos(RING * radius) * center + np.sin(RING * radius) * (np.cos(turn) * x + np.sin(turn) * y)
@@ -96,11 +96,11 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions (mm) of targets on the focal plane, and their required fiber types or None."""
+    """Return the positions (mm) of targets on the focal plane, and the fiber types that the targets require or None."""
     if instrument.focal_plane.fiber_types == ("",):
         fiber_type = None  # a single unnamed fiber type can observe all targets
     elif isinstance(instrument.distortion, dict):
-        # Each type has its own image of the sky. The image of the first type is used for a target without a type.
+        # Each fiber type has its own image of the sky. A target that requires no fiber type uses the first fiber type.
         first = next(iter(instrument.distortion))
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
@@ -108,7 +108,7 @@ def project_field(
 
 
 def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
-    """Assign the targets of a field; the obstacles of the instrument must include the circles of this field."""
+    """Assign the targets of a field; the obstacles of the instrument must include the keep-out circles."""
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
@@ -185,7 +185,7 @@ def plan_field(
 
 
 def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the values of the given rows; for row -1, return NaN, empty text, False or -1, as the type requires."""
+    """Return the values of the given rows; row -1 has the value NaN, empty text, False or -1, depending on the type."""
     if (row >= 0).all():
         return values[row]
     found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)

@@ -20,12 +20,13 @@ class Outcome(IntEnum):
 
 
 OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
-# Up to MOST_CLASSES priorities or categories are counted separately. More priorities are combined into N_RANGES ranges.
+# Up to MOST_CLASSES priorities or categories are counted separately. If there are more priorities, they are combined
+# into at most N_RANGES ranges.
 MOST_CLASSES, N_RANGES = 20, 10
 
 
 def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Return the outcome of each target of a field, as an index of `OUTCOMES`.
+    """Return the outcome of each target of a field, as an index into `OUTCOMES`.
 
     The masks mark the targets that a positioner can reach (``in_reach``), that are lost to a collision (``lost``), and
     that are observed (``observed``).

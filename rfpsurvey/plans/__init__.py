@@ -1,4 +1,4 @@
-"""Plans of other programs: read and write the native files of observatories."""
+"""Read and write plans of other programs, in the file formats of observatories."""
 
 from rfpsurvey.plans._plan import (
     as_plan,

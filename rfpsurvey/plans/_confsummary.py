@@ -48,7 +48,7 @@ NATIVE = {
     "ra_fiber": "ra",
     "dec_fiber": "dec",
 }
-"""Name of a column in a plan, and name of the same column in a file; only missing numbers have different values."""
+"""Name of each column in a plan, and its name in a file. The values are the same, except for missing numbers."""
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
 
@@ -69,9 +69,9 @@ def recognizes(path: Path) -> bool:
 def read(path: Path) -> QTable:
     """Return the plan that a file contains.
 
-    ``x`` and ``y`` are wok coordinates: ``xwok`` and ``ywok``, or, in files of 2021 and 2022, ``xFocal`` and
-    ``yFocal`` rotated by the position angle. ``ra`` and ``dec`` are the catalog position of the target; the position
-    of the fiber on the sky is in ``ra_fiber`` and ``dec_fiber``.
+    ``x`` and ``y`` are coordinates on the wok, the plate that holds the positioners: ``xwok`` and ``ywok`` of the file.
+    For files of 2021 and 2022, they are ``xFocal`` and ``yFocal``, rotated by the position angle. ``ra`` and ``dec``
+    are the catalog position of the target; ``ra_fiber`` and ``dec_fiber`` are the position of the fiber on the sky.
     """
     rows, struct, header = _parse(path)
     for name in ("holeId", "fiberType", "assigned"):
@@ -153,9 +153,10 @@ def lost(plan: QTable) -> list[str]:
 
 
 def to_wok(x, y, position_angle: float) -> tuple:
-    """Return wok coordinates from focal coordinates, whose +y axis points north; the angle is in degrees.
+    """Return the wok coordinates of points in focal coordinates; the position angle is in degrees.
 
-    Focal coordinates are wok coordinates rotated clockwise by the position angle.
+    The +y axis of focal coordinates points north. Focal coordinates are wok coordinates rotated clockwise by the
+    position angle.
     """
     c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
     return c * x - s * y, s * x + c * y
@@ -219,7 +220,7 @@ def _number(header: dict, name: str, path: Path) -> float | None:
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    """Return a column of float64 with NaN for missing values."""
+    """Return a column as float64, with NaN for missing values."""
     return np.where(values == MISSING, np.nan, values.astype(float))
 
 
@@ -269,7 +270,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
 
 
 def _given(plan: QTable, struct: dict) -> dict:
-    """Return the columns of a plan with the names, the units and the missing values of a confSummary file."""
+    """Return the columns of a plan with the names, the units and the code for missing values of a confSummary file."""
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     x, y = plain["x"], plain["y"]
     given = {name: values for name, values in plain.items() if name in struct and name not in ("ra", "dec")}
@@ -320,7 +321,7 @@ def _check_text(values: np.ndarray, name: str, path: Path) -> None:
 
 
 def _native_header(plan: QTable, path: Path) -> dict[str, str]:
-    """Return the keywords of a confSummary file: the keywords of the file that was read, or new keywords."""
+    """Return the header of a confSummary file: the header of the file that was read, or a new one for other plans."""
     meta = plan.meta
     if meta["format"] == "confsummary":
         header = dict(meta["header"])

@@ -120,11 +120,11 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan; columns that a plan of another format lacks have default values, such as -1 or NaN."""
+    """Write a plan; if it has another format, missing columns are filled with default values such as -1 or NaN."""
     from astropy.io import fits
 
     if suffix_of(path) != ".fits":
-        raise InputError(f"{path}: the name of a file of fiberassign must end in .fits or .fits.gz")
+        raise InputError(f"{path}: the name of a fiberassign file must end in .fits or .fits.gz")
     header = _header(plan)
     columns = _columns(plan, header)
     shared = {name: header[name] for name in SHARED if name in header}
@@ -139,7 +139,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 
 def lost(plan: QTable) -> list[str]:
-    """Return a list of texts that describe which data a file of fiberassign cannot represent."""
+    """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
     names = [name for name in plan.colnames if name not in known]
     return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
@@ -177,7 +177,7 @@ def _check_ids(ids, path):
 def _is_assigned(status, target) -> np.ndarray:
     """Return whether each fiber is on a target.
 
-    Fibers of stuck positioners count as not on targets, although they may be on blank sky.
+    Fibers of stuck positioners are regarded as not on targets, although they may be on blank sky.
     """
     return ((status & (UNASSIGNED | STUCK | BROKEN)) == 0) & (target >= 0)
 
@@ -207,7 +207,7 @@ def _opposite(angle):
 
 
 def _epoch(years):
-    """Return the epoch of the positions if all targets with a proper motion have the same epoch, otherwise None."""
+    """Return the epoch of the positions, or None if the positive values of REF_EPOCH differ or are missing."""
     years = np.unique(years[years > 0]) if years is not None else []
     return f"J{years[0]:.3f}" if len(years) == 1 else None
 
@@ -228,7 +228,7 @@ def _is_own(plan) -> bool:
 
 
 def _columns(plan, header) -> dict:
-    """Return the columns of FIBERASSIGN in the order of the file that was read or, for other plans, of ``TYPES``."""
+    """Return the columns of FIBERASSIGN in the order of the file that was read, or of ``TYPES`` for other plans."""
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan)
     bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
@@ -296,7 +296,7 @@ def _targets(ids, location, assigned, tile) -> np.ndarray:
 
 
 def _year(epoch) -> float:
-    """Return the year of an epoch such as J2026.500, and 0 if it is unknown."""
+    """Return the year of an epoch such as J2026.500, or 0 if the epoch is unknown."""
     match = re.fullmatch(r"J(\d+(?:\.\d+)?)", str(epoch))
     return float(match[1]) if match else 0.0
 

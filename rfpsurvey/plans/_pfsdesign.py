@@ -43,8 +43,9 @@ def recognizes(path: Path) -> bool:
 def read(path: Path) -> QTable:
     """Return the plan in a design file.
 
-    The column ``positioner`` contains the column ``cobraId`` of the file. If the file lacks this column, ``positioner``
-    is the cobra that the fiber map of PFS assigns to the fiber. Engineering fibers have the value -1.
+    The column ``positioner`` contains the number of the cobra (the positioner of PFS) that carries the fiber. This
+    number is ``cobraId`` or, if the file lacks this column, the number in the fiber map of PFS. Engineering fibers have
+    the value -1.
 
     The columns ``x`` and ``y`` contain ``pfiNominal``, the position of the fiber on the focal plane.
     """
@@ -138,7 +139,7 @@ def _cobras(rows: np.ndarray) -> np.ndarray:
 
 
 def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
-    """Return columns of fluxes, shape (fiber, filter), and of names of filters; missing filters have empty names."""
+    """Return columns of fluxes and filter names, shape (fiber, filter); missing filters have empty names."""
     for name in ("fiberId", "filterName"):
         if name not in rows.dtype.names:
             raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {', '.join(rows.dtype.names)}")
@@ -174,7 +175,7 @@ def _comments(header) -> dict:
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:
-    """Return pairs of name and FITS format of each column, because ECSV files do not preserve the order of dicts."""
+    """Return a list with the name and the FITS format of each column; ECSV files do not preserve the order of dicts."""
     letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
     forms = []
     for name in rows.dtype.names:

@@ -1,4 +1,4 @@
-"""Writer of designs of PFS, with the names and formats of their columns."""
+"""Write designs of PFS, and define the names and FITS formats of their columns."""
 
 import hashlib
 import re
@@ -90,8 +90,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
     """Return the identifier of a design: the last 63 bits of the SHA-1 hash of its fibers and their coordinates.
 
-    The hash is computed from the text of a Python list with one text for each fiber. This text contains the fiberId,
-    and ra and dec in degrees, which are rounded to 1 arcsec.
+    The hash is computed from the text of a Python list that contains one string for each fiber. The string contains the
+    fiberId, ra and dec; ra and dec are in degrees, rounded to 1 arcsec.
     """
     if np.all(ra == 0) and np.all(dec == 0):
         return 0
@@ -104,7 +104,7 @@ def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
 
 
 def wrapped(angle: float) -> float:
-    """Return an angle in degrees from -180 (exclusive) to 180, rounded to 1e-9."""
+    """Return an angle (deg) converted to the range from -180 (exclusive) to 180, and rounded to 1e-9."""
     return round(180 - (180 - angle) % 360, 9)
 
 
@@ -191,7 +191,7 @@ def _header(plan: QTable, path: Path) -> dict:
     for name in ("racen", "deccen", "position_angle"):
         if plan.meta.get(name) is None:
             raise InputError(
-                f"{path}: the plan must have {name} in its meta, got none; plan or score the tile on the sky"
+                f"{path}: the plan must have {name} in its meta, got none; plan or score the tile with sky coordinates"
             )
     return {
         "RA": float(plan.meta["racen"]),

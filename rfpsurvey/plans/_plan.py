@@ -73,7 +73,7 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         ``fiberassign-*.fits``), ``pfsdesign`` (PFS, ``pfsDesign-0x*.fits``) and ``table`` (a plan that `write_plan`
         wrote as ECSV or FITS, or a tile of this package).
     format : str, optional
-        Name of the format; by default it is recognized from the content.
+        Name of the format; by default, the format is recognized from the file.
 
     Returns
     -------
@@ -84,13 +84,13 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         the fiber on the focal plane; NaN if it is missing). If the file contains them, the next columns are ``theta``,
         ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and ``priority``. All other columns of the
         file follow under their own names. The ``meta`` contains ``format``, ``instrument`` and ``header`` (all keywords
-        of the file). If they are known, it also contains the field center (``racen``, ``deccen``) and
-        ``position_angle``, in deg, and ``epoch``.
+        of the file). If they are known, ``meta`` also contains the field center (``racen``, ``deccen``) and the
+        ``position_angle``, in deg, and the ``epoch``.
 
     Raises
     ------
     InputError
-        If the file does not exist, if its format is unknown, or if it is damaged.
+        If the file does not exist or is damaged, or if its format is unknown.
 
     Examples
     --------
@@ -127,8 +127,8 @@ def write_plan(
     path : str or path-like
         Path of the new file.
     format : str, optional
-        Name of the format, as in `read_plan`. By default, it is the entry ``format`` in the ``meta`` of the plan if
-        files of this format have the ending of ``path``. Otherwise, it is ``table`` for the endings ``.ecsv`` and
+        Name of the format, as in `read_plan`. By default, the format is the entry ``format`` in the ``meta`` of the
+        plan, if ``path`` has an ending of this format. Otherwise, the format is ``table`` for the endings ``.ecsv`` and
         ``.fits``, and ``confsummary`` for the ending ``.par``.
     overwrite : bool, optional
         Whether to replace an existing file.
@@ -159,7 +159,7 @@ def write_plan(
 
 
 def recognize_plan(path: str | os.PathLike) -> str | None:
-    """Return the name of the format of a file, or None if it is not a plan.
+    """Return the name of the format of a file, or None if the file is not a plan.
 
     Parameters
     ----------
@@ -188,13 +188,16 @@ def recognize_plan(path: str | os.PathLike) -> str | None:
 
 
 def native_format(path: str | os.PathLike) -> str | None:
-    """Return the name of the format of a file of another program, or None for any other file, such as a table."""
+    """Return the name of the format of a plan file of another program, or None for any other file, such as a table."""
     path = _existing(path)
     return next((name for name in FORMATS if name != "table" and _module(name).recognizes(path)), None)
 
 
 def plan_roles(table: Table) -> dict[str, str]:
-    """Return the column of a plan for each role in `Catalog.from_table`, or an empty dict if a table is not a plan."""
+    """Return a dict that contains the name of the column with each role in a plan.
+
+    The roles are names such as ``id``, ``ra`` and ``x``. If the table is not a plan, the dict is empty.
+    """
     if not is_plan(table):
         return {}
     names = {"id": "target_id", "pmra": "pm_ra", "pmdec": "pm_dec", "epoch": "coord_epoch"}
@@ -298,8 +301,8 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
     """Return the table of a plan.
 
     ``columns`` contains the common columns of all plans (`COLUMNS`) as quantities, or as arrays without units in the
-    units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are left
-    out.
+    units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are
+    omitted.
     """
     table = QTable()
     for name, unit in COLUMNS.items():
@@ -313,7 +316,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text about columns that a format cannot represent, or an empty list without names."""
+    """Return a list with one text that names the lost columns, or an empty list if there are no lost columns."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]

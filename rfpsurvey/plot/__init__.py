@@ -1,4 +1,7 @@
-"""Plots. matplotlib is imported when the first plot is drawn; functions return plots without showing them."""
+"""Plots of focal planes, tiles, tilings and surveys, and plots that compare designs, instruments or methods.
+
+The functions return axes or figures without showing them. matplotlib is imported when the first plot is drawn.
+"""
 
 from rfpsurvey.plot._allocators import plot_allocators
 from rfpsurvey.plot._classes import COLORINGS

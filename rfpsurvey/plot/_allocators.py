@@ -1,4 +1,4 @@
-"""Comparison of allocators."""
+"""Plot that compares allocators."""
 
 from typing import TYPE_CHECKING
 

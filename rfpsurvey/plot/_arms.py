@@ -12,7 +12,7 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CI
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Marker and legend label of positioners with each status."""
+"""Marker and legend label for each status of positioners that is marked."""
 
 
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
@@ -78,7 +78,7 @@ def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
 
 
 def draw_marks(ax, scene: Scene) -> Iterator:
-    """Mark positioners that are disabled, stuck or cannot reach their target, and yield legend entries."""
+    """Mark positioners that are disabled or stuck, or that cannot reach their target, and yield legend entries."""
     for status, (marker, label) in MARKS.items():
         points = scene.centers[scene.status == status]
         if len(points):
@@ -132,7 +132,7 @@ def rounded(vertices: np.ndarray, radius: float) -> np.ndarray:
 
 
 def capsules(bodies: np.ndarray, radius: float) -> np.ndarray:
-    """Return the outline of the capsule of each segment, with the given radius, shape (n, 18, 2)."""
+    """Return points on the outline of a capsule with the given radius around each segment, shape (n, 18, 2)."""
     a, b = bodies[:, None, :2], bodies[:, None, 2:]
     along = np.arctan2(*(bodies[:, 2:] - bodies[:, :2]).T[::-1])
     angle = along[:, None] + np.linspace(-np.pi / 2, np.pi / 2, 9)

@@ -56,7 +56,7 @@ def new_grid(rows: int, columns: int, size: tuple[float, float], **options: obje
 
 
 def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
-    """Return the name and the focal plane of an instrument; the name of a focal plane is empty."""
+    """Return the name and the focal plane of an instrument; a focal plane without an instrument has an empty name."""
     thing = as_instrument(thing) if isinstance(thing, str) else thing
     plane = as_focal_plane(thing)
     return ("" if plane is thing else thing.name), plane
@@ -108,7 +108,7 @@ def points_per_unit(ax: "Axes") -> float:
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the median distance to the nearest center; for a single positioner, return its patrol diameter."""
+    """Return the median distance between nearest centers or, for a single positioner, its patrol diameter."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:
@@ -148,14 +148,14 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
 
 
 def legend_line(label: str, **style: object) -> "Line2D":
-    """Return a legend entry that is a line, or a marker."""
+    """Return a legend entry with a line or a marker."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
 
 
 def check_columns(table: QTable, columns: set[str], maker: str | None = None) -> None:
-    """Raise an error unless a table has these columns; ``maker`` is the function that returns such tables."""
+    """Raise an error unless a table has the given columns; ``maker`` is the function that returns such tables."""
     if not isinstance(table, QTable):
         raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
     missing = ", ".join(sorted(columns - set(table.colnames)))
@@ -176,7 +176,7 @@ def values_of(table: QTable, name: str) -> np.ndarray:
 
 
 def labeled(table: QTable, name: str) -> str:
-    """Return the label of a column, with its unit."""
+    """Return the axis label of a column, with its unit."""
     unit = getattr(table[name], "unit", None)
     words = {"ratio": "arm ratio"}.get(name, name.replace("_", " "))
     return f"{words} [{unit}]" if unit is not None and str(unit) else words

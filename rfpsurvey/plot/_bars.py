@@ -21,10 +21,11 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a bar from 0 to 1 for each class, with the observed (``counted``) and the ``total`` number beside it.
+    """Draw a stacked bar from 0 to 1 for each class, and write two numbers beside it.
 
-    ``pieces`` contains the parts of the bars from left to right. Each part is a tuple of its number in each class, its
-    label and its style.
+    The numbers are how many targets (or visits) of the class are observed (``counted``), and how many there are
+    (``total``). ``pieces`` contains the parts of the bars from left to right. Each part is a tuple of the number of
+    targets (or visits) in each class, the label of the part, and its style.
     """
     left, handles = np.zeros(len(y)), []
     style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}

@@ -38,13 +38,13 @@ LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
 ratio of the size to the mean distance between dots, and the smallest and the largest size in points."""
 ON_ARMS = 7.0  # points, largest size of a dot that is drawn on an arm, with a white edge
 MANY = 3000
-"""If a layer has more targets, its dots are stored as an image in vector files."""
+"""If a layer has more than this number of targets, its dots are stored as an image in vector files."""
 LONGEST = 74  # largest number of letters in a row of a legend with three columns
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Targets that are drawn in the same way; a layer without a label shares the entry of the layer before it."""
+    """Targets that are drawn in the same way; a layer without a label has no legend entry of its own."""
 
     label: str
     rows: np.ndarray
@@ -57,9 +57,9 @@ class Layer:
 
 
 def layers_of(color: str, outcome: np.ndarray, columns: dict) -> list[Layer]:
-    """Return layers by outcome or by class, with separate layers for assigned targets and for other targets.
+    """Return one layer for each outcome, or two layers for each class: its assigned targets and its other targets.
 
-    ``outcome`` contains indices of ``OUTCOMES``; ``columns`` can contain ``kind``, ``category`` and ``priority``.
+    ``outcome`` contains indices into ``OUTCOMES``; ``columns`` can contain ``kind``, ``category`` and ``priority``.
     """
     if color == "outcome":
         return list(_by_outcome(outcome))

@@ -28,7 +28,7 @@ def position_angle_of(thing: object) -> float | None:
 
 
 def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
-    """Draw arrows toward north and east in a corner of a focal plane, and write the position angle.
+    """Draw arrows toward north and east in a corner of the axes, and write the position angle.
 
     The position angle (degrees) is the angle of +y from north toward east; the angle of +x is larger by 90 deg. Nothing
     is drawn if the position angle is None. The compass is drawn in the corner where it hides the fewest of the points
@@ -61,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner of the axes (as fractions) with the fewest points nearby, or the upper left without points."""
+    """Return the corner of the axes (as fractions) with the fewest points nearby; without points, the upper left."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]

@@ -79,7 +79,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
 
 
 def draw_survey(survey: Survey) -> "Figure":
-    """Return a figure with two panels: a map of the tiles, colored by completeness, and `plot_completeness`."""
+    """Return a figure with two panels: a map of the tiles, colored by completeness, and the completeness curve."""
     from matplotlib.figure import Figure
 
     wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))

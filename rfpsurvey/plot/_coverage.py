@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["plot_coverage"]
 
 N_POINTS = 2**18
-"""Number of points for the fractions in the legend, whose standard errors are then below 0.001."""
-FEWEST, MOST = 600, 1400  # pixels along the longer side
+"""Number of random points from which the fractions in the legend are computed, with standard errors below 0.001."""
+FEWEST, MOST = 600, 1400  # limits of the default number of pixels along the longer side
 
 
 def plot_coverage(
@@ -139,6 +139,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Return a fraction as text in percent, with two digits unless the fraction is very small or close to 1."""
+    """Return a fraction as text in percent, to two significant digits unless it is very small or close to 1."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

@@ -100,7 +100,7 @@ def plot_designs(
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
-    others = _names(table) == ""  # the design of an instrument is a star
+    others = _names(table) == ""  # the design of an instrument is drawn as a star
     few = len(np.unique(values[others])) <= len(MARKERS)
     style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
@@ -125,7 +125,7 @@ def plot_designs(
     if {x, y} == set(objectives):
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
-        better = f"front: no other design is better in both ({front.sum()} of {len(table)})"
+        better = f"front: no other design is better in both objectives ({front.sum()} of {len(table)})"
         handles.append(legend_line(color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
     for name, one in mark.items():
         _mark(ax, name, values_of(one, x), values_of(one, y))
@@ -161,7 +161,7 @@ def _instruments(table):
 
 
 def _question(table):
-    """Return the definition of the loss in a table (its estimand) and, if targets are allocated, their number."""
+    """Return the definition of the loss: its estimand and, if it is not ``independent``, the number of targets."""
     asked = table.meta["request"]
     targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)

@@ -1,4 +1,4 @@
-"""Draw positioners of large focal planes as dots, where arms would be too short to be visible."""
+"""Draw the positioners of large focal planes as dots, because arms would be too short to be visible."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,7 @@ def arms_are_visible(ax, scene: Scene) -> bool:
 
 
 def draw_cells(ax, scene: Scene) -> None:
-    """Draw a pale disk for each positioner as the background of dots."""
+    """Draw a pale disk for each positioner, as a background for dots."""
     add_circles(ax, scene.centers, 0.5 * spacing_of(scene.centers, scene.outer), facecolors=FAINT, zorder=0.8)
 
 

@@ -45,7 +45,7 @@ def plot_focal_plane(
 
     The shade around an arm extends to half the minimum separation on each side, to scale; two arms collide if their
     shades overlap. Arms in collision are thick, with a hatched shade; arms without a target are dashed. Marks at
-    centers show positioners that are disabled, stuck, or have a target out of reach.
+    the centers of positioners show that a positioner is disabled or stuck, or that its target is out of reach.
 
     If arms would be shorter than 5 points (5/72 inch), as on the whole focal plane of an instrument with thousands of
     positioners, each positioner is drawn as a dot. The dot is at the fiber if the positioner has a target, and
@@ -66,7 +66,7 @@ def plot_focal_plane(
         drawn.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created. The legend is below the axes; a figure with
-        ``layout="constrained"`` has room for it.
+        ``layout="constrained"`` reserves space for it.
     region : Quantity, shape (2, 2), optional
         Corners ((x0, y0), (x1, y1)) of the part to show; the whole focal plane by default.
     color : {"spectrograph", "fiber_type"}, optional
@@ -77,8 +77,8 @@ def plot_focal_plane(
         contains positions to draw as small crosses; ``instrument.projection(center).to_focal_plane(coord)`` returns
         such positions.
     arms : bool, optional
-        Whether to draw arms, or a dot for each positioner; by default arms are drawn if they are long enough to be
-        visible.
+        True: draw arms; False: draw a dot for each positioner. By default, arms are drawn if they are long enough to
+        be visible.
     orientation : {"sky", "focal plane"}, optional
         With ``"sky"``, east is to the left of north, as on the sky, and x increases to the left. With
         ``"focal plane"``, x increases to the right.
@@ -177,7 +177,7 @@ def _targets_of(thing, color):
 
 
 def _draw_classes(ax, tile, color, xy, table, kwargs, on_arms):
-    """Draw the targets inside the axes by class, and fibers on blank sky, and yield legend entries."""
+    """Draw the targets inside the axes, colored by class, and the fibers on blank sky; yield legend entries."""
     low, high = limits_of(ax)
     seen = ((xy >= low) & (xy <= high)).all(axis=1)
     xy, table = xy[seen], table[seen]

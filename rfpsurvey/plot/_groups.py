@@ -16,7 +16,10 @@ PALE = 0.4
 
 
 def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
-    """Draw a disk around each positioner, colored by group; write names of groups on disks, or yield legend entries.
+    """Draw a disk around each positioner, colored by group, and write or yield the names of the groups.
+
+    If there are more than two groups, the name of a group is written at the mean center of its positioners, provided
+    that the positioner nearest to this point belongs to the group. For all other groups, legend entries are yielded.
 
     If ``pale`` is true, the fills are pale, so that arms or dots on top of the fills remain visible.
     """

@@ -1,4 +1,4 @@
-"""Comparison of instruments."""
+"""Plots that compare instruments."""
 
 from typing import TYPE_CHECKING
 
@@ -95,7 +95,7 @@ def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
 
 
 def _draw_reach(table, ax):
-    """Draw the fractions of the footprint that no, one, two and more positioners reach."""
+    """Draw the fractions of the footprint that are reached by no, one, two, and three or more positioners."""
     rows = np.sort(np.unique(np.asarray(table["instrument"]), return_index=True)[1])
     y = -np.arange(len(rows), dtype=float)
     left, handles = np.zeros(len(rows)), []

@@ -45,7 +45,7 @@ def plot_quality(
         Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     column : str, optional
         Column of numbers in the outcomes of a tile, for the histogram. By default, the histogram shows the priority or,
-        without priorities, the first further column of the catalog that contains numbers.
+        without priorities, the first additional column of the catalog that contains numbers.
     axes : tuple of matplotlib.axes.Axes, optional
         Four axes to draw on; by default, a new figure is created.
     **kwargs
@@ -59,19 +59,19 @@ def plot_quality(
         For a tile, the first panel has one bar for each class (a row of `Tile.completeness
         <rfpsurvey.Tile.completeness>`). The bar shows the fraction of the targets of the class with each outcome; the
         numbers of observed targets and of all targets are on the right. The second panel shows the number of fibers on
-        sky and on standard stars in each spectrograph. If the tile has requirements, the panel shows the number of
-        fibers that count toward each requirement; a dashed line is the minimum of the requirement. If there are neither
-        fibers on sky or standard stars nor requirements, the panel shows the number of fibers on science targets. The
-        third panel is a histogram of ``column`` for all science targets and for assigned science targets. The third
+        sky and on standard stars in each spectrograph. If the tile has requirements, the panel instead shows the
+        number of fibers that count toward each requirement, with a dashed line at the required minimum. If there are
+        no requirements and no fibers on sky or standard stars, the panel shows the number of fibers on science targets.
+        The third panel is a histogram of ``column`` for all science targets and for assigned science targets. The third
         panel is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that
         are in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
         intervals.
 
         For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). The bar shows the
-        fraction of the visits that each pass observed; the numbers of observed and requested visits are on the right.
-        The second panel shows the number of targets with each outcome. The third panel shows the number of fibers on
-        science targets, standard stars and sky in each pass. The fourth panel shows, for each tile, the fraction of the
-        fibers that are in use and the collision rate.
+        fractions of the visits that were observed in each pass; the numbers of observed and requested visits are on the
+        right. The second panel shows the number of targets with each outcome. The third panel shows the number of
+        fibers on science targets, standard stars and sky in each pass. The fourth panel shows, for each tile, the
+        fraction of the fibers that are in use and the collision rate.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def _column_of(table, name) -> str | None:
 
 
 def _shown(completeness):
-    """Return the rows that have a bar: kinds, the largest categories, and the most important priorities."""
+    """Return the rows with a bar in the plot: kinds, the largest categories, and the most important priorities."""
     number = np.cumsum(np.asarray(completeness["category"]) != "all")
     rows = completeness[(np.asarray(completeness["category"]) == "all") | (number <= MOST_CATEGORIES)]
     return rows[:MOST_BARS]

@@ -17,16 +17,16 @@ __all__ = ["draw_reproduction"]
 
 GROUPS = ("arms", "targets_per_positioner", "sky")
 BESIDE = 1.025
-"""Ratio of the x values of successive groups; their points are thereby beside each other on a logarithmic axis."""
+"""Ratio of the x values of successive groups, which places their points beside each other on a logarithmic axis."""
 
 
 def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, Figure]":
-    """Return a dict that contains the figures of an experiment by their names."""
+    """Return the figures of an experiment, as a dict from the name of each figure to the figure."""
     return {name: draw(tables) for name, draw in FIGURES[experiment].items()}
 
 
 def _small(tables):
-    """Plot the probability against arm ratio and pitch; in the lower panels, the curves are scaled to 0 to 1."""
+    """Plot the probability against arm ratio and pitch; in the lower panels, scale the curves to 0 to 1."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
@@ -53,7 +53,7 @@ def _scaled(values, like=None):
 
 
 def _large(tables):
-    """Plot the formula against the simulation, and their normalized difference as a function of ratio and pitch."""
+    """Plot the formula against the simulation, and the difference of both after scaling to the range from 0 to 1."""
     table = tables["large"]
     figure, (axes,) = new_grid(1, 2, (10, 4.5))
     for k, way in enumerate(("range_200", "covered")):
@@ -70,7 +70,7 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Plot the difference between uniform and Poisson targets against ratio and pitch, for each interpretation."""
+    """Plot uniform minus Poisson targets as a function of ratio and pitch, for each interpretation of the paper."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)

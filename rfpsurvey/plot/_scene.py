@@ -19,7 +19,7 @@ GROUPS = ("spectrograph", "fiber_type")
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Positioners and obstacles of a focal plane, in mm; the coordinates of absent arms are NaN."""
+    """Positioners and obstacles of a focal plane, in mm; the coordinates of arms that are not drawn are NaN."""
 
     title: str
     centers: np.ndarray
@@ -46,7 +46,7 @@ class Scene:
 
     @property
     def points(self) -> np.ndarray:
-        """Points that the compass should not cover; points on colliding arms occur four times, to weigh more."""
+        """Points that the compass should not cover; points on colliding arms occur four times, for a larger weight."""
         arms = np.vstack([self.elbows, self.tips, (self.elbows + self.tips) / 2])
         points = np.vstack([self.centers, arms, *[arms[np.tile(self.colliding, 3)]] * 3])
         return points[np.isfinite(points).all(axis=1)]

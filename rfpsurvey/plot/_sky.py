@@ -43,10 +43,10 @@ def plot_tiling(
 ) -> "Axes":
     """Plot tiles on the sky, with east to the left.
 
-    The axes are right ascension and declination or, near a pole, offsets from the mean direction. If tiles are more
-    than 60 deg away from their mean direction, the plot is a map of the whole sky. Colors extend from the smallest to
-    the largest value. Tiles of later passes are filled up to a smaller radius, so that tiles of earlier passes can be
-    seen; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
+    The axes are right ascension and declination or, near a pole, offsets from the mean direction of the tiles. If
+    tiles extend to more than 60 deg from their mean direction, the plot is a map of the whole sky. The color scale
+    extends from the smallest to the largest value. Tiles of later passes are filled up to a smaller radius, so that
+    tiles of earlier passes can be seen; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def plot_tiling(
     targets : Catalog or SkyCoord, optional
         Targets to draw as dots.
     region : Region, optional
-        Region whose border to draw.
+        Region whose border is drawn.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created. Axes with the projection ``aitoff`` show the whole sky.
     **kwargs
@@ -143,7 +143,7 @@ def _filled_part(number):
 
 
 def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
-    """Color tiles by a column.
+    """Draw tiles that are colored by the values of a column.
 
     If there are several values, draw a color bar, which has separate colors if the values are a few whole numbers.
     """

@@ -92,9 +92,12 @@ def rims_of(centers: SkyCoord, radius: np.ndarray | float) -> SkyCoord:
 
 
 def outlines_of_whole_sky(centers: SkyCoord, radius: np.ndarray | float) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return outlines of fields on a map of the whole sky, cut at the map's edge, and the row of the field of each."""
+    """Return the outlines of fields on a map of the whole sky, and the row of the field to which each outline belongs.
+
+    A field that extends across the edge of the map is divided into two outlines, unless it contains a pole.
+    """
     rims = rims_of(centers, radius)
-    # x on the map decreases with right ascension; it is unwrapped around the center of each field
+    # x on the map decreases as right ascension increases; x is continuous around the center of each field
     center = -(centers.ra - 180 * u.deg).wrap_at(180 * u.deg).rad
     away = (centers.ra[:, None] - rims.ra).wrap_at(180 * u.deg).rad
     # remove units before the loop, because astropy converts all fields on each access

@@ -42,7 +42,8 @@ def plot_speed_accuracy(
     tuple of matplotlib.axes.Axes
         Two axes. Bars show the standard error of the fraction of misclassified pairs, which is computed from the square
         root of the number of misclassified pairs. If no pair is misclassified, an arrow points down from an upper
-        limit, which is one divided by the number of colliding pairs. Methods to the lower left are better.
+        limit, which is one divided by the number of colliding pairs. Methods to the lower left are faster and
+        more accurate.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def plot_probability_accuracy(
     tuple of matplotlib.axes.Axes
         The axes. Bars show one standard error. Open markers show formulas, for which the column ``effort`` is 0.
         Errors below the gray line are smaller than the standard error of the reference value. Methods to the lower left
-        are better.
+        are faster and more accurate.
 
     Raises
     ------

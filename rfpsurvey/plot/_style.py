@@ -1,4 +1,4 @@
-"""Colors and markers of plots; each important difference is also shown by a marker, a hatch or a line style."""
+"""Colors and markers of plots. Important differences are shown by color and by a marker, a hatch or a line style."""
 
 import numpy as np
 

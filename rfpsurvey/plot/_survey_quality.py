@@ -51,7 +51,7 @@ def _after(survey, k) -> QTable:
 
 
 def _draw_visits(ax, survey, kwargs):
-    """Draw a bar for each class: the fraction of its visits that each pass observed."""
+    """Draw a bar for each class: the fractions of its visits that were observed in each pass."""
     passes = list(dict.fromkeys(np.asarray(survey.completeness["pass"]).tolist()))
     rows = class_rows(survey)
     wanted, observed = (np.asarray(rows[name], float) for name in ("n_requested", "n_observed"))

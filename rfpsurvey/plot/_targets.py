@@ -36,8 +36,8 @@ def plot_targets(
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
     The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
-    are smaller dots of the same color. The axes of a tile are offsets from its center. A survey is drawn on the axes
-    that `plot_tiling` uses. Circles show the fields of the survey, except on a map of the whole sky.
+    are smaller dots of the same color. The axes of a tile are offsets from its center. The axes of a survey are
+    the same as in `plot_tiling`. Circles show the fields of the survey, except on a map of the whole sky.
 
     Parameters
     ----------

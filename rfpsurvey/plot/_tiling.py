@@ -36,7 +36,7 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
     targets : Catalog or SkyCoord, optional
         Targets to draw as dots.
     region : Region, optional
-        Region whose border to draw.
+        Region whose border is drawn.
 
     Returns
     -------

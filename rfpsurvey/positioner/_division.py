@@ -13,7 +13,7 @@ MOST = 500
 
 
 def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
-    """Return convex polygons whose union is a given polygon, for `ArmOutline`.
+    """Divide a polygon into convex polygons, which can be parts of an `ArmOutline`.
 
     The parts do not overlap, and all their vertices are vertices of the polygon.
 
@@ -30,7 +30,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
     Raises
     ------
     InputError
-        If the vertices are not finite, if there are fewer than 3 or more than 500, or if edges cross.
+        If the vertices are not finite, if there are fewer than 3 or more than 500 vertices, or if edges cross.
 
     Examples
     --------

@@ -32,8 +32,8 @@ class PositionerNumbers:
     separation : float
         Distance below which two arms collide, mm.
     arm_length : float or None
-        Length of the segment of the arm model ``capsule``, or ``length`` of the `ArmOutline` for the arm model
-        ``outline``, mm; None for the other arm models.
+        Length of the segment of the arm model ``capsule``, or ``length`` of the `~rfpsurvey.ArmOutline` for the arm
+        model ``outline``, mm; None for the other arm models.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner, in radians.
     joints_free : bool
@@ -86,12 +86,12 @@ class PositionerNumbers:
         return self.joints_free_for(-1.0 if self.positioner.handedness == "left" else 1.0)
 
     def joints_free_for(self, side: float) -> bool:
-        """Return whether the fiber can reach the whole patrol area for a handedness (+1: right, -1: left)."""
+        """Return whether the fiber can reach the whole patrol area with a handedness (+1: right, -1: left)."""
         return self._free[int(side < 0)]
 
     @cached_property
     def _free(self) -> tuple[bool, bool]:
-        """Whether the fiber can reach the whole patrol area, for right and for left handedness."""
+        """Whether the fiber can reach the whole patrol area with right and with left handedness."""
         theta, phi = self.positioner.theta_range, self.positioner.phi_range
         if theta is not None and not theta[1] - theta[0] >= 360 * u.deg:
             return False, False

@@ -17,12 +17,12 @@ __all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
 MOST = 1e6
 """Largest coordinate and radius, mm."""
 SAME = 1e-9
-"""Tolerance (mm). Vertices closer to each other are merged, and edges that bend inward by less count as straight."""
+"""Tolerance (mm). Vertices at a smaller distance are merged, and edges that bend inward by less count as straight."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeters of a convex polygon and of its convex hull."""
 FAR = 1e30
-"""If an arm has no parts, half of each side of its bounding rectangle is minus this length (mm), so that the rectangle
-is far from all other rectangles."""
+"""A very large length (mm). If an arm has no parts, half of each side of its bounding rectangle is minus this length.
+The distance between this rectangle and any other rectangle is then very large."""
 ROUNDED_UP = 1.0 + 1e-12
 """Factor that enlarges upper limits to allow for rounding errors."""
 
@@ -97,7 +97,7 @@ class ArmOutline:
     def length(self) -> u.Quantity:
         """Largest x of the vertices of all eccentric parts.
 
-        The segment of this length from the elbow along the arm is the core of the outline.
+        The segment that extends from the elbow along the arm by this length is the core of the outline.
         """
         return max(float(vertices[:, 0].max()) for vertices, _ in self.parts[: self.n_eccentric]) * u.mm
 
@@ -120,13 +120,13 @@ class ArmOutline:
         return ArmOutline(parts[: self.n_eccentric], parts[self.n_eccentric :])
 
     def to_dict(self) -> dict:
-        """Return the parts as lists of numbers in mm, in the form that descriptions of instruments use."""
+        """Return a dict of the vertices and radii of all parts (mm), as in the description of an instrument."""
         parts = [{"vertices": vertices.tolist(), "radius": radius} for vertices, radius in self.parts]
         return {"eccentric": parts[: self.n_eccentric], "central": parts[self.n_eccentric :]}
 
     @classmethod
     def from_dict(cls, value: dict, unit: u.UnitBase = u.mm) -> "ArmOutline":
-        """Return the outline for a dict of the form that `to_dict` returns; its numbers can have another unit.
+        """Return the outline for a dict of the form that `to_dict` returns; its numbers are in the unit ``unit``.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
 
 
 def _box(parts):
-    """Return the center and half of the side lengths of a rectangle, parallel to the axes, that contains all parts."""
+    """Return the center and half the side lengths of the smallest rectangle, parallel to the axes, around all parts."""
     if not parts:
         return (0.0, 0.0, -FAR, -FAR)
     low = np.min([vertices.min(axis=0) - radius for vertices, radius in parts], axis=0)
@@ -208,7 +208,7 @@ def _from_core(vertices, low, high):
 
 
 def convex_polygon(points: u.Quantity, name: str) -> np.ndarray:
-    """Return the vertices of a convex polygon (mm) in counter-clockwise order; errors contain ``name``."""
+    """Return the vertices of a convex polygon (mm) in counter-clockwise order; error messages contain ``name``."""
     return _to_part(points, name)[0]
 
 
@@ -239,13 +239,14 @@ def _to_part(part, name):
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
         raise InputError(
-            f"{name} must be a convex polygon, got {short(part)}; rfpsurvey.divide_polygon divides other polygons"
+            f"{name} must be a convex polygon, got {short(part)}; rfpsurvey.divide_polygon divides other polygons into "
+            "convex polygons"
         )
     return locked(hull), radius
 
 
 def _hull(points):
-    """Return the vertices of the exact convex hull in counter-clockwise order; close vertices are merged."""
+    """Return the vertices of the exact convex hull in counter-clockwise order; merge vertices closer than ``SAME``."""
     ordered = [(Fraction(x), Fraction(y)) for x, y in points[np.lexsort(points.T[::-1])].tolist()]
     kept = []
     for run in (ordered, ordered[::-1]):

@@ -1,4 +1,4 @@
-"""A theta-phi positioner: its two arms, their joints, and the part that can collide."""
+"""A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -34,20 +34,21 @@ class Positioner:
     eccentric_arm : Quantity
         Length l2 of the eccentric arm, from the elbow to the fiber.
     clearance : Quantity
-        Clearance d of the eccentric arm, which is half the minimum separation of two arms if ``step`` is 0.
+        Clearance d of the eccentric arm. The minimum separation of two arms is 2 d plus the largest displacement of the
+        arm within one step.
     step : Quantity, optional
         Angle of one motor step. Within a step, the arm is displaced by at most (l1 + l2) sin(2 step).
     handedness : {"right", "left", "both"}, optional
         ``right``: phi in [0, 180] deg; ``left``: the mirror image of ``right``; ``both``: right, or left if the joint
         limits forbid right.
     theta_range, phi_range : Quantity, shape (2,), optional
-        Joint limits, modulo 360 deg; by default, there are no limits.
+        Lower and upper joint limits of theta and phi, modulo 360 deg; by default, there are no limits.
     home : Quantity, shape (2,), optional
         theta and phi of a parked positioner, within the joint limits. By default, theta = 0 and phi = 180 deg (folded),
         or the nearest angles that the joint limits allow.
     displacement : Quantity, optional
-        Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If it is given, ``step``
-        is ignored.
+        Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If
+        ``displacement`` is given, ``step`` is ignored.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip", "outline"}, optional
         Part of the positioner that can collide. ``elbow_to_tip``: the segment from the elbow to the fiber. ``capsule``:
         a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so two
@@ -170,7 +171,7 @@ class Positioner:
         return self.numbers.separation * u.mm
 
     def inverse(self, xy: u.Quantity, handedness: str | None = None) -> tuple[u.Quantity, u.Quantity]:
-        """Return the joint angles that place the fiber at points relative to the center.
+        """Return the joint angles that place the fiber at given points.
 
         Parameters
         ----------
@@ -191,7 +192,7 @@ class Positioner:
         Raises
         ------
         InputError
-            If the points are not lengths of the shape (n, 2), or if the handedness is unknown.
+            If ``xy`` is not an array of lengths with the shape (n, 2), or if the handedness is unknown.
         """
         points = to_points_mm(xy, "xy")
         choice = check_choice(handedness or self.handedness, HANDEDNESS, "handedness")
@@ -220,7 +221,7 @@ class Positioner:
         Raises
         ------
         InputError
-            If the joint angles are not angles of the shape (n,).
+            If ``theta`` or ``phi`` is not an array of angles with the shape (n,), or if their lengths differ.
         """
         theta, phi = np.atleast_1d(to_radian(theta, "theta")), np.atleast_1d(to_radian(phi, "phi"))
         if theta.ndim != 1 or phi.ndim != 1 or len({theta.size, phi.size} - {1}) > 1:
@@ -232,7 +233,7 @@ class Positioner:
         return segments[2:].T.copy() * u.mm
 
     def _solve(self, points, side):
-        """Return joint angles in radians, and whether the points are in reach within the joint limits."""
+        """Return joint angles in radians, and whether the fiber can reach the points within the joint limits."""
         n = len(points)
         theta, phi = np.empty(n), np.empty(n)
         arms.solve(points, self._geometry(n), np.full(n, side), theta, phi)

@@ -129,7 +129,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     better = rs.design.design_improvements(found)
     assert "mine: central arm 8.25 mm, ratio 1, pitch 25.6 mm, clearance 2 mm" in out
     assert f"  smallest loss with at least this coverage: {better['best'][1]:.5g} (" in out
-    assert "largest coverage with at most this loss: its own value" in out
+    assert "largest coverage with at most this loss: the value of this instrument" in out
     assert re.search(r"by pitch 28\.16 mm \(\+10 %, edge of the scan\)", out)
     assert "mine" in plot.read_text()
     assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
@@ -161,7 +161,7 @@ def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     ratios = np.unique(table["ratio"])
     assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
-    assert words[-1] == f"front: no other design is better in both ({table['pareto'].sum()} of {len(table)})"
+    assert words[-1] == f"front: no other design is better in both objectives ({table['pareto'].sum()} of {len(table)})"
     ax.figure.draw_without_rendering()  # matplotlib computes colors from values when it draws a figure
     one, other = ax.collections[0], ax.collections[2]
     assert len(one.get_paths()[0].vertices) != len(other.get_paths()[0].vertices)
