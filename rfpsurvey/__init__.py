@@ -1,8 +1,8 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
-The names in ``__all__`` are the whole public interface. The computation of a tile starts from the catalog. It then
-determines, in this order, the projection, the targets in reach, the allocation, the poses of the arms, the collisions
-and the score.
+The names in ``__all__`` are the whole public interface. From a catalog, the package computes the positions of the
+targets on the focal plane, the targets in reach of each positioner, the allocation, the poses of the arms, the
+collisions, and the score of a tile, in this order.
 """
 
 from typing import TYPE_CHECKING

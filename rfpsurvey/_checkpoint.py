@@ -30,8 +30,8 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     if different:
         name = different[0]
         raise InputError(
-            f"{path} holds another {work}: {', '.join(different)} differ ({name} was {_short(before.get(name))} "
-            f"and is now {_short(now.get(name))}); give another {place}"
+            f"{path} holds another {work}: {', '.join(different)} {'differs' if len(different) == 1 else 'differ'} "
+            f"({name} was {_short(before.get(name))} and is now {_short(now.get(name))}); give another {place}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Run calls on executors; worker processes end when the process that started them ends."""
+"""Run function calls on executors, such as process pools; worker processes end when their parent process ends."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,7 +13,10 @@ __all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
-    """Yield the results of calls of a function, in order; if ``executor`` is None, this thread calls the function."""
+    """Yield the results of function calls, in the order of the arguments.
+
+    If ``executor`` is None, the calls run in the present thread.
+    """
     if not isinstance(executor, Executor | None):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
@@ -24,7 +27,7 @@ def map_in_order(executor: Executor | None, function: Callable, *arguments: Iter
 def map_with_progress(
     executor: Executor | None, progress: bool | Callable, unit: str, function: Callable, *arguments: Sequence
 ) -> list:
-    """Return the results of calls of a function, in the order of the arguments, and show the progress."""
+    """Return the results of function calls, in the order of the arguments, and show the progress of the calls."""
     results = []
     with Progress(progress, len(arguments[0]), unit) as line:
         for result in map_in_order(executor, function, *arguments):
@@ -34,7 +37,7 @@ def map_with_progress(
 
 
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
-    """Submit a call of a function to an executor, and return the future of the result."""
+    """Submit a function call to an executor, and return the future of its result."""
     return executor.submit(_for_workers(executor, function), *arguments)
 
 

@@ -38,7 +38,7 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 
 
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
-    """Return the sorted pixels whose centers are at most ``margin`` away from an object on the sky.
+    """Return the pixels whose centers are at most ``margin`` away from an object on the sky.
 
     The search begins with the twelve pixels of ``nside`` 1. If a pixel is too far away, the search also excludes all
     smaller pixels inside this pixel.
@@ -55,7 +55,7 @@ def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     Returns
     -------
     ndarray of int
-        Numbers of the pixels.
+        Numbers of the pixels, in increasing order.
     """
     pixels, level = np.arange(12), 1
     while True:

@@ -62,9 +62,9 @@ def write_table(
 ) -> None:
     """Write a table as FITS or ECSV.
 
-    ``cards`` are additional cards of the FITS header (a value, or a value and a comment), and ``name`` is the name of
-    the extension. ``others`` maps the names of additional extensions of a FITS file to their tables; an ECSV file can
-    contain only one table.
+    ``cards`` contains additional cards of the FITS header: a dictionary of names to values, or to tuples of a value and
+    a comment. ``name`` is the name of the extension. ``others`` maps the names of additional extensions of a FITS file
+    to their tables; an ECSV file can contain only one table.
     """
     path = to_path(path)
     with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
@@ -94,7 +94,7 @@ def check_output(
     if suffix_of(path) not in endings or (
         zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
     ):
-        raise InputError(f"{path}: the name of this output must end in {' or '.join(endings)}")
+        raise InputError(f"{path}: the name of this output file must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     if path.is_dir():
@@ -175,7 +175,7 @@ def temporary_folder(path: str | os.PathLike):
 
 
 def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str | None = None) -> bytes:
-    """Return the bytes that `write_table` would write; the same table gives the same bytes."""
+    """Return the bytes that `write_table` would write; the same table always gives the same bytes."""
     if path.endswith(".ecsv"):
         file = io.StringIO(newline="\n")
         table.write(file, format="ascii.ecsv")
@@ -241,8 +241,8 @@ def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
 
     This function is fast for thousands of small tables with the same columns, because astropy makes the header only in
     the first call. The header contains the ``fixed`` cards, which are pairs of a name and a value; instead of a value,
-    a tuple of a value and a comment is allowed. The ``cards`` of each call replace cards of the same name, or are
-    added.
+    a tuple of a value and a comment is allowed. Each card in ``cards`` replaces the fixed card of the same name, or is
+    added if there is none.
     """
     body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
     return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % BLOCK)])
@@ -281,7 +281,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
-    """Return the primary HDU and the header of a table; the length does not depend on the values of ``cards``."""
+    """Return the primary HDU and the header of a table; their length does not depend on the values in ``cards``."""
     primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
     for name, card in cards.items():
@@ -345,7 +345,7 @@ def fits_card(name: str, value: object, comment: str = "") -> bytes:
 
 
 def _float_text(value: float) -> str | None:
-    """Return the text of a number for a FITS header, or None if it is too long, NaN or infinite, or has an exponent."""
+    """Return a number as text for a FITS card; None if it is not finite, or its text is too long or has an exponent."""
     text = str(value)
     if "e" in text or "n" in text or len(text) > 20:
         return None

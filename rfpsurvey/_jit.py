@@ -1,10 +1,10 @@
-"""The numba decorator that all kernels use, and the settings of its on-disk cache.
+"""The numba decorators of all kernels, and the settings of the on-disk cache of compiled kernels.
 
 Numba identifies the cached code of a kernel by the modification time and size of the file that defines the kernel.
 Numba would therefore run old code in two cases. First, a function that the kernel calls may be edited in another file.
-Second, an upgrade may change the code, but neither the time nor the size of the file. To prevent the use of old code,
-the version of the cache contains a digest of the source of all kernels. Numba compares the version before it reads the
-cached code, because old code may refer to classes that no longer exist.
+Second, an upgrade of the package may change the code of a file, but neither its modification time nor its size. To
+prevent the use of old code, the version of the cache contains a digest of the source of all kernels. Numba compares the
+version before it reads the cached code, because old code may refer to classes that no longer exist.
 """
 
 import hashlib

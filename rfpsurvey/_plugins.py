@@ -1,4 +1,4 @@
-"""Plugins: functions of the user, and objects of other packages, which are imported when they are first used."""
+"""Plugins: functions that a user provides, and objects from other packages, which are imported on first use."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -13,13 +13,13 @@ __all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
 
 @dataclass(frozen=True)
 class Plugin:
-    """A plugin: an object from another package, or a function of the user."""
+    """A plugin: an object from another package, or a function that a user provides."""
 
     what: str
     name: str
     value: object
     package: str = ""
-    """Name of the distribution that contains the plugin; empty text for a function of the user."""
+    """Name of the distribution that contains the plugin; empty text for a function that a user provides."""
     version: str = ""
     place: str = ""
     """Module and name of the object in the package, as stated by the entry point."""
@@ -30,7 +30,10 @@ class Plugin:
 
     @property
     def software(self) -> dict[str, str]:
-        """Name and version of the plugin's distribution, which results record; empty for a function of the user."""
+        """Name and version of the plugin's distribution, in the form in which results record them.
+
+        The dictionary is empty if the plugin is a function that a user provides.
+        """
         return {self.package: self.version} if self.package else {}
 
     @contextmanager
@@ -50,7 +53,7 @@ def plugin_names(group: str) -> set[str]:
 
 
 def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin with a given name; the error for an unknown name lists all names, including ``known``."""
+    """Return the plugin with a given name; the error for an unknown name lists all valid names, including ``known``."""
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
@@ -86,7 +89,7 @@ def _load(group: str, name: str, what: str) -> Plugin:
     if len(found) > 1:
         packages = ", ".join(sorted(f"{one.package} {one.version}" for one in found))
         raise InputError(
-            f"several packages add the {what} {name!r}: {packages}; uninstall all of these packages but one"
+            f"several packages add the {what} {name!r}: {packages}; uninstall all but one of these packages"
         )
     (plugin,), (point,) = found, points
     with plugin.answering():

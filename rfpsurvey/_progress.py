@@ -1,4 +1,4 @@
-"""Show the progress of a run on one line of the standard error."""
+"""Show the progress of a run on one line of the standard error stream."""
 
 from time import monotonic
 
@@ -6,7 +6,7 @@ from rfpsurvey.errors import check_switch
 
 __all__ = ["Progress"]
 
-EVERY = 0.1  # least time between two updates of the line, in seconds
+EVERY = 0.1  # shortest time between two updates of the line, in seconds
 
 
 class Progress:
@@ -17,7 +17,8 @@ class Progress:
     Parameters
     ----------
     progress : bool or callable
-        With True, a line is shown; with False, nothing is shown. A function is called with (done, total).
+        With True, a line is shown; with False, nothing is shown. A function is called with the amount of work that is
+        done and the total amount of work.
     total : float, optional
         Total amount of work; 1 if the progress is given as a fraction.
     unit : str, optional
@@ -34,7 +35,7 @@ class Progress:
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
     def __call__(self, done: float, *, new: bool = True, note: str = "") -> None:
-        """Update the amount of work done; ``new=False``: the work since the last call is from an earlier run.
+        """Update the amount of work done; with ``new=False``, the work since the last call is from an earlier run.
 
         The text ``note``, such as the stage of a run, is shown at the end of the line.
         """

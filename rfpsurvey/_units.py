@@ -254,7 +254,7 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def to_seed(rng: object) -> int:
-    """Return a given integer seed; otherwise, draw a new seed, so that results can record the seed."""
+    """Return ``rng`` if it is an integer seed; otherwise, draw a new seed, so that results can record the seed."""
     generator = to_generator(rng)
     return int(rng) if isinstance(rng, int | np.integer) else int(generator.integers(2**63))
 

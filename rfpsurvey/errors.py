@@ -118,7 +118,7 @@ def check_switch(value: object, name: str) -> bool:
 
 
 def refusal(text: str, value: object, *types: type) -> InputError:
-    """Return the error for an invalid value: an InputError if it has one of the types, otherwise an InputTypeError."""
+    """Return the error for a value: an InputError if the value has one of the types, otherwise an InputTypeError."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
 

@@ -98,7 +98,7 @@ CALLS = {
     "the positioners have no fiber types, got the fiber type 'A'": lambda: rs.find_collisions(
         PLANE, PLANE.xy, fiber_type=["", "A", ""]
     ),
-    "an Allocation or Arms already determine the poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
+    "an Allocation or Arms already determines the poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),
     "priority must be numbers: ": lambda: rs.allocate(PLANE, XY, priority=["high", "low"]),
     "required must hold numbers or text, got": lambda: rs.allocate(PLANE, XY, required=[object(), {}]),
     "required must contain ids of targets (integers or text), got booleans": lambda: rs.AllocationOptions(

@@ -111,7 +111,7 @@ def test_one_name_of_two_packages_is_nobodys(hers, install):
     install("his", HERS, "2.1", allocators={"swapped": "swapped"})
     with pytest.raises(
         rs.InputError,
-        match="several packages add the allocator 'swapped': hers 1.0, his 2.1; uninstall all of these packages but",
+        match="several packages add the allocator 'swapped': hers 1.0, his 2.1; uninstall all but one of these",
     ):
         rs.allocate(PAIR, FOUR, allocator="swapped")
 

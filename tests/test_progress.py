@@ -117,8 +117,8 @@ def test_the_line_ends_with_the_stage(clock, open_terminal):
     assert "25%, 0:00:03 left, class 2 of 8" in terminal.getvalue()
 
 
-def test_a_search_tells_how_many_classes_are_proven(open_terminal):
-    """Classes are proven one after the other. A function receives the fraction, and a terminal also shows the class."""
+def test_a_search_tells_how_many_objectives_are_proven(open_terminal):
+    """Objectives are proven one after the other. A function receives the fraction; a terminal shows the objective."""
     center = SkyCoord("6h20m +23d")
     sky = rs.synthetic_catalog("uniform", center, 0.5 * u.deg, n_targets=4000, rng=1)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 12)
@@ -133,7 +133,7 @@ def test_a_search_tells_how_many_classes_are_proven(open_terminal):
     assert 0 == done[0] < done[-1] < 1
     terminal = open_terminal()
     rs.plan_tile(sky, "moons", center, allocator=asked, progress=True)
-    assert re.search(r"class \d+ of 1\d", terminal.getvalue())
+    assert re.search(r"objective \d+ of 1\d", terminal.getvalue())
 
 
 def test_an_estimate_tells_its_realizations_and_standard_error(open_terminal):

@@ -2,7 +2,8 @@
 One tile of SDSS-V
 ==================
 
-This example plans a tile of real stars around the Galactic anticenter without collisions, and prefers bright stars.
+This example plans a tile of real stars around the Galactic anticenter. The plan has no collisions, and bright stars
+have a higher priority.
 """
 
 import astropy.units as u
@@ -20,7 +21,7 @@ tile = rs.plan_tile(stars, "sdss_apo", center, epoch=2026.5, allocator="optimal"
 print(tile)
 
 # %%
-# The summary gives the number of assigned stars of each class, and the proven upper limit of this number.
+# The summary gives the number of assigned stars of each priority class, and the proven upper limit of this number.
 
 for name, reached, limit in tile.summary["objectives"]:
     print(f"{name}: {reached:.0f} of {limit:.0f}")
@@ -40,7 +41,7 @@ rs.plot.plot_targets(tile, ax=ax)
 
 # %%
 # The last figure shows the number of observed stars of each class, the distribution of the magnitudes, and the fraction
-# of assigned stars against the distance from the center.
+# of assigned stars as a function of the distance from the center.
 
 fig, axes = plt.subplots(2, 2, figsize=(11, 7), layout="constrained")
 axes = rs.plot.plot_quality(tile, column="vt_mag", axes=axes.ravel())

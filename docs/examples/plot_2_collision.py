@@ -19,7 +19,7 @@ rule, best = (rs.plan_tile(stars, "sdss_apo", center, allocator=name) for name i
 
 worst = rule.table[np.nanargmin(rule.table["clearance"])]
 depth = -worst["clearance"]
-print(f"{worst['id']} and {worst['colliding_with']} are closer than the minimum separation, by {depth:.2f}")
+print(f"The arms of {worst['id']} and {worst['colliding_with']} are {depth:.2f} closer than the minimum separation")
 
 # %%
 # Arms collide where their shaded areas overlap. All stars are drawn as green dots.

@@ -25,7 +25,7 @@ for ratio, one in zip(ratios, found, strict=True):
 # %%
 # The plot compares two definitions of the collision probability. For allocated targets (points), each target is
 # assigned to at most one positioner. For independent targets (line), every positioner has its own random target. The
-# line is a fast interpolation, the surrogate, for a positioner far from the edge of the focal plane.
+# line is computed by the surrogate, a fast interpolation for a positioner far from the edge of the focal plane.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")
 values = np.array([one.value for one in found])

@@ -2,7 +2,8 @@
 Completeness of a survey
 ========================
 
-This example plans four passes of SDSS-V over real stars in two classes. Bright stars require two visits.
+This example plans a survey of real stars with SDSS-V in four passes. Bright stars have a higher priority and
+require two visits; other stars require one visit.
 """
 
 import astropy.units as u

@@ -1,4 +1,4 @@
-"""Plot the fraction of close pairs whose two targets an instrument cannot both observe, for each instrument."""
+"""Plot the fraction of close pairs of targets that are lost because an instrument cannot observe both targets."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -17,9 +17,9 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
 def lost(name, n_passes, *, collide):
     """Return the fraction of pairs that are lost in each bin of separation.
 
-    There is one pair of targets per positioner: a target at a random position, and a companion at a random separation.
-    In each bin, the probability that both targets of a pair are observed is computed. The returned fraction is one
-    minus this probability divided by the same probability for the widest pairs, those in the last three bins.
+    The catalog contains one pair of targets per positioner: a target at a random position, and a companion at a random
+    separation. The returned fraction is 1 - p / q. Here, p is the probability that both targets of a pair in the bin
+    are observed, and q is the same probability for the pairs in the last three bins, which have the widest separations.
     """
     instrument, rng = rs.Instrument.preset(name), np.random.default_rng(0)
     radius, n = instrument.field_radius.to_value(u.deg), len(instrument.focal_plane)

@@ -1,4 +1,4 @@
-"""Plot the collision probability by the closed form and by the surrogate against the ratio of the arms."""
+"""Plot the collision probability from the closed form and from the surrogate against the ratio of the arms."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -21,10 +21,10 @@ for pitch, color in ((25.6, "#0072B2"), (30.0, "#E69F00"), (35.0, "#009E73")):
     some = np.array(formula) > 0
     right.plot(ratios[some], truth[some] / np.array(formula)[some], color=color)
 left.set(
-    xlabel="eccentric over central arm", ylabel="collision probability", title="solid: surrogate, dashed: closed form"
+    xlabel="eccentric arm / central arm", ylabel="collision probability", title="solid: surrogate, dashed: closed form"
 )
 left.legend()
-right.set(xlabel="eccentric over central arm", ylabel="surrogate / closed form", yscale="log")
+right.set(xlabel="eccentric arm / central arm", ylabel="surrogate / closed form", yscale="log")
 right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
 right.yaxis.set_major_formatter("{x:g}")
 right.yaxis.set_minor_formatter(NullFormatter())

@@ -1,4 +1,4 @@
-"""Plot coverage against loss for designs in the range of Chen et al., with the Pareto front and three instruments."""
+"""Plot coverage against losses to collisions for many designs, and mark the Pareto front and three instruments."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

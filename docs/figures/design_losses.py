@@ -1,4 +1,4 @@
-"""Plot the loss by three definitions against the ratio of the arms, for LAMOST's central arm, pitch and D = 4.5 mm."""
+"""Plot the fraction of fibers lost to collisions, by three definitions, against the ratio of the arms."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -17,5 +17,5 @@ for k, (estimand, each) in enumerate(questions):
     label = estimand.replace("_", " ") + ("" if each is None else f", {each} target{'s' * (each > 1)} per positioner")
     style = {"color": SERIES[k], "marker": MARKERS[k], "markersize": 4, "label": label}
     ax.errorbar(table["ratio"], table["loss"], table["loss_error"], **style)
-ax.set(xlabel="eccentric over central arm", ylabel="fraction of fibers lost to collisions")
+ax.set(xlabel="eccentric arm / central arm", ylabel="fraction of fibers lost to collisions")
 ax.legend(fontsize="small")

@@ -1,7 +1,8 @@
 """Plot pairs of arms for which approximate methods give wrong distances.
 
-Three distances are stated for each pair: the exact distance, the distance from the four ends of the arms only, and the
-distance between three points on each arm.
+The title of each panel states three distances: the exact distance between the two arms, the smallest distance from an
+end of one arm to the other arm, and the smallest distance between three points on one arm and three points on the
+other arm.
 """
 
 import matplotlib.pyplot as plt

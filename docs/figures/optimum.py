@@ -52,7 +52,7 @@ for marker, name in zip("x+", ("lamost, targets not in collision", "repair"), st
 right.set(
     xscale="log",
     xlabel="time limit of optimal, or time of lamost and repair (s)",
-    ylabel="targets (shaded: to the upper bound)",
+    ylabel="targets (shaded: range up to the upper bound)",
     ylim=(0, 11_000),
 )
 right.set_xticks([0.05, 0.5, 5, 50], ["0.05", "0.5", "5", "50"])

@@ -104,7 +104,7 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
-    """Read a catalog, or generate one if ``path`` is None; return it with the field center, which may be None."""
+    """Read a catalog, or generate one if ``path`` is None; return the catalog and the field center (or None)."""
     field = parse_center(center)
     if path is None:
         field = parse_center(DEFAULT_CENTER) if field is None else field
@@ -139,7 +139,7 @@ def allocation_options(
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError(
-            "--require instrument must be the only --require, because it stands for all requirements of the instrument"
+            "--require instrument must be the only option --require: it stands for all requirements of the instrument"
         )
     if sky_separation is not None:
         sky_separation = sky_separation * u.arcsec
@@ -176,12 +176,12 @@ def units_of(path: Path, unit: list[str] | None) -> dict[str, str]:
 
 
 def to_mm(value: float | None):
-    """Convert a length in mm to a Quantity, and return None for None."""
+    """Convert a length in mm to a Quantity; return None if the length is None."""
     return None if value is None else value * u.mm
 
 
 def read_targets(name: str):
-    """Read a catalog if ``name`` is a file or an example; otherwise, return ``name``, a kind of random targets."""
+    """Read a catalog if ``name`` is a file or an example; otherwise (for random targets), return ``name`` itself."""
     return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 

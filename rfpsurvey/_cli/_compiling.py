@@ -17,7 +17,7 @@ class _Announcement(event.Listener):
         if not self._told:
             self._told = True
             print(
-                "rfpsurvey: compiling functions for this machine; this happens only once and takes some seconds",
+                "rfpsurvey: compiling functions for this machine; this happens only once and takes a few seconds",
                 file=sys.stderr,
             )
 

@@ -34,8 +34,8 @@ ConditionsOption = Annotated[
 SiteOption = Annotated[
     str | None,
     typer.Option(
-        help="Site for refraction: apache point, kitt peak, las campanas, mauna kea, paranal, xinglong, or "
-        "LONGITUDE,LATITUDE,HEIGHT (deg, deg, m). By default, refraction is neglected."
+        help="Site of the telescope: apache point, kitt peak, las campanas, mauna kea, paranal, xinglong, or "
+        "LONGITUDE,LATITUDE,HEIGHT (deg, deg, m). Without a site, refraction is neglected."
     ),
 ]
 TimeOption = Annotated[str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00.")]
@@ -45,21 +45,22 @@ HourAngleOption = Annotated[
 TilesTimeOption = Annotated[
     str | None,
     typer.Option(
-        help="Midpoint of the exposure (UTC) of all tiles, such as 2026-07-01T06:30:00. If the tiles have a "
-        "column time or hour_angle, the values of this column are used instead."
+        help="Midpoint of the exposure (UTC) for all tiles, such as 2026-07-01T06:30:00. If the table of tiles has "
+        "a column time or hour_angle, the values of this column are used instead."
     ),
 ]
 TilesHourAngleOption = Annotated[
     float | None,
     typer.Option(
-        help="Hour angle of all tiles (hours), in place of --time. If the tiles have a column hour_angle (in "
-        "hours, or with a unit) or time, the values of this column are used instead."
+        help="Hour angle of all tiles (hours), in place of --time. If the table of tiles has a column time or "
+        "hour_angle, the values of this column are used instead. A column hour_angle without a unit is in hours."
     ),
 ]
 WavelengthOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Wavelength of the fibers (micrometers), or TYPE=WAVELENGTH for a fiber type, such as BOSS=0.54."
+        help="Wavelength at which the fibers are placed (micrometers); for fibers of one type, TYPE=WAVELENGTH, such "
+        "as BOSS=0.54."
     ),
 ]
 ExposureOption = Annotated[float | None, typer.Option(help="Exposure time (s).")]
@@ -81,7 +82,7 @@ def conditions_of(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.ObservingConditions | None":
-    """Return the observing conditions of a file, overridden by options; return None if there are neither."""
+    """Return observing conditions from a file and from options, which take precedence; None if neither is given."""
     given = {}
     if site is not None:
         given["site"] = site if "," not in site else location(site.split(","))
@@ -116,7 +117,7 @@ def tiles_under(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.Tiling":
-    """Add the observing conditions of a file and of options to a tiling; without both, return the tiling unchanged."""
+    """Add the observing conditions from a file or from options, if any are given, to a tiling; return the tiling."""
     given = any(value is not None for value in (path, site, time, hour_angle, exposure_time)) or wavelength
     if given and time is None and hour_angle is None and rs.tiling.when_of(tiling.table) is not None:
         hour_angle = 0.0  # a placeholder, which the time or hour angle in the table of tiles replaces

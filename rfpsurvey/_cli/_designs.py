@@ -98,8 +98,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "sensitivities: for each value of a design, the fraction of its variance that a parameter explains, "
-                "and its change in percent if the parameter grows by one percent:"
+                "sensitivities of the values in the column figure: share is the fraction of the variance that a "
+                "parameter explains; slope is the change in percent if the parameter grows by one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:
@@ -121,7 +121,7 @@ def _print_rows(front, table) -> None:
 
 
 def _format(column) -> None:
-    """Set the format of a column such that distinct numbers remain distinct when printed, with at most 12 digits."""
+    """Set the format of a column so that different numbers are printed differently, with at most 12 digits."""
     values = np.asarray(column, dtype=float)
     n_different = len({f"{value:.12g}" for value in values.tolist()})
     for form in (column.info.format or ".4g", *(f".{digits}g" for digits in range(5, 13))):
@@ -145,7 +145,10 @@ def _print_improvements(table) -> None:
         limit = "at least" if objectives[other] == "max" else "at most"
         text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(other)}: "
         changes = ", ".join(filter(None, (_change(name, own[name], row[name], table[name]) for name in AXES)))
-        print(text + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "its own value"))
+        print(
+            text
+            + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "the value of this instrument")
+        )
 
 
 def _change(name, before, after, scanned) -> str:

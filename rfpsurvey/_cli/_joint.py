@@ -33,7 +33,7 @@ FixedOption = Annotated[
         "do not change.",
     ),
 ]
-# If the possible fraction of additional visits is smaller, the text states that the search is not worth much time.
+# If the search can add a smaller fraction of visits than this, the text states that it is not worth much time.
 LITTLE = 0.001
 
 
@@ -50,7 +50,7 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
 
 
 def _print_gain(state: dict) -> None:
-    """Print the number of visits before the search, and an upper limit of the number of visits after the search."""
+    """Print the number of visits before the search, and the largest number of visits that the search can reach."""
     before, visits, bound = state["visits_before"][-1], state["visits"][-1], int(state["bound"][-1])
     more = max(bound - visits, 0)
     part = more / max(visits, 1)

@@ -39,7 +39,7 @@ COMMANDS = {
     "tile": "Place the tiles of a survey.",
     "benchmark": "Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
 }
-"""Summary of each command; with this copy, the list of commands is printed without importing the commands."""
+"""Summary of each command, stored here so that the list of commands is printed without importing the commands."""
 OPTIONS = {
     "rotation": "--pa",
     "position_angle": "--pa",
@@ -52,7 +52,7 @@ OPTIONS = {
     "iterations": "--joint-iterations",
     "time_limit": "--joint-time",
 }
-"""Command-line options whose names differ from those of the parameters; the keys are the names of the parameters."""
+"""Parameters whose command-line options have different names, and the names of these options."""
 
 
 class Commands(TyperGroup):
@@ -121,7 +121,7 @@ def main() -> None:
     code = 0
     try:
         app()
-    except SystemExit as stop:  # typer raises SystemExit when a command ends, also if a pipe was closed
+    except SystemExit as stop:  # typer raises SystemExit when a command ends, even if a pipe was closed
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:
         code = READER_GONE

@@ -193,7 +193,7 @@ TilingPaOption = Annotated[
     float | None,
     typer.Option(
         help="Position angle of the +y axis of the focal plane (deg), from north toward east. By default, the "
-        "position angle in the table of --centers, or 0 if there is none.",
+        "position angles in the table of --centers are used, or 0 if the table has none.",
         callback=check_angle,
     ),
 ]
@@ -242,7 +242,7 @@ VisitsOption = Annotated[
     int | None,
     typer.Option(
         help="Number of visits that each target requires. By default, the number of visits in the catalog, or 1 if the "
-        "catalog has no such column.",
+        "catalog has no column of visits.",
         min=1,
     ),
 ]
@@ -266,8 +266,10 @@ OrderOption = Annotated[
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which the finished tiles are written.")]
-ResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished survey in the folder --folder.")]
-WorkersOption = Annotated[int, typer.Option(help="Number of threads, which does not change the result.", min=1)]
+ResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished survey in the folder given with --folder.")]
+WorkersOption = Annotated[
+    int, typer.Option(help="Number of parallel threads or processes. The result does not depend on this number.", min=1)
+]
 ProcessesOption = Annotated[bool, typer.Option("--processes", help="Use processes instead of threads.")]
 SchedulerOption = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")]
 SurveyPlotOption = Annotated[
@@ -283,8 +285,8 @@ SurveyQualityOption = Annotated[
 DesignInstrumentOption = Annotated[
     str | None,
     typer.Option(
-        help="Instrument (preset or TOML file) around which to scan; the values of its design replace the "
-        "default values below."
+        help="Instrument (preset or TOML file) whose design is varied. The values of this design replace the "
+        "default values of the options below."
     ),
 ]
 SpreadOption = Annotated[
@@ -297,8 +299,8 @@ SpreadOption = Annotated[
 CentralArmOption = Annotated[
     str | None,
     typer.Option(
-        help="Length of the central arm (mm): a number such as 8.25, a list such as 7,8,9, five values from "
-        "7 to 9 as 7:9:5, or limits LOW:HIGH with --n-designs. By default, 8.25."
+        help="Length of the central arm (mm): a number such as 8.25, a list such as 7,8,9, a grid such as "
+        "7:9:5 (five values from 7 to 9), or limits LOW:HIGH with --n-designs. By default, 8.25."
     ),
 ]
 RatioOption = Annotated[
@@ -320,7 +322,9 @@ ClearanceOption = Annotated[
 ]
 NDesignsOption = Annotated[
     int | None,
-    typer.Option(help="Number of designs, drawn as Sobol points between LOW and HIGH instead of the nodes of a grid."),
+    typer.Option(
+        help="Number of designs to draw as Sobol points between LOW and HIGH. Without this option, a grid is scanned."
+    ),
 ]
 EstimandOption = Annotated[
     str | None,
@@ -357,5 +361,5 @@ DesignObjectiveOption = Annotated[
 DesignOutputOption = Annotated[
     Path | None, typer.Option(help="Write the finished designs to this file (.fits or .ecsv).")
 ]
-DesignResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished scan in the file --output.")]
+DesignResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished scan in the file given with --output.")]
 DesignPlotOption = Annotated[Path | None, typer.Option(help="Plot the Pareto front (.png, .pdf or .svg).")]

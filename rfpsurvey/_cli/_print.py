@@ -83,7 +83,7 @@ def finish(
         print_summary(tile)
         if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
             print(
-                f"{output} will not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
+                f"{output} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
                 "which can hold two tables"
             )
 
@@ -189,8 +189,8 @@ def print_summary(tile: "rs.Tile") -> None:
     _print_objectives(tile)
     if tile.completeness is not None and len(tile.completeness) > 1:
         print(
-            "number of targets of the field in each class; targets are observed if they are assigned and their "
-            "arms do not collide:"
+            "number of targets of the field in each class; a target is observed if it is assigned and its arm does "
+            "not collide:"
         )
         print_table(tile.completeness)
     seconds = tile.summary["seconds"]

@@ -13,15 +13,15 @@ RealizationsOption = Annotated[
     int,
     typer.Option(
         "--realizations",
-        help="Number of realizations. The output stores 64 realizations per integer, so multiples of 64 leave no bits "
-        "unused.",
+        help="Number of realizations. A multiple of 64 is best, since each integer of the output stores 64 "
+        "realizations.",
         min=1,
     ),
 ]
 SelectAllocatorOption = Annotated[
     str,
     typer.Option(
-        help="Allocator of all realizations. The allocators nearest, lamost and balanced plan 32 "
+        help="Allocator for all realizations. The allocators nearest, lamost and balanced plan 32 "
         "realizations together; sdss, optimal, repair and allocators of installed packages plan one "
         "realization after the other."
     ),
@@ -36,7 +36,9 @@ SelectOutputOption = Annotated[
 SelectFolderOption = Annotated[
     Path | None, typer.Option(help="Folder for checkpoints and for the result, selection.fits.")
 ]
-SelectResumeOption = Annotated[bool, typer.Option(help="Continue the unfinished computation in the folder --folder.")]
+SelectResumeOption = Annotated[
+    bool, typer.Option(help="Continue the unfinished computation in the folder given with --folder.")
+]
 
 SELECT_EXAMPLES = """\b
 Examples:
@@ -50,7 +52,9 @@ Examples:
 def with_visits(targets, visits: int):
     """Return a copy of a catalog in which every target requires the given number of visits."""
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("--visits cannot replace the visits of a catalog in partitions; give a column of visits")
+        raise rs.InputError(
+            "--visits cannot be used with a catalog in partitions; add a column of visits to the catalog"
+        )
     return replace(targets, visits=np.full(len(targets), visits))
 
 

@@ -80,7 +80,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print the summary of a survey, one value per line."""
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
-    if "model" in s:  # surveys of earlier versions of rfpsurvey have no value ``model``
+    if "model" in s:  # the value is missing in surveys that earlier versions wrote
         print(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")

@@ -52,7 +52,9 @@ def probability(
     instrument: _options.InstrumentOption = "lamost",
     repeats: Annotated[
         int,
-        typer.Option(help="Number of runs, with different random numbers, for each method and number of iterations."),
+        typer.Option(
+            help="Number of runs with different random numbers, for each method and each number of iterations."
+        ),
     ] = 30,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
     plot: Annotated[

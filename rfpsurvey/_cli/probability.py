@@ -48,7 +48,9 @@ def probability(
         float, typer.Option(help="Probability of an additional, independent dynamic failure of each positioner.")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
-    workers: Annotated[int, typer.Option(help="Number of threads, which does not change the result.", min=1)] = 1,
+    workers: Annotated[
+        int, typer.Option(help="Number of threads. The result does not depend on this number.", min=1)
+    ] = 1,
     output: _options.MapOption = None,
     plot: _options.MapPlotOption = None,
     report: _options.ReportOption = None,

@@ -1,4 +1,4 @@
-"""Allocators for reachable pairs of positioners and targets, which are stored in compressed rows (CSR)."""
+"""Allocators whose input is a list of pairs of a positioner and a target in its reach, as compressed rows (CSR)."""
 
 import numpy as np
 
@@ -93,20 +93,20 @@ def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
 
 @kernel
 def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted, keep, shortened):
-    """Mark the targets to keep for each positioner and code: the best targets, and some other targets of equal rank.
+    """Mark the pairs to keep: the best targets of each positioner and code, and a sample of the other targets.
 
     Targets that count toward the same requirements have the same code. The input lists the positioners that reach each
     target. Each combination of a positioner i and a code is a cell with the index ``cell = i * n_codes + code``. The
     targets of a cell are sorted by rank, then distance, then catalog order, and the first
     ``start[cell + 1] - start[cell]`` targets are kept. Of the remaining targets that have the same rank as the last
-    kept target, ``n_spread`` targets at equal steps in the catalog are also kept. The target ``wanted[i]`` of
+    kept target, ``n_spread`` targets at regular intervals in catalog order are also kept. The target ``wanted[i]`` of
     positioner i is always kept. ``shortened`` marks the cells from which some targets were omitted. Returns the number
     of pairs that are kept.
     """
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # In cells that contain the largest allowed number of targets: rank and distance of the last of these targets.
+    # Rank and distance of the last target of each cell that contains the largest allowed number of targets.
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]
@@ -206,7 +206,7 @@ def nominate(
                 nominated = True
                 t = target[k]
                 other = nominee_of[t]
-                # A tie is decided for the lowest index, because a later positioner must be strictly better.
+                # In a tie, the positioner with the lowest index is kept, because a later one must be strictly better.
                 if (
                     other < 0
                     or free_reach[i] < free_reach[other]
@@ -230,7 +230,7 @@ def nominate(
 
 @kernel
 def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
-    """Assign the closest pairs of the first class, then of the next class, and so on.
+    """Assign targets to near positioners, beginning with the closest pair, one class of targets after the other.
 
     The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
     positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to

@@ -9,9 +9,10 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the angle of the arc of a circle that is inside a second circle.
+    """Return half the opening angle of an arc, which is the part of a first circle that is inside a second circle.
 
-    The radii of the circles are ``r`` and ``radius``, and the distance between their centers is ``d``.
+    The first circle has the radius ``r``, and the second circle has the radius ``radius``. The distance between their
+    centers is ``d``.
     """
     if r + d <= radius:
         return math.pi

@@ -46,9 +46,10 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the elbow relative to the center, and the sine and cosine of phi, each times the same positive factor.
+    """Return the position of the elbow relative to the center, and two numbers proportional to sin(phi) and cos(phi).
 
-    ``side`` is +1 for phi in [0, pi] ("right") and -1 for its mirror image. For a tip outside the annulus, the pose
+    The factor of proportionality is positive, and the same for the sine and the cosine.
+    ``side`` is +1 for phi in [0, pi] ("right") and -1 for the mirror image. For a tip outside the annulus, the pose
     points at the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
     the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result is NaN.
     """
@@ -75,7 +76,10 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
 
 @kernel
 def solve(tips, geometry, side, theta, phi):
-    """Compute the joint angles of each positioner from the position of its tip, shape (n, 2); NaN if the tip is NaN."""
+    """Compute the joint angles of each positioner from the position of its tip; the angles are NaN if the tip is NaN.
+
+    The shape of ``tips`` is (n, 2).
+    """
     g = geometry
     for i in range(g.cx.size):
         dx, dy = tips[i, 0] - g.cx[i], tips[i, 1] - g.cy[i]
@@ -97,7 +101,10 @@ def pose(theta, phi, geometry, segments):
 
 @kernel
 def place(tips, geometry, side, segments):
-    """Write the elbow and tip of each arm to ``segments``, from the tips, shape (n, 2); NaN if the tip is NaN."""
+    """Compute the elbow of each arm from its tip, and write both to ``segments``; the elbow is NaN if the tip is NaN.
+
+    The shape of ``tips`` is (n, 2).
+    """
     cx, cy, l1, l2 = geometry.cx, geometry.cy, geometry.l1, geometry.l2
     home_x, home_y = geometry.home_x, geometry.home_y
     ex, ey, x, y = segments[0], segments[1], segments[2], segments[3]
@@ -112,8 +119,8 @@ def place(tips, geometry, side, segments):
 def capsule_end(ex, ey, x, y, length, cosine, sine):
     """Return the end of a segment of the given length that starts at the elbow (ex, ey).
 
-    Its direction is the direction from the elbow to the tip (x, y), rotated counter-clockwise by the angle with the
-    given cosine and sine.
+    The direction of the segment is the direction from the elbow to the tip (x, y), rotated counter-clockwise by the
+    angle with the given cosine and sine.
     """
     ux, uy = x - ex, y - ey
     scale = length / math.sqrt(ux * ux + uy * uy)
@@ -134,7 +141,7 @@ def shape(segments, model, length, cosine, sine):
 
 @kernel
 def check(tips, geometry, bounds, assigned, far):
-    """Mark positioners that have a tip, and tips out of reach; return the number of tips out of reach."""
+    """Mark the positioners with a target, and the tips that are out of reach; return the number of these tips."""
     n = 0
     cx, cy, low, high, usable = geometry.cx, geometry.cy, bounds.low, bounds.high, bounds.usable
     for i in range(cx.size):
@@ -142,7 +149,7 @@ def check(tips, geometry, bounds, assigned, far):
         r2 = dx * dx + dy * dy
         assigned[i] = r2 < np.inf
         far[i] = (r2 < low[i]) | (r2 > high[i])
-    # a single loop over numbers and flags would take twice the time, because they have different sizes
+    # a single loop would take twice the time, because numbers and flags have different sizes in memory
     for i in range(cx.size):
         assigned[i] &= usable[i]
     for i in range(cx.size):
@@ -154,7 +161,7 @@ def check(tips, geometry, bounds, assigned, far):
 
 @kernel
 def fill_idle(assigned, idle, segments):
-    """Set the segments of positioners without a tip to the segments of their idle arms, in place.
+    """Replace the segment of each positioner without a target by the segment of its idle arm, in place.
 
     The segment of an idle arm that is not an obstacle is NaN.
     """

@@ -27,8 +27,8 @@ from rfpsurvey._kernels.outlines import (
 
 # The error of the computed distance of a pair is at most this factor times S.
 DISTANCE_ERROR = 20.0 * UNIT
-# The sign of an orientation is certain if its magnitude exceeds this factor times the sum of the magnitudes of its two
-# products.
+# An orientation is the sign of the difference of two products. The sign is certain if the magnitude of the difference
+# exceeds this factor times the sum of the magnitudes of the two products.
 ORIENTATION_ERROR = 4.0 * UNIT
 # The rounding error of the preselection of pairs is less than this factor times (largest coordinate + S). The
 # preselection keeps pairs whose distance exceeds the minimum separation by less than this error.
@@ -36,7 +36,7 @@ REJECT_ERROR = 64.0 * UNIT
 # The search for the nearest arm skips arms that are farther away than the nearest arm found, by at least this length
 # (mm), which exceeds all rounding errors.
 MARGIN = 1e-9
-# Runs of neighbors shorter than this are not vectorized.
+# The loop over a run of neighbors is not vectorized if the run contains fewer pairs than this number.
 SHORT_RUN = 8
 
 
@@ -61,7 +61,7 @@ class Limits(NamedTuple):
 
 
 def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, polygons=NO_POLYGONS):
-    """Return the limits for segments no longer than ``length`` (mm) that end within ``extent`` (mm) of the origin.
+    """Return the `Limits` for segments of at most ``length`` (mm) whose ends are within ``extent`` (mm) of the origin.
 
     If arms have outlines, ``separation`` is the minimum separation of two cores, and ``outline_error`` (mm) is the
     limit of the rounding errors of `outlines_squared`.
@@ -140,7 +140,7 @@ def pair_squared(segments, i, j):
 def outlined_squared(segments, a, b, limits, i, j):
     """Return (gap + offset)^2 for the gap between the outlines of positioners i and j, whose cores are a and b.
 
-    The cores are columns of ``segments``, and the offset is defined in `Outline`.
+    The cores are the columns a and b of ``segments``, and the offset is defined in `Outline`.
     """
     return outlines_squared(
         limits.outline,
@@ -211,7 +211,7 @@ def halve(segments, halves):
 
 @kernel
 def keep_near(halves, m, squared, first, second):
-    """Remove the pairs for which `apart` is true from the first m pairs; return the number of pairs that remain."""
+    """Test the first m pairs, and remove those for which `apart` is true; return the number of remaining pairs."""
     n = 0
     for k in range(m):
         i, j = first[k], second[k]
@@ -228,7 +228,7 @@ def near_pairs(halves, runs, limits, first, second):
     Each row (i, j, n) of ``runs`` stands for n pairs of neighbors: i and j, i + 1 and j + 1, and so on. Pairs of arms
     are omitted if their midpoints are too far apart or if `apart` is true for them.
     """
-    m = np.int64(0)  # a literal 0 would compile `keep_near` a second time
+    m = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
     words = np.empty(halves.shape[1] // 8 + 1, np.uint64)
     marks = words.view(np.uint8)
     near2, limit2 = limits.near**2, (limits.separation + limits.slack) ** 2
@@ -254,9 +254,10 @@ def near_pairs(halves, runs, limits, first, second):
 
 @kernel
 def colliding_pairs(segments, halves, runs, limits, first, second, squared):
-    """List the pairs of segments closer than the minimum separation, and the pairs that rounding leaves undecided.
+    """List the pairs of segments that are closer than the minimum separation, and the borderline pairs.
 
-    Returns the number of listed pairs, and the number of borderline pairs among them.
+    For a borderline pair, rounding could change the result. Returns the number of listed pairs, and the number of
+    borderline pairs among them.
     """
     n = borderline = 0
     limit, band = limits.separation**2, limits.band
@@ -272,7 +273,7 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def colliding_outlines(segments, halves, runs, limits, first, second, squared):
-    """List pairs of arms with outlines, as `colliding_pairs` does for segments.
+    """List the colliding and the borderline pairs of arms with outlines, as `colliding_pairs` does for segments.
 
     This function is separate from `colliding_pairs`, because it takes longer to compile.
     """
@@ -290,7 +291,7 @@ def colliding_outlines(segments, halves, runs, limits, first, second, squared):
 
 @kernel
 def find_colliding(segments, halves, runs, limits, first, second, squared):
-    """List pairs by `colliding_outlines` if the arms have outlines, otherwise by `colliding_pairs`."""
+    """Call `colliding_outlines` if the arms have outlines, and `colliding_pairs` otherwise; return the result."""
     if limits.outline.start.size > 1:
         return colliding_outlines(segments, halves, runs, limits, first, second, squared)
     return colliding_pairs(segments, halves, runs, limits, first, second, squared)
@@ -370,7 +371,7 @@ def nearest_arm(segments, halves, x0, y0, size, nx, ny, start, order, out):
             if (ring - 1) * size - half[i] - longest > near + MARGIN:
                 break
             for y in range(max(row - ring, 0), min(row + ring, ny - 1) + 1):
-                # all cells of the first and the last row of the ring, and two cells of all other rows
+                # all cells of the first and the last row of the ring, and two cells of each other row
                 step = 1 if abs(y - row) == ring or ring == 0 else 2 * ring
                 for x in range(column - ring, column + ring + 1, step):
                     if x < 0 or x >= nx:

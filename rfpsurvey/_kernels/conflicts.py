@@ -82,7 +82,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
             m += ahead[b] - foremost <= touching
         a = a0
         while a < a1:
-            found = np.int64(0)  # a literal 0 would compile `keep_near` a second time
+            found = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
             while a < a1 and found < BATCH:
                 line = ahead[a] + touching
                 if hindmost <= line:
@@ -104,7 +104,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 @kernel
 def keep_outlined(n, own, segments, limits, first, second, borderline):
-    """Keep the pairs whose outlines collide among the first n candidate pairs, in place; return their number."""
+    """Test the first n candidate pairs, and keep those whose outlines collide, in place; return their number."""
     m = 0
     limit, band = limits.separation**2, limits.band
     for k in range(n):
@@ -135,7 +135,7 @@ def adjacency(first, second, indptr, other):
 
 @kernel
 def keep_pairs(pairs, keep, new, out):
-    """Write the pairs whose two elements are kept, with new indices, to ``out``, and return their number."""
+    """Write the pairs of which both elements are kept to ``out``, with new indices; return the number of pairs."""
     n = 0
     for k in range(pairs.shape[1]):
         a, b = pairs[0, k], pairs[1, k]
@@ -166,9 +166,9 @@ def clique_rows(edges, n_pairs, pair_start, row_start, column):
 
     ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
     of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
-    the second positioner. Each clique is made from one candidate a and all candidates that a excludes. Other candidates
-    of the same positioner as a are added if they exclude the same candidates as a. Returns the number of cliques. If
-    ``column`` is empty, only the sizes of the cliques are computed.
+    the second positioner. Each clique is made from one candidate and all candidates that this candidate excludes.
+    Another candidate of the same positioner is added if it also excludes all of these candidates. Returns the number of
+    cliques. If ``column`` is empty, only the sizes of the cliques are computed.
     """
     first, second = edges[0], edges[1]
     n = filled = 0

@@ -1,4 +1,4 @@
-"""Find sky positions: points in reach of each positioner whose distance from every target is at least a given value."""
+"""Find sky positions: points in reach of a positioner that are at least a given distance away from all targets."""
 
 import math
 
@@ -45,10 +45,10 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 @kernel
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """Find up to ``most`` points without nearby targets for each positioner in ``own``; return the number of points.
+    """Find up to ``most`` points without nearby targets for each positioner in ``own``; return the total number.
 
     ``fraction`` contains, for each tested point, the fraction of the patrol area inside the circle through this point.
-    Each point is rotated from the previous point by the golden angle about the center of the positioner.
+    The direction from the center of the positioner rotates by the golden angle from each tested point to the next.
     """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))

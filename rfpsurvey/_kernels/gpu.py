@@ -29,10 +29,12 @@ THREADS = 128
 
 @cuda.jit
 def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles, segments, far):
-    """Compute the segments (m, 4, n) of arms with the given tips (m, n, 2); ``far[0]`` counts the tips out of reach.
+    """Compute the segments of arms from their tips, and add the number of tips out of reach to ``far[0]``.
 
-    A tip is NaN for a positioner without a target. The rows of ``geometry`` are cx, cy, l1, l2, and the squared inner
-    and outer radius of the patrol area. ``angles`` contains the cosine and sine of the angle of the capsule.
+    For m configurations of n positioners, the shape of ``tips`` is (m, n, 2), and the shape of ``segments`` is
+    (m, 4, n). A tip is NaN for a positioner without a target. The rows of ``geometry`` are cx, cy, l1, l2, and the
+    squared inner and outer radius of the patrol area. ``angles`` contains the cosine and sine of the angle of the
+    capsule.
     """
     c, i = cuda.blockIdx.y, cuda.grid(1)
     if i >= tips.shape[1]:

@@ -27,13 +27,13 @@ def mix(number):
 
 @kernel
 def uniform(number, seed):
-    """Return a number in [0, 1) for the number of a target; ``seed`` must be the output of `mix` for a seed."""
+    """Return a random value in [0, 1) for the integer that represents a target; ``seed`` is the output of `mix`."""
     return (mix(number ^ seed) >> np.uint64(11)) * UNIT
 
 
 @kernel
 def uniforms(numbers, seed, out):
-    """Compute a number in [0, 1) for each target, from the numbers of the targets and one seed."""
+    """Compute a random value in [0, 1) for each target, from one seed and the integers that represent the targets."""
     mixed = mix(seed)
     for t in range(numbers.size):
         out[t] = uniform(numbers[t], mixed)
@@ -41,10 +41,11 @@ def uniforms(numbers, seed, out):
 
 @kernel
 def numbers_of_texts(codes, out):
-    """Compute one number for each text; a row of ``codes`` contains its Unicode code points, followed by zeros.
+    """Compute one 64-bit integer for each text.
 
-    If a text is an integer of at most 64 bits in decimal form, the number of the text is this integer. The number of
-    any other text is its hash FNV-1a, computed from code points in place of bytes.
+    Each row of ``codes`` contains the Unicode code points of one text, followed by zeros. A text that is an integer of
+    at most 64 bits in decimal form is converted to this integer. For any other text, the result is the hash FNV-1a,
+    computed from code points in place of bytes.
     """
     for t in range(codes.shape[0]):
         n = 0

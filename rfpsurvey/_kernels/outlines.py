@@ -20,10 +20,11 @@ from rfpsurvey._jit import inlined_kernel, kernel
 UNIT = 2.0**-53
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).
 OUTLINE_ERROR = 1280.0 * UNIT
-# The error of a separation along the normal of an edge is less than this factor times the distance of the origins of
-# two frames plus twice the largest distance of a vertex from the origin of its frame.
+# The error of a separation along the normal of an edge is less than this factor times the sum of two lengths: the
+# distance between the origins of the two frames, and twice the largest distance of a vertex from the origin of its
+# frame.
 AXIS_ERROR = 64.0 * UNIT
-# Tolerance of the first test of a pair, which uses approximate directions of arms, as a fraction of `Outline.scale`.
+# Tolerance of the first test of a pair, as a fraction of `Outline.scale`. The test uses approximate directions of arms.
 LOOSE = 1e-6
 
 # Rows of a column that describes a vertex: the position of the vertex, the outward unit normal of the edge to the next
@@ -48,7 +49,7 @@ class Outline(NamedTuple):
     n_vertices: int
     """Number of vertices."""
     n_eccentric: int
-    """Number of parts that move with the eccentric arm; the parts after these move with the central arm."""
+    """Number of parts that move with the eccentric arm; all later parts move with the central arm."""
     offset: float
     """Largest possible difference between the distance of two cores and the gap of the two outlines."""
     inverse_length: float
@@ -94,7 +95,7 @@ class Polygons(NamedTuple):
     """Convex polygons of the focal plane that no arm may touch."""
 
     table: np.ndarray
-    """Table with a column for each vertex, after the columns of the vertices of the outline of the arms."""
+    """Table with a column for each vertex of the outline of the arms, followed by the vertices of the polygons."""
     start: np.ndarray
     """Polygon k has the columns ``start[k]:start[k + 1]``; an array with one element means that there is no polygon."""
 
@@ -179,7 +180,8 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
 
     ``near`` states for three groups of pairs whether parts can be near to each other: two eccentric parts; an eccentric
     part of the first and a central part of the second positioner; a central part of the first and an eccentric part of
-    the second positioner. The points a and b are the elbows and the ends of the cores, and c and d are the centers.
+    the second positioner. The tuples a and b contain the elbow and the end of the core of each positioner. The points
+    c and d are the centers of the positioners.
     """
     # The table v has m columns of vertices and n columns of parts. This is one long function because numba counts
     # references to arrays that are passed between functions.
@@ -225,8 +227,7 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 
     A negative sum gap + offset is replaced by 0. The sum is infinity if it certainly exceeds ``separation``, which is
     the minimum separation plus the offset. The gap is the smallest gap of two parts, or negative if the outlines
-    overlap. The last eight arguments are the ends of the cores of the arms i and j. Both cores have the length of the
-    core of the outline.
+    overlap. The last eight arguments are the ends of the cores of the arms i and j. All cores have the same length.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
@@ -262,7 +263,7 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 def gap_to_point(outline, i, x0, y0, x1, y1, x, y):
     """Return the signed gap between a point and the outline of positioner i, whose core is given.
 
-    The gap is negative inside a part with three or more vertices.
+    The gap is negative if the point is inside the outline.
     """
     v, start, m = outline.table, outline.start, outline.n_vertices
     gap = math.inf

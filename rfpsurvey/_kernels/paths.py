@@ -1,9 +1,9 @@
 """Augmenting paths in a plan of many tiles: visits move between positioners until one more target is visited.
 
 A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A path begins at a
-target that requires a visit. A positioner that has another target leaves it and observes this target instead. Another
-positioner, of any tile, then observes the target that was left, and so on. The path ends at a positioner without a
-target, or at a positioner whose target is less important.
+target that requires a visit. A positioner that has another target is moved to this target, so that its previous target
+loses a visit. Another positioner, of any tile, is then moved to the previous target, and so on. The path ends with a
+positioner that had no target, or whose previous target is less important.
 """
 
 from typing import NamedTuple
@@ -60,8 +60,8 @@ def is_free(c, links, chosen, load):
 def last_step(t, level, replace, links, chosen, load):
     """Return a candidate of target t with which a path can end, or -1 if there is none.
 
-    The positioner of this candidate has no target or, with ``replace``, a target that is less important than the class
-    ``level``.
+    The positioner of this candidate has no target. If ``replace`` is true, the positioner may also have a target whose
+    class is less important than the class ``level``.
     """
     for k in range(links.t_indptr[t], links.t_indptr[t + 1]):
         c = links.t_candidate[k]
@@ -118,7 +118,7 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
 
 @kernel
 def find_paths(order, level, replace, depth, links, chosen, load, left):
-    """Add visits to targets, in order, along paths of at most ``depth`` positioners; return the number of visits."""
+    """Add visits to the targets in ``order``, along paths of at most ``depth`` positioners; return the number added."""
     seen = np.zeros(left.size, np.bool_)
     stack = np.empty((depth, 3), np.int64)
     gained = 0

@@ -11,8 +11,8 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
-# Largest number of candidates from which a clique is extended. A clique is not extended if the product of its size and
-# the smallest number of collisions of its members is larger than MOST.
+# POOL is the largest number of candidates that are considered for the extension of a clique. A clique is not extended
+# if the product of its size and the smallest number of collisions of its members is larger than MOST.
 POOL, MOST = 4096, 200_000
 
 
@@ -143,10 +143,11 @@ def bound_of(start, value, price):
 def adjust_prices(start, own, row_start, column, value, price, most, width, begin, end, step):
     """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
 
-    In the upper bound, the largest value of each positioner is replaced by a smooth maximum of the given width. The new
-    price of a clique minimizes this smooth bound. At the minimum, the smooth weights of the members of the clique sum
-    to 1, or the price is 0. A row can also contain a set of which a plan uses at most ``most`` members. The smooth
-    weights of these members then sum to ``most``.
+    In the upper bound, the largest value of each positioner is replaced by a smooth maximum,
+    ``width * log(sum(exp(value / width)))``. The share of a candidate is the derivative of this smooth maximum with
+    respect to the value of the candidate. The new price of a clique minimizes the smooth bound: the shares of the
+    members of the clique then sum to 1, or the price is 0. A row can also contain a set of which a plan uses at most
+    ``most`` members. The shares of these members then sum to ``most``.
     """
     odds = np.empty(256)
     for r in range(begin, end, step):

@@ -61,7 +61,7 @@ def prepare_entries(indptr, idle, entries):
     """Set the start and end of each queue, and compute the fields that depend on the segments and weights.
 
     ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. If the
-    queue of a positioner contains no targets and idle arms are obstacles, the idle arm is its only entry.
+    queue of a positioner contains no targets and idle arms are obstacles, the idle arm is the only entry of the queue.
     """
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
@@ -125,7 +125,7 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
             n += (ahead[b] - foremost <= touching) & (weight[b] > 0.0)
         a, found = a0, False
         while a < a1:
-            m = np.int64(0)  # a literal 0 would compile `keep_near` a second time
+            m = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
             while a < a1 and m < BATCH:
                 line = ahead[a] + touching
                 if hindmost <= line and weight[a] > 0.0:

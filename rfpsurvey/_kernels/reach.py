@@ -1,4 +1,4 @@
-"""Find the targets in reach of each positioner: preselect pairs with a grid of cells, then test each patrol area."""
+"""Find the targets in the patrol area of each positioner; a grid of cells reduces the number of pairs to test."""
 
 import math
 

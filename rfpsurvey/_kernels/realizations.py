@@ -155,7 +155,7 @@ def to_masks(left, wanted, spends, mask):
 
 @kernel
 def set_order(number, seed, order):
-    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger values come first."""
+    """Compute the subpriorities of all targets for one seed, as 53-bit integers; larger values have precedence."""
     mixed = mix(seed)
     for t in range(number.size):
         order[t] = mix(number[t] ^ mixed) >> np.uint64(11)
@@ -165,7 +165,7 @@ def set_order(number, seed, order):
 def precedes(rank, order, number, s, t):
     """Return whether target s precedes target t in the order in which targets are assigned.
 
-    The order is by class, then by subpriority, then by the number of the identifier, then by row.
+    The order is by class, then by subpriority, then by the integer that represents the identifier, then by row.
     """
     if rank[s] != rank[t]:
         return rank[s] < rank[t]
@@ -207,7 +207,7 @@ def nearest(indptr, owner, closest, rank, number, seeds, left, chosen):
 
 @kernel
 def list_first(indptr, owner, r2, rank, order, number, left, realization, start, count, target, out_r2, in_reach):
-    """List the first targets of each positioner, sorted by class, then by subpriority, then by catalog order.
+    """List the first targets of each positioner, sorted by class, then by subpriority (in the order of `precedes`).
 
     Only targets that require a visit in the realization are listed, and their number is written to ``in_reach``. At
     most ``start[i + 1] - start[i]`` targets of positioner i are stored, beginning at the index ``start[i]``. The number
@@ -306,9 +306,9 @@ def balanced(indptr, owner, r2, number, seeds, left, uniform, chosen):
     for r in range(chosen.shape[0]):
         set_order(number, seeds[r], order)
         for t in range(n):
-            order[t] = ~order[t]  # sorted in ascending order
+            order[t] = ~order[t]  # because argsort sorts in ascending order
         first = np.argsort(order, kind="mergesort")
-        for k in range(1, n):  # equal subpriorities are sorted by the number of the identifier
+        for k in range(1, n):  # targets of equal subpriority are sorted by ``number``
             j = k
             while j > 0 and order[first[j - 1]] == order[first[j]] and number[first[j - 1]] > number[first[j]]:
                 first[j - 1], first[j] = first[j], first[j - 1]
@@ -323,7 +323,7 @@ def balanced(indptr, owner, r2, number, seeds, left, uniform, chosen):
                         count[owner[k]] < count[owner[best]]
                         or (count[owner[k]] == count[owner[best]] and r2[k] < r2[best])
                     ):
-                        best = k  # of equal pairs, the first one has the lowest index of the positioner
+                        best = k  # in a tie, the first pair is used, whose positioner has the lowest index
             queue_of[t] = best
             if best >= 0:
                 count[owner[best]] += 1

@@ -1,4 +1,4 @@
-"""Remove candidates that an optimal plan does not need, and use the candidate of a positioner if only one is left.
+"""Remove candidates that an optimal plan does not need; if a positioner has one candidate left, use this candidate.
 
 A candidate is a positioner with one target and one elbow position, or a positioner without a target. A candidate
 excludes all candidates with which its arm would collide, and all candidates of the same target.
@@ -46,7 +46,7 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
 
     ``queue`` is a ring buffer of the positioners for which ``waiting`` is true; ``ends`` contains its beginning and
     end. ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends
-    after about ``most_work`` comparisons; a further call continues. ``alive`` is valid after each call.
+    after about ``most_work`` comparisons; the next call continues the reduction. ``alive`` is valid after each call.
     """
     start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate

@@ -1,4 +1,4 @@
-"""Local moves that remove collisions: change the target or elbow, move one blocking arm, or remove the target.
+"""Local moves that remove collisions: change the target or elbow side, move one blocking arm, or remove the target.
 
 A candidate is an assignment that a plan may use: a positioner with a target and an elbow, or with its idle arm.
 """

@@ -14,9 +14,9 @@ HORIZON = 1e-15
 
 @kernel
 def project(vectors, basis, focal_length, out):
-    """Project unit vectors gnomonically; the rows of ``basis`` are the directions +x, +y and the center.
+    """Project unit vectors gnomonically; the rows of ``basis`` are the directions of +x, +y and the field center.
 
-    The result is NaN for directions that cannot be projected, 90 deg or more from the center.
+    The result is NaN for directions 90 deg or more from the center, because they cannot be projected.
     """
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]

@@ -11,8 +11,8 @@ __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# Matches a key with `MOST_DEPTH` parts, which are separated by dots. A match can begin only at the start of a word, so
-# that the time of the search is proportional to the length of the text.
+# Matches the beginning of a key that has more than `MOST_DEPTH` parts, which are separated by dots. A match can begin
+# only at the start of a word, so that the time of the search is proportional to the length of the text.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
 
 
@@ -31,7 +31,7 @@ def read_toml(path: Path) -> dict:
             raise InputError(f"{path}: a key in line {number} must have at most {MOST_DEPTH} parts, got more")
         found = tomllib.loads(text)
     except RecursionError:
-        raise InputError(f"{path}: values must be nested at most {MOST_DEPTH} deep, got more") from None
+        raise InputError(f"{path}: values must be nested at most {MOST_DEPTH} levels deep, got more") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
     check_size(found, path)
@@ -39,7 +39,7 @@ def read_toml(path: Path) -> dict:
 
 
 def parse_json(text: object, what: object) -> dict:
-    """Return the object in a JSON text; ``what`` is a name of the text for error messages."""
+    """Return the object in a JSON text; ``what`` describes the text in error messages."""
     if not isinstance(text, str):
         raise InputError(f"{what} must be an object in JSON, got {type(text).__name__}")
     if len(text) > MOST_JSON:
@@ -47,7 +47,7 @@ def parse_json(text: object, what: object) -> dict:
     try:
         found = json.loads(text)
     except RecursionError:
-        raise InputError(f"{what} must be nested at most {MOST_DEPTH} deep, got more") from None
+        raise InputError(f"{what} must be nested at most {MOST_DEPTH} levels deep, got more") from None
     except ValueError as error:
         raise InputError(f"{what} must be an object in JSON: {sentence(error)}") from None
     if not isinstance(found, dict):
@@ -64,7 +64,7 @@ def check_size(found: object, what: object) -> None:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
         n += len(inner)
         if depth > MOST_DEPTH:
-            raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} deep, got more")
+            raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} levels deep, got more")
         if n > MOST_VALUES:
             raise InputError(f"{what}: there must be at most {MOST_VALUES} values, got more")
         todo.extend((child, depth + 1) for child in inner if isinstance(child, dict | list | tuple))

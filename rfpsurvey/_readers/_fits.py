@@ -37,7 +37,7 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
             text = f"{path}: the file has {len(found)} tables; only the first one was read"
             warn(text)
     if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have {n_rows} rows, as its header says, got {len(table)}")
+        raise InputError(f"{path}: the table must have {n_rows} rows, as its header states, got {len(table)}")
     return table
 
 
@@ -106,11 +106,11 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
 
 def read_fits_units(path: Path) -> dict:
-    """Return the headers and rows of all tables in a FITS file, as a dictionary by the names of the tables.
+    """Return the headers and rows of all tables in a FITS file, as a dictionary.
 
-    Each value of the dictionary is a tuple of the header and the rows. The value for the key None is a tuple of the
-    primary header and None. Rows are structured arrays in the byte order of the machine; their text has no trailing
-    blanks.
+    The keys are the names of the tables. Each value is a tuple of the header and the rows. The value for the key None
+    is a tuple of the primary header and None. Rows are structured arrays in the byte order of the machine; their text
+    has no trailing blanks.
     """
     from astropy.io import fits
 
@@ -157,7 +157,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
         n_bytes = _data_size(cards, path)
         if begin + n_bytes > size:
             raise InputError(
-                f"{path}: the file must have {begin + n_bytes} bytes, as its header says, got {size}: it is cut "
+                f"{path}: the file must have {begin + n_bytes} bytes, as its headers state, got {size}: it is cut "
                 "off, or the header is damaged"
             )
         end = begin + n_bytes + -n_bytes % BLOCK
@@ -198,7 +198,7 @@ def _read_header(file: BinaryIO, place: int, size: int, path) -> tuple[dict | No
                 return cards, file.tell()
             if card[8:10] == b"= ":
                 cards.setdefault(card[:8].strip(), card[10:])
-    raise InputError(f"{path}: a FITS header must end with END within {MOST_CARDS} cards, got none")
+    raise InputError(f"{path}: a FITS header must end with the card END within {MOST_CARDS} cards, got no such card")
 
 
 def _refuse_rest(file, path):
@@ -217,7 +217,7 @@ def _text(value: bytes) -> str:
 
 
 def _whole(cards, name: str, path, *, default: int | None = None, most: int | None = None) -> int:
-    """Return the value of a card that is a whole number of at least 0."""
+    """Return the value of a header card; raise an error unless it is a whole number from 0 to ``most``."""
     given = cards.get(name.encode())
     if given is None and default is not None:
         return default
@@ -246,7 +246,7 @@ def _data_size(cards, path) -> int:
 
 
 def _check_table(file, cards, what, begin, end, path):
-    """Raise an error if the columns and the rows differ in width, or if the bytes after the last row are not zero."""
+    """Raise an error if the widths of the columns do not add up to the row width, or if the padding is not zero."""
     if _whole(cards, "NAXIS", path) != 2:
         raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
     n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)

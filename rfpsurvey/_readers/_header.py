@@ -16,12 +16,13 @@ QUOTED = re.compile(rb'"[^"]*"')
 
 
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
-    """Return the content of a table with column names in the first row, the delimiter, and the units by column name.
+    """Return the content of a text table, its delimiter, and a dictionary of column names to units.
 
-    The delimiter is taken from the line with the names of the columns. If this line contains several possible
-    delimiters, the delimiter that occurs equally often in the next line is used. The names of the columns can be in a
-    comment before the first row. Lines that are not rows of the table are converted to comments. Examples are the line
-    ``sep=;`` of spreadsheets, and the lines with units and dashes that VizieR writes after the names.
+    In the returned content, the first row contains the names of the columns. The delimiter is found in the line with
+    these names. If this line contains several possible delimiters, the delimiter that occurs equally often in this line
+    and in the next line is used. The names of the columns can be in a comment before the first row. Lines that are not
+    rows of the table are converted to comments. Examples are the line ``sep=;`` of spreadsheets, and the lines with
+    units and dashes that VizieR writes after the names.
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
@@ -54,7 +55,7 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
 
 
 def _data_lines(content: bytes) -> list[tuple[int, int]]:
-    """Return the offsets at which the first three lines that are neither blank nor comments begin and end."""
+    """Return the offsets of the start and end of each of the first three lines that are neither blank nor comments."""
     return [line.span() for line in islice(DATA.finditer(content, 0, MOST_BYTES), 3)]
 
 

@@ -25,7 +25,10 @@ CHUNK = 2**20
 
 
 def sentence(error: Exception) -> str:
-    """Return the first line of an exception's message, preceded by its type unless it is a ValueError or an OSError."""
+    """Return the first line of the message of an exception.
+
+    The type of the exception precedes the message, unless the exception is a ValueError or an OSError.
+    """
     text, kind = str(error).strip().split("\n")[0][:300], type(error).__name__
     if not text:
         return kind
@@ -46,8 +49,8 @@ def is_compressed(path: Path) -> bool:
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     """Return the decompressed content of a file; raise an error if it has more than ``most`` bytes.
 
-    If ``most`` is None, the size of uncompressed files is not limited, and the size of compressed files is limited by
-    `MOST_RATIO`. ``kind`` is the name of the file format for error messages.
+    If ``most`` is None, the size of uncompressed files is not limited, and the decompressed size of compressed files is
+    limited by `MOST_RATIO` and `FREE`. ``kind`` is the name of the file format in error messages.
     """
     try:
         size, opener = path.stat().st_size, _opener(path)
@@ -70,8 +73,8 @@ def _too_large(path, limit, opener) -> str:
     if opener is None:
         return f"{path}: the file must have at most {limit} bytes, got more"
     return (
-        f"{path}: the decompressed content must have at most {limit} bytes, which is {MOST_RATIO} times the size of "
-        "the file, got more"
+        f"{path}: the decompressed content must have at most {limit} bytes ({MOST_RATIO} times the size of the file, "
+        f"but at least {FREE} bytes), got more"
     )
 
 

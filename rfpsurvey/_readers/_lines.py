@@ -1,8 +1,8 @@
 """Check that each line of a text table is a complete row.
 
-Without this check, a reader would take the text after an unclosed quotation mark for one long value, and omit the rest
-of the file without a warning. The functions of this module check each line before a reader is called. To be fast, they
-test blocks of many lines together with NumPy, and count the fields of single lines only if a block may be invalid.
+Without this check, a reader would interpret the text after an unclosed quotation mark as one long value, and omit the
+rest of the file without a warning. The functions of this module check each line before a reader is called. To be fast,
+they test blocks of many lines together with NumPy, and count the fields of single lines only if a block may be invalid.
 """
 
 from pathlib import Path
@@ -91,7 +91,7 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether all quoted values certainly end and all rows have ``n_fields`` fields (0 means any number)."""
+        """Return whether all quoted values certainly end, and all rows have ``n_fields`` fields (0: any number)."""
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()

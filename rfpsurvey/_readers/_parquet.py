@@ -28,9 +28,9 @@ def import_parquet():
 
 
 def read_parquet(path: Path, names: list[str] | None = None) -> Table:
-    """Return a table from a Parquet file, with the columns in ``names`` or all columns that NumPy can represent.
+    """Return a table from a Parquet file: the columns ``names``, or by default all columns that NumPy can represent.
 
-    Times are not converted; lists, structures and durations are omitted.
+    Columns of times are not converted. Columns of lists, structures or durations are omitted.
     """
     parquet, reads_all = import_parquet(), names is None
     try:

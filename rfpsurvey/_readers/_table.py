@@ -72,7 +72,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
-        raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (or with .gz)")
+        raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (.gz may follow)")
     if not _is_file(path):
         raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
     try:
@@ -98,7 +98,7 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     """Return the keywords of the first header of a FITS file, and all of its tables.
 
     Keywords that describe the structure of the file are omitted. The ``meta`` of each table contains the keywords of
-    its header, with its name as ``EXTNAME``.
+    its header; the keyword ``EXTNAME`` contains the name of the table.
     """
     path = to_path(path)
     if not _is_file(path):

@@ -32,7 +32,8 @@ SIZES = {
     "floatComplex": 8,
     "doubleComplex": 16,
 }
-# Largest number of bytes in a row, and number of bytes in all rows that is always allowed, even for a small file.
+# Largest number of bytes in one row, and number of bytes in all rows together that is always allowed, even if the file
+# is small.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
 # Warnings of astropy about values that it changes: truncated text, and numbers out of the range of their type.
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
@@ -58,7 +59,7 @@ def read_votable(path: Path) -> QTable:
 
 
 class _Contents:
-    """Parser that counts the rows and columns of a file by its XML elements."""
+    """Parser that counts the rows and columns of a VOTable from its XML elements."""
 
     def __init__(self, path: Path):
         from xml.parsers import expat
@@ -123,11 +124,12 @@ class _Contents:
         numbers = re.fullmatch(r"(?:(\d{1,9}(?:x\d{1,9})*)x?)?(\*?)", size)
         if kind not in SIZES or not numbers:
             self._refuse(
-                f"the column {name} must have a datatype and an arraysize of VOTable, got {kind!r} and {size!r}"
+                f"the column {name} must have a datatype and an arraysize that VOTable defines, got {kind!r} "
+                f"and {size!r}"
             )
         n = math.prod(map(int, (numbers[1] or "1").split("x")))
         if numbers[2] and kind not in ("char", "unicodeChar"):
-            # only the last dimension has a variable length
+            # only the last dimension can have a variable length
             n = math.prod(map(int, (numbers[1] or "1").split("x"))) if size.endswith("x*") else 1
         self._fields.append((kind, n, bool(numbers[2])))
         if len(self._fields) > MOST_COLUMNS:

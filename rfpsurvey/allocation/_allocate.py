@@ -70,12 +70,12 @@ def allocate(
     forbidden : array_like of int, shape (k, 2), optional
         Pairs of rows (positioner, target) that must not be assigned to each other.
     avoid : Quantity, shape (k, 2), optional
-        Further points that sky positions must be at least ``sky_separation`` away from, such as stars that are not
-        targets.
+        Positions of other objects, such as stars that are not targets. Sky positions must be at least
+        ``sky_separation`` away from these positions.
     subpriority : array_like of float, shape (n_targets,), optional
         Subpriority of each target: in a class, targets with larger values are served first. `AllocationOptions` has a
-        parameter of the same name for random subpriorities. Because this function receives no identifiers, such random
-        subpriorities depend on the row of each target.
+        parameter of the same name for random subpriorities. In this function, random subpriorities depend on the rows
+        of the targets, because the function receives no identifiers.
     rng : int, Generator or None, optional
         Seed or generator for ``balanced``, which draws targets at random. With None, each call gives a different
         result.
@@ -83,14 +83,14 @@ def allocate(
     Returns
     -------
     Allocation
-        The allocation. If the input is the same, the allocation is the same, unless the time limit ends a search.
+        The allocation. The same input gives the same allocation, unless the time limit ends a search.
 
     Raises
     ------
     InputError
-        If a name is unknown, if a shape is wrong, if a unit is missing, if a number is out of range, if ``start`` was
-        made for other targets or for another focal plane, or if an allocator of another package fails or returns an
-        invalid allocation.
+        If an allocator, a kind of target or a fiber type is unknown, if an array has a wrong shape, if a unit is
+        missing, if a number is out of range, if ``start`` was made for other targets or for another focal plane, or if
+        an allocator that is not built in fails or returns an invalid allocation.
 
     Warns
     -----
@@ -232,7 +232,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Renumber the classes that contain science targets; all other targets form a single class, which is the last."""
+    """Renumber only the classes that contain science targets; all other targets form one class, which is the last."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)
@@ -273,14 +273,14 @@ def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
         pairs = np.asarray(forbidden)
     except ValueError:
         raise InputError(
-            f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}"
+            f"forbidden must be pairs (positioner, target) of row numbers, got {short(forbidden)}"
         ) from None
     if pairs.size == 0:
         return reach
     if pairs.dtype.kind == "O":
-        raise InputTypeError(f"forbidden must be rows (positioner, target) of whole numbers, got {short(forbidden)}")
+        raise InputTypeError(f"forbidden must be pairs (positioner, target) of row numbers, got {short(forbidden)}")
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
-        raise InputError(f"forbidden must be rows (positioner, target) of whole numbers, got the shape {pairs.shape}")
+        raise InputError(f"forbidden must be pairs (positioner, target) of row numbers, got the shape {pairs.shape}")
     if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:
         raise InputError(
             f"forbidden must contain rows of positioners from 0 to {reach.n_positioners - 1} and rows of "
@@ -319,7 +319,7 @@ def _make_start(
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Return the columns of an `Allocation`; added sky positions that no positioner observes are omitted."""
+    """Return the attributes of an `Allocation`; added sky positions that no positioner observes are omitted."""
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     if len(problem.xy) == n:
@@ -366,7 +366,7 @@ def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def _in_given_order(found: dict, order: np.ndarray) -> dict:
-    """Return the columns of an `Allocation` for targets in catalog order; added sky positions remain last."""
+    """Return the attributes of an `Allocation` for targets in catalog order; added sky positions remain last."""
     n = len(order)
     row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
     columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}

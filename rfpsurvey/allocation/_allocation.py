@@ -41,7 +41,8 @@ class Allocation:
     seconds : dict of str to float
         Computing time of each stage in seconds.
     xy : Quantity, shape (n_targets, 2)
-        Positions on the focal plane: first the given targets, then the sky positions in gaps that have a positioner.
+        Positions on the focal plane: first all given targets, then the observed sky positions in gaps between the
+        targets.
     n_given : int
         Number of given targets.
     target_fiber_type : ndarray of str, shape (n_targets,), or None
@@ -55,7 +56,7 @@ class Allocation:
     unmet : tuple of Shortfall
         Requirements that are not met; ``str`` converts each element to a sentence.
     meta : dict
-        Information on how the solution was found.
+        Information about the search for the allocation.
 
     Examples
     --------
@@ -104,8 +105,8 @@ class Allocation:
     @property
     def bound(self) -> float:
         """Upper bound of `objective` for plans with the same values of all proven objectives; NaN if it is unknown."""
-        # The bound of an unproven class includes all earlier classes. Therefore, the largest difference is used, not
-        # the sum.
+        # The bound of an unproven class includes all earlier classes. The largest difference between a bound and its
+        # value is therefore used, not the sum of the differences.
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property

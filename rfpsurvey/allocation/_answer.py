@@ -49,7 +49,7 @@ class AllocationAnswer(NamedTuple):
     levels : list of Level, optional
         Value and bound of each objective. With None, the package computes the values, and the bounds are NaN.
     meta : dict, optional
-        Information on how the answer was found.
+        Information about the search for the answer.
 
     Examples
     --------

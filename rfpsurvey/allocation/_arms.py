@@ -11,11 +11,11 @@ __all__ = ["place_segments"]
 def place_segments(
     problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the segments of arms that can collide, shape (4, n), for positioners at their targets.
+    """Return the segments, shape (4, n), that represent the arms of positioners in tests for collisions.
 
-    ``own``, ``target`` and ``side`` contain the row of the positioner, the row of the target, and the elbow for each
-    segment. ``idle`` contains the indices of the segments of idle arms, one for each positioner of the focal plane; the
-    targets of these segments are ignored.
+    Each fiber is at its target. ``own``, ``target`` and ``side`` contain the row of the positioner, the row of the
+    target, and the elbow for each segment. ``idle`` contains the indices of the segments of idle arms, one for each
+    positioner of the focal plane; the targets of these segments are ignored.
     """
     columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

@@ -110,7 +110,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
     key, as_good = _keys(problem, target, held)
     indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
-    pairs = np.ascontiguousarray(pairs)  # another memory layout would compile the kernel a second time
+    pairs = np.ascontiguousarray(pairs)  # for another memory layout, numba would compile the kernel again
     conflicts.adjacency(pairs[0], pairs[1], indptr, other)
     by_target = _by_target(target, len(problem.xy))
     options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
@@ -148,7 +148,7 @@ def obstacle_hits(plane, start, segments):
 
 
 def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
-    """Return pairs of candidates that collide, shape (2, m); borderline pairs are decided in exact arithmetic."""
+    """Return pairs of candidates that collide, shape (2, m); borderline pairs are tested in exact arithmetic."""
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
     halve(segments, halves)
@@ -201,7 +201,7 @@ def _keys(problem, target, held):
 
 
 def _by_target(target, n):
-    """Return the candidates of each target, in compressed rows."""
+    """Return the candidates of each target as compressed rows (CSR): the offsets of the rows, and the candidates."""
     rows = np.flatnonzero(target >= 0)
     rows = rows[np.argsort(target[rows], kind="stable")]
     return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows

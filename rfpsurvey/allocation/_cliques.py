@@ -7,20 +7,22 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left
 
 __all__ = ["cover_by_pairs", "extend"]
 
-# Amount of work before the clock is read again: number of collisions that are covered by cliques, number of cliques
+# Amount of work between two readings of the clock: number of collisions that are covered by cliques, number of cliques
 # that are extended, and number of comparisons of candidates while cliques are extended.
 BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
-    """Return cliques of ``rows``; any two candidates that collide or have the same target are in a common clique.
+    """Return cliques; any two of the candidates ``rows`` that collide or have the same target are in a common clique.
+
+    If no candidates collide, the function returns no cliques.
 
     Parameters
     ----------
     options : Options
         All candidates.
     rows : ndarray of int, shape (n,)
-        Candidates.
+        Indices of the candidates from which the cliques are formed.
     edges : ndarray of int, shape (2, m)
         Collisions between candidates of ``rows``.
     deadline : float, optional
@@ -29,7 +31,7 @@ def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarr
     Returns
     -------
     indptr, column : ndarray of int
-        The cliques, as compressed rows.
+        The cliques as compressed rows: clique ``k`` is ``column[indptr[k]:indptr[k + 1]]``.
     """
     if edges.shape[1] == 0:
         return np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -58,23 +60,23 @@ def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarr
 
 
 def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, alive: np.ndarray, deadline: float):
-    """Return maximal cliques that contain the given cliques, without repetition; cliques are extended until a deadline.
+    """Extend cliques to maximal cliques until a deadline, and return the cliques without repetition.
 
     Parameters
     ----------
     options : Options
         All candidates.
     indptr, column : ndarray of int
-        Cliques, as compressed rows.
+        Cliques as compressed rows, in the format of the returned cliques.
     alive : ndarray of bool, shape (n_candidates,)
-        Candidates that may be added.
+        Whether each candidate may be added to a clique.
     deadline : float
         Value of `time.perf_counter` after which the remaining cliques are not extended.
 
     Returns
     -------
     indptr, column : ndarray of int
-        The cliques, as compressed rows; each row is sorted.
+        The cliques as compressed rows: clique ``k`` is ``column[indptr[k]:indptr[k + 1]]``. Each clique is sorted.
     """
     n = len(indptr) - 1
     sizes, columns, first = [], [], 0
@@ -101,7 +103,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
 
 
 def _scramble(values):
-    """Return reproducible pseudo-random integers for values; their sums for two different sets almost always differ."""
+    """Return an integer hash of each value; the sums of the hashes of two different sets almost always differ."""
     mixed = (values.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= mixed >> np.uint64(31)
     mixed *= np.uint64(0xBF58476D1CE4E5B9)

@@ -65,7 +65,8 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     total = float(prices.price[cross].sum())
     value = weights - prices.matrix.T @ np.where(cross, prices.price, 0.0)
     reduced = prices.values(weights)
-    # The candidates of one cluster, and its cliques with at least two members in it, are found by sorting.
+    # The candidates are sorted by cluster, and the matrix is stored by columns. The candidates and cliques of one
+    # cluster are then found without a search through all candidates.
     order = np.argsort(of_candidate, kind="stable")
     ends = np.searchsorted(of_candidate[order], np.arange(label.max(initial=-1) + 2))
     by_column = prices.matrix.tocsc()
@@ -106,7 +107,8 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
     """Improve a plan with an integer program for each cluster of positioners, while all other arms are fixed.
 
     The positioners are divided into clusters several times, each time with a different orientation of the clusters. The
-    search ends at the deadline, when ``is_best(chosen)`` is true, or when the largest programs find no better plan.
+    search ends at the deadline, when ``is_best`` returns true for the present plan, or when the largest programs find
+    no better plan.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
     deadline : float
         Value of `time.perf_counter` at which the search ends.
     is_best : callable, optional
-        Function that returns whether a plan, given as ``chosen``, is known to be optimal.
+        Function that takes a plan in the form of ``chosen``, and returns whether this plan is known to be optimal.
 
     Returns
     -------

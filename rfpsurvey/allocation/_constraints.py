@@ -10,7 +10,8 @@ from rfpsurvey.region import Region
 
 __all__ = ["as_keep_out", "as_required", "brief", "circle_text", "recorded"]
 
-# Results contain lists of up to this many identifiers or circles; a longer list is recorded as a number and a digest.
+# Results record lists of at most this many identifiers or circles. For a longer list, they record the length and a
+# digest.
 MOST_LISTED = 1000
 
 

@@ -13,7 +13,7 @@ from rfpsurvey.allocation._solver import maximize
 
 __all__ = ["separate_idle_arms"]
 
-# Largest number of candidates of the positioners that are changed at the same time.
+# Positioners that are changed at the same time have at most this many candidates in total.
 SIZE = 2000
 # Fraction of the remaining time that one integer program may take.
 FOR_ONE = 0.25

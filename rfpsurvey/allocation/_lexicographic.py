@@ -34,7 +34,7 @@ class Solution(NamedTuple):
 
 
 class _Pursuit:
-    """The state of the search: the best plan found so far, and the values of objectives that are proven so far."""
+    """The state of the search: the best plan found so far, and the proven values of the first objectives."""
 
     def __init__(self, program: Program, first, limit, *, integral):
         self.program, self.limit = program, limit
@@ -47,14 +47,15 @@ class _Pursuit:
         self.solved: list[float] = []  # proven values, beginning with the first objective
 
     def upper(self, values):
-        """Return the upper bound of each objective, given the values of the objectives before it."""
+        """Return the upper bound of each objective, given the values of all earlier objectives."""
         if self.limit is None:
             return self.high
-        # No plan has more targets of the first classes than the best matching.
+        # For every k, no plan has more targets of the first k classes than the best matching.
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
         if self.program.problem.any_required:
-            # The matching gives an upper limit of an objective if the plan is as good in all earlier objectives.
+            # The matching gives an upper limit of an objective only if the plan is as good as the matching in all
+            # earlier objectives.
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)
         return np.minimum(self.high, most)
@@ -77,7 +78,7 @@ class _Pursuit:
             self.x, self.values = x, values
 
     def next_pack(self, k, largest):
-        """Return how many objectives, beginning with k, can be combined into a weighted sum, and the weights."""
+        """Return the number of objectives, beginning with k, that can form one weighted sum, and their weights."""
         sizes, product = [], 1.0
         for objective in self.program.objectives[k:]:
             product *= objective.high - objective.low + 1.0
@@ -89,7 +90,7 @@ class _Pursuit:
     def prove(self, k, deadline):
         """Optimize objective k, possibly together with later objectives.
 
-        Return the number of objectives that are now proven, and an upper bound of objective k.
+        Return the number of objectives that this call has proven, and an upper bound of objective k.
         """
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
@@ -132,7 +133,7 @@ class _Pursuit:
             self.take(x)
 
     def is_kept(self, values):
-        """Return whether a plan has the proven values of all objectives that are already proven."""
+        """Return whether a plan reaches the proven values of all objectives that are already proven."""
         return bool((values[: len(self.solved)] >= self.solved).all())
 
 
@@ -141,9 +142,9 @@ def pursue(
 ) -> Solution:
     """Return the best plan that is found before the deadline; the search starts from ``first`` if it is feasible.
 
-    ``limit``, if given, contains the values of the objectives for the best plan that ignores collisions. With
-    ``squared_cost``, the plan with the lowest cost among all best plans is returned. ``tell``, if given, is called with
-    the number of proven objectives and the total number of objectives.
+    If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions. With
+    ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
+    called with the number of proven objectives and the total number of objectives.
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0

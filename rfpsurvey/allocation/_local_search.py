@@ -23,7 +23,7 @@ def match(candidates: Candidates) -> np.ndarray:
     if problem.any_required:
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets are candidates
+    able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets have candidates
     order = able[np.argsort(classes[able], kind="stable")]
     rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
     return target_of
@@ -42,7 +42,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 
 def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Remove the least important targets from a plan until the plan exceeds no maximum of a requirement."""
+    """Remove the least important targets from a plan until the plan does not exceed the maximum of any requirement."""
     target_of = target_of.copy()
     if problem.watched is not None:
         target_of = np.where(problem.watched >= 0, problem.watched, target_of)
@@ -64,9 +64,9 @@ def repair_collisions(
 ) -> tuple[np.ndarray, int, int]:
     """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
 
-    A moved positioner has a new candidate that is as good as its previous one. If a positioner has no such candidate,
-    it loses its target. The last candidate of each positioner must be its idle arm; this candidate is used for
-    positioners without another candidate (-1).
+    A positioner in a collision is moved to a new candidate that is at least as good as its previous candidate. If there
+    is no such candidate, the positioner can lose its target. The last candidate of each positioner must be its idle
+    arm. A positioner with the value -1 in ``chosen`` receives this candidate.
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
@@ -103,7 +103,8 @@ def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf
 def _repair(options, order, now, blocked, holder, deadline):
     """Remove collisions and assign better targets, in place; return the numbers of moved positioners and lost targets.
 
-    The deadline ends the search for better targets, and for equally good targets of positioners that collide.
+    After the deadline, each remaining collision is removed by taking the target from one of the positioners, and no
+    better targets are assigned.
     """
     moved, fixed = 0, np.diff(options.start) == 1
     for some in _batches(options, order):

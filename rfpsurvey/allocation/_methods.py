@@ -69,7 +69,7 @@ def sdss(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets, one class after the other, without collisions; then maximize subpriorities."""
+    """Maximize the number of targets without collisions, one class after the other; then the sum of subpriorities."""
     return _search(problem, collide=True, squared_cost=problem.subpriority is not None)
 
 
@@ -108,7 +108,10 @@ def _search(problem, **options):
 
 
 def _with_cost(problem):
-    """If subpriorities are given, return a problem with the cost of each pair in place of its squared distance."""
+    """Return the problem; if subpriorities are given, costs of the pairs replace their squared distances.
+
+    The cost of a pair is lowest for the target with the largest subpriority.
+    """
     if problem.subpriority is None:
         return problem
     order = np.arange(len(problem.rank))  # rows make the costs of equal subpriorities differ
@@ -139,7 +142,7 @@ def _in_order(problem):
 
 
 def _best(problem, reach, rank):
-    """Return the targets of each positioner, sorted by class, then distance, and the number of targets in reach.
+    """Return the targets of each positioner, sorted by class and then by distance, and its number of targets in reach.
 
     With subpriorities, the targets of each class are sorted by subpriority instead of by distance.
 

@@ -36,7 +36,7 @@ ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 """Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
-# ``repr`` shortens a list of more values than this.
+# ``repr`` shortens lists of more than this number of values.
 MOST_SHOWN = 20
 
 
@@ -53,20 +53,20 @@ class AllocationOptions:
     allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
         Targets with the same priority form a class, and all allocators except ``balanced`` assign the class of the
         highest priority first. ``balanced``: each science target, in catalog order, is added to the shortest queue
-        among the positioners that reach it; ties are decided by the distance, then by the row. One target of each queue
-        is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs of a positioner and a
-        target are assigned in the order of their distance. ``lamost``: in each class, every free positioner nominates
-        its nearest unassigned target, until no nominations are possible. If several positioners nominate a target, the
-        target is assigned to the positioner with the fewest unassigned targets (of any class) in reach; ties are
-        decided by the distance, then by the row. The requirements are then met one after the other: first by idle
-        positioners, then by positioners that give up the least important targets. ``sdss``: network flow maximizes the
-        number of targets, one class after the other, and then minimizes the sum of squared distances from the centers
-        of the positioners; arms may collide. ``optimal``: the number of targets is maximized, one class after the
-        other, such that no arm with a target collides with a different arm or an obstacle; the optimum is proven. An
-        arm with a target also avoids idle arms that are obstacles: arms of parked positioners (if ``parked_obstacles``
-        is True), and arms of disabled and stuck positioners. Among plans of equal value, a plan in which few idle arms
-        collide with each other is preferred; idle arms may still collide with obstacles. ``repair``: local moves remove
-        the collisions of the plan ``start``.
+        among the positioners that reach it; ties are decided by the distance, then by the row of the positioner. One
+        target of each queue is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs
+        of a positioner and a target are assigned in the order of their distance. ``lamost``: in each class, every free
+        positioner nominates its nearest unassigned target, until no nominations are possible. If several positioners
+        nominate a target, the target is assigned to the positioner with the fewest unassigned targets (of any class) in
+        reach; ties are decided by the distance, then by the row of the positioner. The requirements are then met one
+        after the other: first by idle positioners, then by positioners that give up the least important targets.
+        ``sdss``: network flow maximizes the number of targets, one class after the other, and then minimizes the sum of
+        squared distances from the centers of the positioners; arms may collide. ``optimal``: the number of targets is
+        maximized, one class after the other, such that no arm with a target collides with a different arm or an
+        obstacle; the optimum is proven. An arm with a target also avoids idle arms that are obstacles: arms of parked
+        positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. Among plans of equal
+        value, a plan in which few idle arms collide with each other is preferred; idle arms may still collide with
+        obstacles. ``repair``: local moves remove the collisions of the plan ``start``.
         Any other name refers to an allocator that an installed package provides. A function is called with an
         `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
@@ -105,20 +105,20 @@ class AllocationOptions:
         Order of the targets within each class; targets with larger subpriorities are served first. An integer is the
         seed of random subpriorities, which depend only on the identifiers of targets
         (`~rfpsurvey.allocation.subpriorities`). Text is the name of a further column of the catalog, such as
-        ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns each target of a class, in this order, to its closest
-        free positioner; ``balanced`` distributes the targets in this order; with ``lamost``, every positioner nominates
-        its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize the sum of the
-        subpriorities after all other objectives (``sdss`` then does not minimize squared distances). Differences
-        between subpriorities are ignored if they are below one millionth of the range of the subpriorities. In large
-        fields, and after the time limit, ``optimal`` only finds an approximate maximum of this sum. ``repair`` tests
-        the targets in this order. With subpriorities and unique identifiers, the plan does not depend on the order of
-        targets in the catalog.
+        ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns the targets of a class in this order, each to its
+        closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost``,
+        every positioner nominates its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize
+        the sum of the subpriorities after all other objectives (``sdss`` then does not minimize squared distances).
+        Differences between subpriorities are ignored if they are below one millionth of the range of the subpriorities.
+        In large fields, and after the time limit, ``optimal`` only finds an approximate maximum of this sum. ``repair``
+        tests the targets in this order. With subpriorities and unique identifiers, the plan does not depend on the
+        order of targets in the catalog.
 
     Raises
     ------
     InputError
-        If a name is unknown, if a requirement cannot be read, if a number is out of range, or if ``keep_out`` contains
-        a region that is not a circle.
+        If the name of an allocator or of an objective is unknown, if a requirement cannot be read, if a number is out
+        of range, or if ``keep_out`` contains a region that is not a circle.
 
     References
     ----------

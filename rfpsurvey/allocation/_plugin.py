@@ -36,7 +36,7 @@ def packages(options: AllocationOptions) -> dict[str, str]:
 
 
 def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
-    """Call an allocator of another package with a problem, and check the return value."""
+    """Call an allocator that is not built in to solve a problem, and check its return value."""
     with plugin.answering():
         answer = plugin.value(problem)
         if not isinstance(answer, AllocationAnswer):
@@ -53,7 +53,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Raise an error if the levels contradict the plan, or if queues contain targets that are out of reach."""
+    """Raise an error if the levels contradict the plan, or if the queues contain targets that are out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}

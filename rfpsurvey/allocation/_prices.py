@@ -92,7 +92,7 @@ def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
     Returns
     -------
     list of (ndarray of float or None)
-        Weights of the candidates, one array per objective.
+        Weights of the candidates: one array, or None, for each objective.
     """
     n_classes, found = len(problem.classes), []
     offset = len(names) - n_classes - (not problem.science.all())

@@ -38,8 +38,8 @@ class AllocationProblem:
     """Targets on a focal plane with their priorities and the options of the plan, as read-only arrays in mm.
 
     Every allocator, built in or from another package, is a function that takes an `AllocationProblem` and returns an
-    `~rfpsurvey.allocation.AllocationAnswer`. It may also return an array with the target of each positioner, or a
-    tuple of that array and the handedness of each arm ("right" or "left").
+    `~rfpsurvey.allocation.AllocationAnswer`. Instead, the function may return an array with the target of each
+    positioner, or a tuple of this array and an array with the handedness of each arm ("right" or "left").
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class AllocationProblem:
     rng : numpy.random.Generator, optional
         Random number generator. Plans are reproducible only if allocators use no other generator.
     start : callable, optional
-        ``problem.start()`` returns the answer given by the option ``start``, by default the answer of ``lamost``.
+        ``problem.start()`` returns the plan that the option ``start`` specifies: by default, the plan of ``lamost``.
     watched : ndarray of int, shape (n_positioners,), optional
         Row of the sky position that each stuck positioner observes; -1 if the positioner is not stuck, or if its fiber
         observes no sky position.
@@ -157,7 +157,7 @@ class AllocationProblem:
 
     @cached_property
     def any_required(self) -> bool:
-        """Whether the options of the plan name required targets."""
+        """Whether at least one target is required."""
         return bool(self.is_required.any())
 
     @property
@@ -188,7 +188,7 @@ class AllocationProblem:
         return found
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
-        """Return the classes of targets, which are given by rows; the row -1 (no target) has a class after all others.
+        """Return the class of each target; the row -1, which means no target, has a class after all other classes.
 
         Parameters
         ----------

@@ -51,12 +51,12 @@ class IdleReasons(NamedTuple):
     positioner : ndarray of int, shape (n_idle,)
         Rows of the positioners without a target.
     reason : ndarray of int, shape (n_idle,)
-        Index of ``IDLE_REASONS`` for each idle positioner.
+        Index of the reason in ``IDLE_REASONS`` for each idle positioner.
     n_in_reach : ndarray of int, shape (n_idle,)
         Number of targets that each idle positioner can observe, regardless of all other positioners; 0 if it cannot
         move.
     n_free : ndarray of int, shape (n_idle,)
-        Number of these targets that have no positioner.
+        Number of these targets that no positioner observes in the plan.
     owner : ndarray of int, shape (n_attempts,)
         Row of the positioner of each attempt.
     target : ndarray of int, shape (n_attempts,)

@@ -42,7 +42,8 @@ class Requirement:
     Raises
     ------
     InputError
-        If a number is not a whole number from 0 to 10^9, if the minimum exceeds the maximum, or if a name is not valid.
+        If the minimum or the maximum is not a whole number from 0 to 10^9, if the minimum exceeds the maximum, or if
+        ``what``, ``per`` or ``fiber_type`` is not valid.
 
     Examples
     --------
@@ -64,7 +65,7 @@ class Requirement:
             raise refusal("a requirement must contain the name of a kind or category of targets", self.what, str)
         if not isinstance(self.fiber_type, str):
             raise refusal(f"fiber_type of {self.what!r} must be a name", self.fiber_type, str)
-        check_choice(self.per, PERS, "range of a requirement")
+        check_choice(self.per, PERS, "scope of a requirement")
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
@@ -95,7 +96,7 @@ class Requirement:
         Raises
         ------
         InputError
-            If the text does not have one of the allowed forms, or if a number or name is not valid.
+            If the text does not have one of the allowed forms, or if a number or a name in the text is not valid.
         """
         found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
         if found is None:
@@ -133,7 +134,7 @@ class Shortfall:
     possible : int
         Number of targets that count toward the requirement and are in reach of positioners that can observe them.
     hint : str, optional
-        A similar name that the user may have intended, or the reason why there are no targets.
+        A similar name that the user may have intended, or the reason why targets are missing.
     """
 
     requirement: Requirement | None

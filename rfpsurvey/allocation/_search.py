@@ -54,7 +54,7 @@ FEWER = (32, 8, 2, 1)
 PAIR_SECONDS, SORT_SECONDS = 4e-8, 8e-9
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
-# The bounds of whole numbers are rounded down, unless they are this close to the next whole number.
+# Bounds of numbers of targets are rounded down, unless they are this close to the next whole number.
 ROUNDING = 1e-4
 
 
@@ -210,7 +210,8 @@ def _matching_limits(problem, everything, names):
     """Return upper limits of the objectives from the best matching, in which arms may collide.
 
     The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
-    more of these targets than the matching. If there are no candidates, the limits are the numbers of targets in reach.
+    more of these targets than the matching. If ``everything`` is None, or if there are required targets, the limits are
+    the numbers of targets in reach.
     """
     n, n_classes = problem.pairs.n_positioners, len(problem.classes)
     if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
@@ -248,7 +249,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
-    # This plan can be invalid if the idle arm of a positioner is not among the candidates.
+    # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
     start = _plan(used, blind, collide, share(deadline, FOR_REPAIR))
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
@@ -338,7 +339,7 @@ def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
 def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
     """Report the part of the problem and the objective that the search currently optimizes."""
     of_parts = f"part {part + 1} of {n_parts}, " if n_parts > 1 else ""
-    tell((part + level / n_levels) / n_parts, f"{of_parts}class {level + 1} of {n_levels}")
+    tell((part + level / n_levels) / n_parts, f"{of_parts}objective {level + 1} of {n_levels}")
 
 
 def _parts(candidates, rows):

@@ -11,7 +11,8 @@ from rfpsurvey.focal_plane import Reach
 
 __all__ = ["with_sky"]
 
-# Number of points that are tested for each positioner, and largest number of blank points among them that are kept.
+# Number of points that are tested for each positioner, and largest number of blank points that are kept for each
+# positioner.
 N_TRIALS, N_KEPT = 64, 4
 
 
@@ -76,7 +77,10 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 
 
 def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
-    """If a requirement counts sky positions, return the problem with sky positions far from targets and ``others``."""
+    """Return the problem; if a requirement counts sky positions, add sky positions in gaps between the targets.
+
+    The added positions are at least ``separation`` (mm) from all targets and from the points ``others``.
+    """
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem

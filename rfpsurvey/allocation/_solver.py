@@ -1,4 +1,4 @@
-"""Run the solver HiGHS in a thread, so that the caller can end it at the deadline or when the user interrupts it."""
+"""Run the solver HiGHS in a thread, so that the search can be ended at a deadline or when the user interrupts it."""
 
 import atexit
 import threading
@@ -61,7 +61,7 @@ def maximize(
     presolve : bool
         Whether HiGHS may simplify the program first.
     first : ndarray of float, shape (n,), optional
-        Variables that satisfy the constraints, from which the search starts.
+        Values of the variables from which the search starts; the values satisfy the constraints.
     nodes : int, optional
         Largest number of nodes of the search tree. If this number ends the search, the result does not depend on the
         computer.

@@ -21,7 +21,7 @@ class TileCandidates(NamedTuple):
     """The candidates of the positioners of one tile; the last candidate of each positioner is its idle arm."""
 
     start: np.ndarray
-    """First candidate of each positioner, followed by the number of candidates."""
+    """Index of the first candidate of each positioner, followed by the total number of candidates."""
     target: np.ndarray
     """Row of the target of each candidate; -1 for idle arms."""
     side: np.ndarray
@@ -30,7 +30,7 @@ class TileCandidates(NamedTuple):
     column: np.ndarray
     """Cliques as compressed rows (``indptr``, ``column``): a plan uses at most one candidate of each clique."""
     shortened: np.ndarray
-    """Whether candidates of each positioner were omitted."""
+    """Whether some candidates were omitted, for each positioner."""
     pairs: tuple[np.ndarray, np.ndarray]
     """Positioner and target of each reachable pair."""
 
@@ -87,7 +87,7 @@ class WeightedProblem(NamedTuple):
     """The choice of one candidate for each positioner such that the sum of the weights is as large as possible."""
 
     start: np.ndarray
-    """First candidate of each positioner, followed by the number of candidates."""
+    """Index of the first candidate of each positioner, followed by the total number of candidates."""
     weight: np.ndarray
     indptr: np.ndarray
     column: np.ndarray
@@ -152,19 +152,19 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
 
 
 class RowPrices(Prices):
-    """Prices of sets of candidates, of which a plan may use at most a given number of candidates per set.
+    """Prices of sets of candidates; a plan may use at most a given number of the candidates of each set.
 
     Parameters
     ----------
     start : ndarray of int, shape (n_positioners + 1,)
-        First candidate of each positioner.
+        Index of the first candidate of each positioner, followed by the total number of candidates.
     matrix : csr_array
         Matrix with a row for each set and a column for each candidate; the column indices of each row are sorted.
     most : ndarray of float
         Largest number of candidates of each set that a plan may use.
     free : ndarray of bool, shape (n_positioners,)
-        Whether some candidates of each positioner were omitted. In the bound, the weight of such a positioner is at
-        least 1.
+        Whether some candidates of each positioner were omitted. A positioner with omitted candidates contributes at
+        least 1 to the upper bound.
     """
 
     def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray):
@@ -201,7 +201,7 @@ class RowPrices(Prices):
         sweeps : tuple of (float, int)
             Width of the smooth maximum and number of sweeps, for each stage of the adjustment.
         is_over : callable
-            Function that returns whether the time is over.
+            Function that returns whether the time limit has passed.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Benchmarks: the speed and the errors of methods."""
+"""Benchmarks, which measure the speed and the errors of the methods of this package."""
 
 from rfpsurvey.benchmark._batches import benchmark_batches
 from rfpsurvey.benchmark._collisions import benchmark_collisions

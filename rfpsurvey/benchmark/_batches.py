@@ -1,4 +1,4 @@
-"""Benchmark of counting the collisions of many configurations in one call."""
+"""Benchmark that measures the time of counting the collisions of many configurations in one call."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +52,7 @@ def benchmark_batches(
     Raises
     ------
     InputError
-        If a number is not positive.
+        If ``sizes`` or ``workers`` is not a list of positive integers, or if ``repeats`` is not positive.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Benchmark of the methods of finding collisions, which measures the speed and the errors of each method."""
+"""Benchmark that measures the speed and the errors of each method that finds collisions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -48,7 +48,7 @@ def endpoints(case: Configuration) -> Found:
 
 
 def shapely(case: Configuration) -> Found:
-    """Compute distances by vectorized functions of shapely; making the line strings is part of the measured time."""
+    """Compute distances with vectorized functions of shapely; making the line strings is part of the measured time."""
     from shapely import distance, linestrings
 
     first, second = near_pairs(case)
@@ -75,12 +75,12 @@ def benchmark_collisions(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Measure the time and the errors of each method of finding collisions; all methods use the same arms.
+    """Measure the time and the errors of each method that finds collisions; all methods use the same arms.
 
     Each positioner has one target, uniformly distributed in its patrol area. The result of each method is compared with
-    the result of rational arithmetic. The measured time begins with known poses of the arms and ends with the list of
-    pairs; it excludes compilation. Methods run alternately in random order, so that other work on the machine affects
-    all of them in the same way. If ``repeats`` is small, the measured times are inaccurate.
+    the exact result of rational arithmetic. The measured time begins with known poses of the arms and ends with the
+    list of pairs; it excludes compilation. In each round, the methods run in a random order, so that other work on the
+    machine affects all of them in the same way. If ``repeats`` is small, the measured times are inaccurate.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
-    with Progress(progress, len(turns), "turns") as bar:
+    with Progress(progress, len(turns), "rounds") as bar:
         for turn in turns:
             for run in (runs[k] for k in rng.permutation(len(runs))):
                 if sum(times[run]) > seconds:

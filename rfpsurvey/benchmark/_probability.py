@@ -1,4 +1,4 @@
-"""Benchmark of the methods of estimating collision probabilities."""
+"""Benchmark that measures the time and the error of each method that estimates collision probabilities."""
 
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
@@ -38,10 +38,10 @@ def benchmark_probability(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Measure the time and the error of each method of estimating collision probabilities.
+    """Measure the time and the error of each method that estimates collision probabilities.
 
-    The reference value for allocated targets is computed by a long conditional simulation. The reference value for
-    independent (uniform) targets is computed by a fine quadrature. The methods run alternately. Errors smaller than
+    The reference value for allocated targets is computed by a long conditional Monte Carlo simulation. The reference
+    value for independent (uniform) targets is computed by a fine quadrature. The methods run alternately. Errors below
     ``truth_error``, the error of the reference value, are not significant.
 
     Parameters
@@ -55,7 +55,7 @@ def benchmark_probability(
     repeats : int, optional
         Number of runs with different random numbers for each method and effort.
     precision : float, optional
-        Standard error of the reference value.
+        Standard error to which the reference values are computed.
     rng : int, Generator or None, optional
         Seed or random number generator.
     progress : bool or callable, optional
@@ -101,7 +101,7 @@ def benchmark_probability(
     }
     results: dict = {run: [] for run in runs}
     turns = range(repeats + 1)  # the first run compiles the kernels
-    with Progress(progress, len(turns), "turns") as bar:
+    with Progress(progress, len(turns), "rounds") as bar:
         for turn in turns:
             for method, n in runs:
                 effort = Precision(max_iterations=n or None)
@@ -151,7 +151,7 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare collision probabilities of independent targets, for several densities, with that of allocated targets.
+    """Compare collision probabilities of independent targets from several densities with that of allocated targets.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def benchmark_densities(
     -------
     QTable
         Table with a row for each density: ``density``, ``value`` (collision probability), ``standard_error``, ``bias``
-        (the difference from the value of allocated targets), and ``factor`` (the ratio to the value of allocated
-        targets). The first row contains the value of allocated targets.
+        (the difference from the value for allocated targets), and ``factor`` (the ratio to the value for allocated
+        targets). The first row contains the value for allocated targets.
 
     Raises
     ------

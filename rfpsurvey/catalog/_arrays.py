@@ -30,8 +30,8 @@ class CatalogArrays:
     repeated_ids : bool
         Whether any two targets have the same identifier.
     extra : dict
-        Values of the extra columns of the catalog, without units. The keys are the names of the columns in results;
-        for example, the key of a column ``ra`` is ``target_ra``.
+        Values of the extra columns of the catalog, without units. The keys are the names that the columns have in
+        results; for example, the key of a column ``ra`` is ``target_ra``.
     extra_units : dict
         Units of the extra columns as text, with the same keys as ``extra``. The text is empty for a column without a
         unit.
@@ -48,7 +48,7 @@ class CatalogArrays:
     """
 
     def __init__(self, catalog):
-        # There is no reference to the catalog, because a circular reference would delay the release of its memory.
+        # The catalog itself is not stored, because a circular reference would delay the release of its memory.
         self._coord, self._id, self._epoch = catalog.coord, catalog.id, catalog.epoch
         names = [] if catalog.extra is None else catalog.extra.colnames
         columns = {result_name(name): catalog.extra[name] for name in names}
@@ -74,12 +74,12 @@ class CatalogArrays:
         return np.flatnonzero(mask)
 
     def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
-        """Return the rows of all targets whose proper motions allow them to be inside a circle at another epoch."""
+        """Return the rows of all targets that can be inside a circle at another epoch, given their proper motions."""
         # The radius is slightly enlarged to allow for rounding.
         return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
 
     def farthest_rad(self, time: object) -> float:
-        """Return an upper limit of the distance (rad) that any target moves on the sky until another epoch."""
+        """Return an upper limit of the angle (rad) by which any target moves until another epoch."""
         if "s" not in self._coord.data.differentials or self._epoch is None:
             return 0.0
         icrs = self._coord.icrs

@@ -142,7 +142,7 @@ class Catalog:
         return len(self.coord)
 
     def __getstate__(self):
-        # The arrays are not copied to another process, which computes them again.
+        # The arrays are omitted from a copy for another process; the other process computes them again.
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
@@ -157,7 +157,7 @@ class Catalog:
         return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())
 
     def _take(self, index, **changes):
-        """Return the rows selected by ``index``, with some fields replaced."""
+        """Return a catalog of the rows that ``index`` selects; ``changes`` are new values of fields."""
         index = np.atleast_1d(np.arange(len(self))[index])
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in _PER_TARGET:
@@ -204,9 +204,9 @@ class Catalog:
             ``priority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized. A DataFrame of
             pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
-            Columns whose names are not recognized. The keys are recognized names; for example, ``{"id": "star"}`` uses
-            the column ``star`` as ``id``. A minus, as in ``{"priority": "-rank"}``, reverses the sign of a column in
-            which smaller numbers are more important.
+            Names of columns that are not recognized automatically. The keys are recognized names; for example,
+            ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus, as in ``{"priority": "-rank"}``, reverses
+            the sign of a column in which smaller numbers are more important.
         units : dict, optional
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             no column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, and
@@ -230,7 +230,7 @@ class Catalog:
         ------
         InputError
             If coordinates are missing or have a wrong unit, if coordinates have no unit although other columns have
-            one, or if some rows have no priority or no number of visits, and ``fill`` does not replace these values.
+            one, or if some rows have no priority or no number of visits, and ``fill`` has no value for these rows.
 
         Examples
         --------

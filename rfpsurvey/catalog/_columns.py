@@ -12,7 +12,7 @@ from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
-# Names of columns for each role, in order of preference (case is ignored), and the first part of the UCD.
+# Names of columns for each role, in order of preference (case is ignored), and the beginning of the UCD.
 ROLES = {
     "ra": (
         "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
@@ -56,9 +56,9 @@ UNITS = {
 }
 # Text that marks missing values (case is ignored).
 NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
-# Roles whose missing values can be filled, and whether their values are numbers.
+# Roles whose missing values can be filled, and whether the values of each role are numbers.
 FILLED = {"priority": True, "visits": True, "kind": False, "category": False, "fiber_type": False}
-# One degree per day: no object outside of the solar system moves this fast.
+# One degree per day: no object outside the solar system moves this fast.
 MOST_MOTION = 1.3e9 * u.mas / u.yr
 
 
@@ -70,13 +70,13 @@ class Finder:
     columns: dict = field(default_factory=dict)
     """Column name for each role, used instead of the common names; a leading minus reverses the sign of the numbers."""
     units: dict = field(default_factory=dict)
-    """For each role whose column has no unit, the unit of the column."""
+    """Units of the columns that have no unit in the table; the keys are the roles of the columns."""
     assume_units: bool = False
     """Whether columns without a unit are assumed to have the default unit (for formats that cannot contain units)."""
     fill: dict = field(default_factory=dict)
     """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
-    """For each role whose unit was assumed, the default unit."""
+    """Default units of the columns whose unit was assumed; the keys are the roles of the columns."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):

@@ -6,7 +6,7 @@ __all__ = ["add_stored_columns"]
 
 
 def add_stored_columns(digest, path: Path, names: list[str]) -> None:
-    """Add the types and the stored bytes of some columns of a Parquet file to a digest of ``hashlib``."""
+    """Update a ``hashlib`` digest with the types and the stored bytes of the given columns of a Parquet file."""
     from pyarrow import parquet
 
     about = parquet.read_metadata(path)

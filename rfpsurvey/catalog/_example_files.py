@@ -18,7 +18,7 @@ _PLACES = ((Path(__file__).parent / "examples", ".packed"), (Path(__file__).pare
 
 
 def is_example(path: object) -> bool:
-    """Return whether ``path`` is the name of an example, such as "example:anticenter"."""
+    """Return whether ``path`` is the name of an example catalog, such as "example:anticenter"."""
     return isinstance(path, str | os.PathLike) and os.fspath(path)[: len(PREFIX)] == PREFIX
 
 

@@ -11,14 +11,14 @@ __all__ = ["example_catalog"]
 def example_catalog(name: str = "anticenter") -> Catalog:
     """Return one of the catalogs of real stars that come with the package.
 
-    ``Catalog.read("example:anticenter")`` reads the same stars with other options, and commands accept
+    ``Catalog.read("example:anticenter")`` reads the same stars and has further parameters. Commands accept
     ``example:anticenter`` in place of a file.
 
     Parameters
     ----------
     name : {"anticenter"}, optional
-        ``anticenter``: the 8830 stars of the Tycho-2 main catalog within 5 deg of ICRS (95, +23) deg, the Galactic
-        anticenter with the cluster M35.
+        ``anticenter``: the 8830 stars of the Tycho-2 main catalog within 5 deg of ICRS (95, +23) deg. This
+        field lies near the Galactic anticenter and contains the cluster M35.
 
     Returns
     -------

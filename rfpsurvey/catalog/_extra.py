@@ -29,7 +29,7 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
-        raise InputTypeError(f"keep must be a list of names of columns, got {short(keep)}")
+        raise InputTypeError(f"keep must be a list of column names, got {short(keep)}")
     names = [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in table.colnames:
@@ -50,7 +50,7 @@ def extra_columns(columns: object, n: int) -> QTable | None:
     names = columns.colnames if isinstance(columns, Table) else list(columns)
     found = QTable({str(name): _plain(columns[name], str(name)) for name in names})
     if len(found) != n:
-        raise InputError(f"columns of extra must have one value per target, {n}, got {len(found)}")
+        raise InputError(f"columns of extra must have one value for each of the {n} targets, got {len(found)} values")
     return found
 
 

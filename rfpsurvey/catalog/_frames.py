@@ -53,7 +53,7 @@ def _is_arrow(given) -> bool:
 
 
 def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has the given type of a package; the package is not imported."""
+    """Return whether an object has a given type of another package, without importing this package."""
     return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
 
 

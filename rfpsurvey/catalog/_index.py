@@ -8,7 +8,7 @@ from rfpsurvey._kernels import zones
 
 __all__ = ["SkyIndex", "half_chord_squared"]
 
-# Largest number of zones, and mean number of directions in a square with the height of a zone.
+# Largest number of zones, and mean number of directions in a square whose side is the height of a zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0
 
@@ -30,7 +30,7 @@ class SkyIndex:
         self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
         key = np.empty(n)
         zones.make_keys(vectors, self.n_zones, key)
-        # The type is int32 if possible, because the list is a considerable part of the memory of a large catalog.
+        # The type is int32 if possible, because this array uses much of the memory of a large catalog.
         self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
         self.key = key[self.order]
         self.vectors = vectors[self.order]

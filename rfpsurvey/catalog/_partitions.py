@@ -146,7 +146,7 @@ class PartitionedCatalog:
         try:
             merged = Table({name: _joined([table[name] for table in tables]) for name in self.parts.names})
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.folder}: columns must have one type in all partitions: {error}") from None
+            raise InputError(f"{self.folder}: each column must have the same type in all partitions: {error}") from None
         return self.parts.to_catalog(merged, self.folder)
 
 
@@ -161,7 +161,7 @@ def partition_catalog(
     catalog : Catalog, SkyCoord, Table or DataFrame
         The targets. Positions are written at the epoch of the catalog.
     folder : str or path-like
-        Folder to create; it must not exist. If writing fails, no incomplete folder remains.
+        Folder to create; it must not exist yet. If writing fails, no incomplete folder remains.
     order : int, optional
         HEALPix order of the partitions, 0 to 13; by default it is chosen such that a partition contains about 20,000
         targets.
@@ -237,7 +237,7 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
 
 
 def _joined(columns: list) -> np.ndarray:
-    """Concatenate the columns of several partitions; masked values remain masked."""
+    """Concatenate the parts of one column from several partitions; masked values remain masked."""
     masked = any(isinstance(column, MaskedColumn) for column in columns)
     kinds = {column.dtype.kind == "U" for column in columns}
     if len(kinds) > 1:

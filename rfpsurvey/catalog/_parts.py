@@ -121,7 +121,10 @@ class Partitions:
         return np.flatnonzero(2 * np.arcsin(np.minimum(half_chord, 1.0)) <= radii + radius_rad + SLACK_RAD)
 
     def part(self, k: int) -> Catalog:
-        """Return the targets of partition k; targets without identifiers get their row numbers in the whole catalog."""
+        """Return the targets of partition k.
+
+        If the catalog has no column of identifiers, the identifiers are the row numbers in the whole catalog.
+        """
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])

@@ -44,7 +44,7 @@ def synthetic_catalog(
     radius : Quantity
         Angular radius of the circle, at most 180 deg.
     n_targets : int, optional
-        Number of targets; for ``poisson`` and ``clustered``, expected number of targets.
+        Number of targets; for ``poisson`` and ``clustered``, the expected number of targets.
     density : Quantity, optional
         Number of targets per solid angle, as an alternative to ``n_targets``.
     min_separation : Quantity, optional
@@ -143,8 +143,8 @@ def _poisson_disc(rng, cap, expected, *, min_separation, **_):
     chord = 2 * np.sin(separation / 2)
     wanted = np.inf if expected is None else round(expected)
     points = np.empty((0, 3))
-    # The number of trials per round is the ratio of the areas of the circle and of a disc. Random sequential addition
-    # can cover at most about 0.547 of the area.
+    # The number of trials per round is about the area of the circle divided by the area of a disc whose diameter is the
+    # minimum separation. With random sequential addition, such discs cover at most about 0.547 of the circle.
     batch = int(min(max(_area(cap) / (np.pi * (separation / 2) ** 2), 4096), 200_000))
     enough = batch / 1000 if expected is None else 0
     idle = 0

@@ -66,7 +66,7 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 
 def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns in ``keep``, except those that results always contain, or None if no column remains."""
+    """Return the columns in ``keep`` except columns that results always contain; None if no column remains."""
     if keep is None:
         return None
     table, _ = as_table(table, columns)
@@ -223,7 +223,7 @@ def _kind_of_category(category: np.ndarray) -> np.ndarray:
 
 
 def _plain_meta(meta: dict) -> dict:
-    """Return the values in the ``meta`` of a table that JSON can represent, without comments that readers add."""
+    """Return the values in the ``meta`` of a table that JSON can represent, without comments that file readers add."""
     return {
         str(k): v for k, v in meta.items() if isinstance(v, str | int | float | bool) and not str(k).startswith("__")
     }

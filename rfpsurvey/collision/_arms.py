@@ -33,7 +33,7 @@ class Arms:
     """The poses of all positioners in mm and radians; NaN for arms that are absent."""
 
     find_angles: Callable[[], np.ndarray] | None
-    """Function that returns the joint angles theta and phi, shape (2, n), called when the angles are first used."""
+    """Function that returns the joint angles theta and phi, shape (2, n); called at the first use of the angles."""
     elbow: np.ndarray
     tip: np.ndarray
     segments: np.ndarray
@@ -43,7 +43,7 @@ class Arms:
     parked: np.ndarray
     """Whether each positioner is an obstacle: it is usable, has no target, and is parked."""
     clipped: np.ndarray
-    """Whether the target of each positioner is out of reach: the arm is stretched toward it or exceeds joint limits."""
+    """Whether each target is out of reach: the arm is only stretched toward the target, or violates joint limits."""
     fiber: np.ndarray | None = None
     """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
 
@@ -119,7 +119,7 @@ def _solve(columns, points, side):
 
 
 def _with_idle(find_angles, assigned, idle):
-    """Return joint angles; positioners without a target have the angles of idle arms."""
+    """Return the joint angles of all positioners; positioners without a target have the angles of idle arms."""
     angles = find_angles()
     for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
         np.copyto(own, other, where=~assigned)
@@ -127,7 +127,7 @@ def _with_idle(find_angles, assigned, idle):
 
 
 def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
-    """Return elbows and tips (4, n), and whether each arm has a target and whether this target is out of reach."""
+    """Return elbows and tips, shape (4, n), whether each arm has a target, and whether this target is out of reach."""
     assigned, clipped = check_tips(columns, points, side, clip=clip)
     segments = place_tips(columns, points, side, clipped)
     arms.fill_idle(assigned, columns.idle(parked_obstacles).segments, segments)
@@ -177,8 +177,8 @@ def check_tips(columns, points, side, *, clip=False):
         k = int(np.flatnonzero(far)[0])
         raise InputError(
             f"{int(far.sum())} tips are out of reach; the first is the tip of positioner {plane.id[k]}: its "
-            f"distance from the center of the positioner is {np.hypot(*(points[k] - columns.xy[k])):.7g} mm, "
-            f"must be {columns.inner_radius[k]:.4f} to {columns.outer_radius[k]:.4f} mm"
+            f"distance from the center of the positioner must be {columns.inner_radius[k]:.4f} to "
+            f"{columns.outer_radius[k]:.4f} mm, got {np.hypot(*(points[k] - columns.xy[k])):.7g} mm"
         )
     if not joints_free(columns, side):
         barred = assigned & ~far & ~columns.joints_allow(np.arange(n), points, side)
@@ -244,7 +244,7 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return the cosine and sine of the angle from each fiber to its capsule; idle arms use their first fiber."""
+    """Return cosine and sine of the angle at each elbow from fiber to capsule; idle arms use their first fiber."""
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
@@ -266,7 +266,7 @@ def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
 
 
 def _cells(points, rows):
-    """Sort points into a grid of about as many cells as points.
+    """Sort points into a grid that has about as many cells as there are points.
 
     Returns x0, y0, size, nx and ny of the grid, the index of the first point of each cell in the sorted list, and the
     rows of the points, sorted by cell.

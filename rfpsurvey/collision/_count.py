@@ -131,7 +131,7 @@ def count_collisions(
     InputError
         If a tip is outside its patrol area or beyond the joint limits, if the allocation is for another focal plane or
         has no queues, if arguments that exclude each other are given, if the method cannot run on this computer, or if
-        a shape is wrong.
+        an array has a wrong shape.
 
     See Also
     --------
@@ -153,7 +153,7 @@ def count_collisions(
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
-            raise InputError("handedness and fiber_type must be None for an Allocation, which has its own poses")
+            raise InputError("handedness and fiber_type must be None for an Allocation, which determines the poses")
         score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
     else:
         if n_configurations is not None:
@@ -210,7 +210,7 @@ def _processor(columns, setup):
 
 
 def _on_processor(columns, setup, points, side):
-    """Return the counts of a chunk, the number of collisions per positioner, and the number of tips out of reach."""
+    """Return the three results of a counting function (see ``SCORERS``) for a chunk of configurations."""
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     bounds = columns.bounds
@@ -233,7 +233,7 @@ SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
 """For each method, the number of configurations per task, and a function that makes the counting function.
 
 The counting function has the arguments (points, side). It returns the counts of each configuration, the number of
-collisions of each positioner, and the number of tips out of reach.
+configurations in which each positioner is in collision, and the number of tips out of reach.
 """
 
 
@@ -269,7 +269,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the colliding segment of the arm at each target of a queue, shape (4, m)."""
+    """Return the start of each queue, and the colliding segments of arms at all m targets of queues, shape (4, m)."""
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]
@@ -286,7 +286,7 @@ def queue_segments(plane, allocation):
 
 
 def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:
-    """Return the data that are the same for all configurations, from the arrays of a focal plane."""
+    """Return the collision data that are the same for all configurations, from the arrays of a focal plane."""
     idle = columns.idle(parked_obstacles)
     segments = idle.segments
     if columns.fibers is not None and columns.model == arms.CAPSULE:

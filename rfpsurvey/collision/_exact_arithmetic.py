@@ -1,4 +1,8 @@
-"""The test of a pair of arms in exact arithmetic, for distances at which rounding errors could change the result."""
+"""Test in exact arithmetic whether arms collide.
+
+These tests are used for pairs of arms whose distance is so close to the minimum separation that rounding errors could
+change the result.
+"""
 
 from fractions import Fraction
 from itertools import pairwise, product
@@ -25,11 +29,11 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
     columns : FocalPlaneArrays
         The positioners.
     segments : ndarray, shape (4, n)
-        Segments that can collide, or the cores of outlines: segments from the elbow along the eccentric arm.
+        Segments that can collide; for arms with outlines, the segments from the elbow along the eccentric arm.
     a, b : int
         Indices of the two arms along the last axis of ``segments``.
     i, j : int
-        Rows of their positioners in ``columns``.
+        Rows of the positioners of these two arms in ``columns``.
     """
     first, second, outline = segments[:, a].tolist(), segments[:, b].tolist(), columns.limits.outline
     if outline.start.size == 1:
@@ -67,8 +71,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
     ``first`` and ``second`` are the segments (x0, y0, x1, y1), from the elbow along the eccentric arm, that determine
     the poses of the positioners i and j. A polygon is the convex hull of its vertices, whose positions relative to the
-    elbow or center are rounded to double precision. If the radii and the separation are 0, polygons that overlap or
-    cross collide, and polygons that only touch do not collide.
+    elbow or center are rounded to double precision. If the radii and the separation are 0, polygons collide
+    if they overlap or cross, but not if they only touch.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]

@@ -81,13 +81,14 @@ def find_collisions(
     Returns
     -------
     CollisionReport
-        Pairs, distances, flags and rates.
+        Colliding pairs with their distances, flags of the positioners in collision, and collision rates.
 
     Raises
     ------
     InputError
         If a tip lies outside its patrol area or beyond the joint limits, if an allocation or arms belong to another
-        focal plane, if arguments exclude each other, if the method cannot run on this machine, or if a shape is wrong.
+        focal plane, if arguments exclude each other, if the method cannot run on this computer, or if an array has a
+        wrong shape.
 
     See Also
     --------
@@ -113,7 +114,7 @@ def find_collisions(
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
     if ready and any(value is not None for value in given.values()):
-        raise InputError(f"an Allocation or Arms already determine the poses; do not give {', '.join(given)}")
+        raise InputError(f"an Allocation or Arms already determines the poses; do not give {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         tips, parked_obstacles = tips.tips, tips.parked_obstacles
@@ -138,7 +139,7 @@ def find_collisions(
 def _posed_segments(plane, tips, given, parked_obstacles):
     """Return colliding segments (4, n), flags of assigned and of parked arms, and a function that computes all poses.
 
-    Only a few methods call this function.
+    Only a few methods need all poses and call the returned function.
     """
 
     def poses():
@@ -155,7 +156,7 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     if len(columns.runs) or len(columns.obstacle_pairs):
         segments, assigned, _ = pose_tips(columns, points, side, parked_obstacles)
         arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
-    else:  # no arm can collide with another arm
+    else:  # no arm can collide with another arm or with an obstacle
         segments, (assigned, _) = None, check_tips(columns, points, side)
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 

@@ -32,10 +32,10 @@ def find_pairs(segments, pairs, limits):
 
 
 def make_scorer(columns, setup):
-    """Return a function that counts the collisions of configurations on the GPU, where the function keeps its data.
+    """Return a function that counts the collisions of configurations on a GPU and keeps its data in GPU memory.
 
-    The function has the arguments (points, side). It returns the counts of each configuration, the number of collisions
-    of each positioner, and the number of tips out of reach.
+    The function has the arguments (points, side). It returns the counts of each configuration, the number of
+    configurations in which each positioner is in collision, and the number of tips out of reach.
     """
     _require_device()
     n, limits = len(columns.plane), setup.limits
@@ -89,6 +89,6 @@ def make_scorer(columns, setup):
 def _require_device():
     if not cuda.is_available():
         raise InputError(
-            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), but found no "
+            "the method 'cuda' needs a GPU and numba-cuda (pip install 'rfpsurvey[cuda]'), but there is no "
             "working GPU; with NUMBA_ENABLE_CUDASIM=1 in the environment, numba simulates a small GPU"
         )

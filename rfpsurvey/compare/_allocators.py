@@ -53,7 +53,7 @@ def compare_allocators(
         Whether to return the planned tiles as well, for example for the argument ``plans`` of
         `~rfpsurvey.write_report`.
     **others
-        Passed to `plan_tile`, such as ``position_angle``.
+        Further parameters of `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
@@ -64,12 +64,12 @@ def compare_allocators(
         ``colliding`` (number of positioners in collision), ``pairs`` (number of colliding pairs) and ``at_obstacles``
         (number of collisions with obstacles); ``usable`` (number of science fibers without a collision); ``loss``
         (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
-        collisions; it can be negative for allocators that ignore requirements); ``gap`` (relative difference between
-        the objective of the plan and its proven upper bound; NaN without a proven bound); ``seconds`` (time for finding
-        the targets in reach and for the allocation, without compilation). ``meta`` contains the unmet requirements of
-        each allocator, and the provenance.
+        collisions; for allocators that ignore requirements, the loss can be negative); ``gap`` (relative difference
+        between the objective of the plan and its proven upper bound; NaN without a proven bound); ``seconds`` (time for
+        finding the targets in reach and for the allocation, without compilation). ``meta`` contains the unmet
+        requirements of each allocator, and the provenance.
     dict of str to Tile
-        For the name of each allocator, the tile that this allocator planned. This dict is returned only if
+        Tiles that the allocators planned; the keys are the names of the allocators. This dict is returned only if
         ``return_tiles`` is true.
 
     Raises

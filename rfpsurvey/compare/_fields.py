@@ -42,7 +42,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Numbers of fibers, targets and collisions in the plan of a field by an allocator."""
+    """Numbers of fibers, targets and collisions in the plan that an allocator made for a field."""
 
     n_targets: int
     n_science: int

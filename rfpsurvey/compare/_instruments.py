@@ -103,12 +103,12 @@ def compare_instruments(
     instruments : list of Instrument or str, optional
         Instruments, names of presets, or paths of TOML files; by default all of `available_instruments`.
     center : SkyCoord, scalar or shape (n_fields,), optional
-        Field centers for a catalog, by default the mean direction of the catalog; or the center of all synthetic
-        fields, by default ICRS (0, 0) deg.
+        For a catalog: field centers, by default the mean direction of the catalog. For synthetic targets: the common
+        center of all fields, by default ICRS (0, 0) deg.
     allocators : list of str or callable, optional
         Allocators, see `AllocationOptions`.
     targets_per_positioner : float, optional
-        Mean number of synthetic targets per positioner on the footprint (`FocalPlane.footprint`), the same for all
+        Mean number of synthetic targets in the footprint (`FocalPlane.footprint`) per positioner, the same for all
         instruments; one by default.
     density : Quantity, optional
         Number of synthetic targets per solid angle, the same for all instruments, instead of
@@ -126,7 +126,7 @@ def compare_instruments(
         Show the progress on the standard error, or call a function with the number of finished fields and the
         total number of fields.
     **others
-        Passed to `plan_tile`, such as ``position_angle``.
+        Further parameters of `plan_tile`, such as ``position_angle``.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def compare_instruments(
         (area of the convex hull of the positioner centers); ``type`` (1: no arms can collide, 2: only arms of first
         neighbors can collide, 3: more distant arms can also collide); ``multiplicity`` (mean number of positioners that
         reach a point of the footprint); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of the footprint
-        within reach of no, one, two, and at least three positioners). Columns that describe the plans, averaged over
+        within reach of 0, 1, 2, and at least 3 positioners). Columns that describe the plans, averaged over
         the fields: ``allocator``; ``targets`` (number of science targets in reach); ``targets_per_positioner``
         (``targets`` divided by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part``
         (fraction of the positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision
@@ -145,8 +145,8 @@ def compare_instruments(
         (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
         of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss``
         (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
-        collisions; for ``optimal`` this is the fraction of targets lost to collisions; it can be negative for
-        allocators that ignore requirements); ``gap`` (relative difference between the objective of a plan and its
+        collisions; for ``optimal``, this is the fraction of targets lost to collisions; for allocators that ignore
+        requirements, the loss can be negative); ``gap`` (relative difference between the objective of a plan and its
         proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time for finding
         the targets in reach and for the allocation of a field, without compilation). ``meta`` contains the provenance,
         and states which columns can be compared between instruments.
@@ -154,8 +154,8 @@ def compare_instruments(
     Raises
     ------
     InputError
-        If a name is unknown, if two instruments have the same name, if a field has no target, or if `plan_tile` raises
-        an error.
+        If an instrument or an allocator is unknown, if two instruments have the same name, if a field has no target, or
+        if `plan_tile` raises an error.
 
     See Also
     --------

@@ -66,7 +66,7 @@ class Checkpoint:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Context manager that writes the finished designs if the scan is stopped."""
+        """Return a context manager that writes the finished designs if the scan is interrupted."""
         try:
             yield
         except BaseException:
@@ -75,7 +75,7 @@ class Checkpoint:
             raise
 
     def save(self) -> None:
-        """Write the finished designs, unless they were written recently."""
+        """Write the finished designs, unless the file was written in the last ten seconds."""
         if self._path is not None and monotonic() - self._last > EVERY:
             self._write(to_table(self.rows, self.meta))
             self._last = monotonic()

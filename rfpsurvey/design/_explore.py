@@ -45,22 +45,24 @@ def explore_designs(
 ) -> QTable:
     """Compute the coverage of many designs of fiber positioners, and the fraction of fibers lost to collisions.
 
-    A design is an infinite hexagonal lattice of equal, right-handed positioners without joint limits, whose arms
-    collide from elbow to tip. The multiplicity follows exactly from the geometry of the lattice; the numerical error of
-    the coverage is at most 4e-4. The loss is the fraction of the fibers with a target that is lost to collisions. The
-    loss has one of three definitions, and values of distinct definitions cannot be compared:
+    A design is an infinite hexagonal lattice of equal, right-handed positioners without joint limits. The part of an
+    arm that can collide is the segment from the elbow to the tip. The multiplicity follows exactly from the geometry of
+    the lattice; the numerical error of the coverage is at most 4e-4. The loss is the fraction of fibers that are lost
+    to collisions, among all fibers with a target. Losses with different definitions cannot be compared. There are three
+    definitions:
 
     * ``independent``: every positioner has its own random target, uniform over its patrol area; fibers of positioners
       in collision are lost.
     * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and every fiber
       observes one target of its queue; fibers of positioners in collision are lost.
-    * ``collision_free``: the plan avoids collisions; fibers are lost if they are idle in this plan, but have a target
-      in the best plan that ignores collisions.
+    * ``collision_free``: the plan avoids collisions; the number of lost fibers is the number of fibers with a target in
+      the best plan that ignores collisions, minus the number of fibers with a target in this plan.
 
     Parameters
     ----------
     central_arm : Quantity, scalar or shape (k,)
-        Length of the central arm. All combinations of the values of the parameters form a grid of designs.
+        Length of the central arm. All combinations of the values of ``central_arm``, ``ratio``, ``pitch`` and
+        ``clearance`` form a grid of designs.
     ratio : float or array_like of float, shape (k,)
         Length of the eccentric arm divided by the length of the central arm.
     pitch : Quantity, scalar or shape (k,)
@@ -99,23 +101,25 @@ def explore_designs(
         Table with a row for each design: ``central_arm``, ``eccentric_arm``, ``ratio``, ``pitch``, ``clearance``,
         ``min_separation`` (D); ``collision_type`` (1: no two arms can touch, 2: only arms of first neighbors can touch,
         3: more distant arms can also touch); ``multiplicity`` (patrol area divided by the area of a lattice cell);
-        ``reach_0`` to ``reach_3`` (fractions of the plane within reach of no, one, two, and at least three positioners)
-        and ``coverage`` (fraction within reach of at least one); ``targets`` (number of targets per positioner) and
-        ``empty`` (fraction of the positioners with no target in reach); ``assigned`` (number of fibers per positioner
-        that would have a target if arms could pass through each other; it is 1 for independent targets), ``loss``
-        (fraction of the assigned fibers lost to collisions), ``loss_error`` (standard error of the loss), ``usable``
-        (number of remaining fibers per positioner); ``positioners_per_area`` and ``usable_per_area``; ``estimand`` and
+        ``reach_0`` to ``reach_3`` (fractions of the plane within reach of 0, 1, 2, and at least 3 positioners) and
+        ``coverage`` (fraction within reach of at least one positioner); ``targets`` (number of targets per positioner)
+        and ``empty`` (fraction of the positioners with no target in reach); ``assigned`` (number of fibers per
+        positioner that would have a target if arms could pass through each other; it is 1 for independent targets),
+        ``loss`` (fraction of the assigned fibers lost to collisions), ``loss_error`` (standard error of the loss),
+        ``usable`` (number of assigned fibers per positioner that are not lost to collisions);
+        ``positioners_per_area`` and ``usable_per_area`` (numbers per area of the focal plane); ``estimand`` and
         ``method`` of the loss; ``n_unproven`` (number of searches that the time limit ended; if it is not 0, the loss
-        can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit, from the bounds of these
-        searches, of the number of additional fibers that better plans could assign, divided by the number of fibers
-        of the simulated lattice with a target; NaN for ``repair``, which has no bounds); ``reason`` (why a design has
+        can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit of the number of fibers
+        that better plans could add according to the bounds of these searches, divided by the number of fibers with a
+        target, in the simulated lattice; NaN for ``repair``, which has no bounds); ``reason`` (why a design has
         no values); ``pareto`` (True if no other design is at least as good in both objectives and better in one). The
         ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------
     InputError
-        If a parameter value is invalid for every design, if a name is unknown, or if the file contains another scan.
+        If a parameter is out of range, if the name of a definition or column is unknown, or if the file contains
+        another scan.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly. Designs that were already written remain in the file.
 
@@ -175,7 +179,11 @@ def scan(
     resume: bool = False,
     overwrite: bool = False,
 ) -> QTable:
-    """Return the table of the designs on ``axes`` (in mm), and of the design of an instrument if ``start`` is given."""
+    """Compute all designs of a scan and return their table.
+
+    ``axes`` contains the values or the limits of each parameter, with lengths in mm. If ``start`` is given, the table
+    also contains the design of this instrument.
+    """
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)

@@ -57,7 +57,7 @@ class Lattice:
 
     @property
     def sight(self) -> float:
-        """Smallest distance (mm) between the centers of two positioners for which the positioners cannot collide."""
+        """Smallest distance (mm) between the centers of two positioners at which the positioners cannot collide."""
         return 2 * self.radii[1] + self.separation
 
     @property

@@ -26,7 +26,7 @@ SURROGATE_ERROR = 5e-4
 SURE = 0.01
 """Smallest loss for which the relative error of the surrogate is acceptable."""
 CORE = 5.0
-"""Radius, in units of the pitch, of the center of a patch; only the 91 positioners in this center are counted."""
+"""Radius of the central region of a patch, in units of the pitch; it contains the 91 positioners that are counted."""
 
 
 class Loss(NamedTuple):
@@ -138,19 +138,19 @@ def _compare(lattice, skies, method):
 def _gap(blind, plan):
     """Return a proven upper limit of the number of fibers that a better plan could add, per assigned fiber.
 
-    Fibers are assigned in the plan ``blind``, which ignores collisions.
+    The assigned fibers are the fibers with a target in ``blind``, a plan that ignores collisions.
     """
     most = min(blind.levels[0].bound, plan.levels[0].bound)
     return max(most - plan.levels[0].value, 0.0) / max(blind.levels[0].value, 1.0)
 
 
 def _over_skies(lattice, skies, look, *, whole=False):
-    """Return the loss in the center of a patch, averaged over all realizations of the targets.
+    """Return the loss in the central region of a patch, averaged over all realizations of the targets.
 
     For each realization, ``look`` returns the number of assigned fibers, the expected number of lost fibers, whether
     the time limit ended a search, and the gap (see `Loss`). Positioners near the edge of a patch have fewer neighbors
     and are not counted. If no fiber is lost, the error is as large as if one fiber were lost. If ``whole`` is true,
-    each fiber is either lost or not lost, and the error is always at least as large as for one lost fiber.
+    the numbers of lost fibers are integers, and the error is never smaller than the error for one lost fiber.
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch

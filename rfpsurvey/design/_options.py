@@ -1,4 +1,4 @@
-"""Options for the loss, which is the fraction of fibers that a design loses to collisions, in a scan of designs."""
+"""Options that define how a scan of designs computes the loss (the fraction of fibers lost to collisions)."""
 
 from dataclasses import dataclass, field
 from numbers import Number
@@ -41,14 +41,15 @@ class LossOptions:
         number of targets per positioner then increases with the pitch.
     n_skies : int, optional
         Number of realizations of the targets over which ``conditional``, ``optimal`` and ``repair`` average the loss.
-        Each realization counts 91 positioners.
+        In each realization, 91 positioners are counted.
     time_limit : Quantity, optional
         Time limit of each search of ``optimal``.
 
     Raises
     ------
     InputError
-        If a name is unknown, if the method does not compute the estimand, or if a number is out of range.
+        If the estimand or the method is unknown, if the method does not compute the estimand, or if a number is out of
+        range.
 
     Examples
     --------

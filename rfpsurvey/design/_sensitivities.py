@@ -1,4 +1,4 @@
-"""Sensitivities of the results of designs to their parameters."""
+"""Sensitivities of the results of a scan to the parameters of the designs."""
 
 from collections.abc import Sequence
 
@@ -103,7 +103,7 @@ def _plain(table, name):
 
 
 def _polynomials(x):
-    """Return polynomials of a parameter, with mean 0, as columns."""
+    """Return the values of polynomials of a parameter as columns, each with the mean 0."""
     degree = min(DEGREE, len(np.unique(x)) - 1)
     scaled = 2 * (x - x.min()) / np.ptp(x) - 1
     block = np.polynomial.legendre.legvander(scaled, degree)[:, 1:]

@@ -11,7 +11,7 @@ SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
 
 class Tally:
-    """Numbers of targets and visits for each class of targets, such as a priority, and for each pass.
+    """Numbers of targets and visits in each pass and each class; a class is, for example, all targets of one priority.
 
     Parameters
     ----------
@@ -33,17 +33,18 @@ class Tally:
         self.n_complete = np.zeros_like(self.n_observed)
 
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Count the visits of a tile in the pass ``number`` to the targets ``slot``.
+        """Add the visits of one tile to the counts.
 
-        ``complete`` lists the targets that have now received all requested visits, and ``last`` is the pass of the last
-        visit to each of these targets.
+        ``number`` is the index of the pass of the tile, and ``slot`` contains the slots of the visited targets.
+        ``complete`` lists the targets that have now received all requested visits, and ``last`` is the index of the
+        pass of the last visit to each of these targets.
         """
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
 
 class Bookkeeping:
-    """Counts the visits of each target; the result does not depend on the order of tiles that share no target.
+    """Record of the visits of each target; tiles that share no target can be recorded in any order.
 
     Parameters
     ----------
@@ -53,7 +54,8 @@ class Bookkeeping:
     n_passes : int
         Number of passes.
     others : bool or ndarray of bool, or None
-        Whether tiles may use each standard and sky position; None if tiles may use none of them.
+        Whether tiles may use standard stars and sky positions, as one value for all or as an array with a value for
+        each target; None if tiles may use none of them.
     in_turn : bool
         Whether the passes are planned one after the other.
     """
@@ -63,7 +65,7 @@ class Bookkeeping:
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # usable standards and sky positions always have one remaining visit, so that every tile may use them
         self.left = self.wanted.copy()
-        # whether a visit to each target reduces its remaining visits; None if this is true for all targets
+        # whether a visit reduces the number of remaining visits of each target; None if this is true for all targets
         self.spends = None
         if science is not None and others is not None:
             self.left[~science & others] = 1
@@ -78,10 +80,11 @@ class Bookkeeping:
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
-        """Record a tile of pass ``number``, and return the number of its successful visits to science targets.
+        """Record the visits of a tile, and return the number of successful visits to science targets.
 
-        ``in_reach`` states whether a positioner reaches each target of the field. ``slot`` is the slot of the target of
-        each visit (-1 for blank sky), and ``observed`` states whether each visit was successful.
+        ``number`` is the index of the pass of the tile. ``in_reach`` states whether a positioner reaches each target of
+        the field. ``slot`` is the slot of the target of each visit (-1 for blank sky), and ``observed`` states whether
+        each visit was successful.
         """
         self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
         slot, observed = slot[slot >= 0], observed[slot >= 0]
@@ -107,7 +110,7 @@ class Bookkeeping:
         return done
 
     def outcomes(self) -> np.ndarray:
-        """Return the outcome of each target, an index of ``OUTCOMES``."""
+        """Return the outcome of each target as an index of ``OUTCOMES``."""
         done = self.done()
         code = _outcomes_by_flags(self.flags)
         code[done > 0] = Outcome.PARTLY_OBSERVED
@@ -124,7 +127,7 @@ class Bookkeeping:
 
 
 def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
-    """Return the outcomes of targets that were never observed."""
+    """Return the outcome that each target has if it was never observed."""
     code = np.full(len(flags), Outcome.IN_NO_FIELD, dtype=np.uint8)
     code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
     code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED

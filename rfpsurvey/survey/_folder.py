@@ -1,8 +1,8 @@
-"""A survey on disk: a part for each tile, an index of checksums, and the request.
+"""A survey on disk: a file with the result of each tile, an index with checksums, and the request.
 
-The part of a tile is a file with the result of the tile. A part receives its final name when it is complete, and the
-line of the index for this part is written afterward. Parts without a line in the index are therefore not used, and
-incomplete lines of the index are ignored.
+The file of a tile is called its *part*. A part receives its final name when it is complete, and the line of the index
+for this part is written afterward. Parts without a line in the index are therefore not used, and incomplete lines of
+the index are ignored.
 """
 
 import hashlib
@@ -38,9 +38,10 @@ class RequestFolder:
     path : str or path-like
         Path of the folder, which need not exist.
     request : dict
-        The request of the work. Unfinished work can only be continued with the same request.
+        The input and the options of the computation. An unfinished computation can only be continued with the same
+        request.
     resume : bool
-        Whether to continue unfinished work.
+        Whether to continue an unfinished computation.
     """
 
     request_name = REQUEST
@@ -104,7 +105,7 @@ class RequestFolder:
         write_bytes(self.path / self.request_name, content, sync=True)
 
     def _read(self):
-        """Read what the folder of unfinished work contains."""
+        """Read the results of unfinished work from the folder."""
 
     def _compare(self, before: dict):
         """Raise an error if the request differs from the request of the unfinished work."""

@@ -1,4 +1,7 @@
-"""The order in which tiles are planned: one after the other if they share targets, otherwise at the same time."""
+"""The order in which tiles are planned: one after the other if they share targets, otherwise at the same time.
+
+The tiles that can be planned at the same time form a *round*.
+"""
 
 import numpy as np
 
@@ -11,9 +14,9 @@ __all__ = ["ORDERS", "make_rounds"]
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
     """Return a number for each tile such that neighboring tiles have different numbers.
 
-    Tiles are neighbors if their centers are closer than ``reach_rad`` and, if ``smallest`` is true, if they belong to
-    the same group. With ``smallest``, each number is as small as possible. Otherwise, it is larger than the numbers of
-    all neighbors in earlier rows.
+    Two tiles are neighbors if their centers are closer than ``reach_rad``. If ``smallest`` is true, neighbors must also
+    belong to the same group, and each number is as small as possible. Otherwise, the number of a tile is larger than
+    the numbers of all its neighbors in earlier rows.
     """
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
@@ -46,7 +49,7 @@ def _as_given(index, reach_rad, passes):
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Functions that return the round of each tile.
+"""Functions that return the round of each tile, by the name of the order.
 
 The arguments of these functions are the spatial index of the tiles, the largest distance (rad) between the
 centers of overlapping tiles, and the pass of each tile.

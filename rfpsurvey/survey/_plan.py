@@ -66,26 +66,26 @@ def plan_survey(
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-        The targets. Targets of the kinds ``standard`` and ``sky`` are used only for requirements, and any number of
-        times.
+        The targets. Targets of the kinds ``standard`` and ``sky`` are used only to meet requirements. Each of them can
+        be used any number of times.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiling : Tiling, Table or SkyCoord
-        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
+        Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
         The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If processes plan
-        the tiles, the allocator must be given by its name; a function can only be used in threads. A plan whose search
-        ends at the time limit may not be reproducible.
+        the tiles, the allocator must be given by its name; a function can only be used in threads. If the search of
+        an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255; by default, the visits of the catalog, or one visit. A tile
-        observes a target at most once. The order of the rows of a `PartitionedCatalog` is the order in which its method
-        ``read`` returns them.
+        observes a target at most once. For a `PartitionedCatalog`, the values must be in the order in which its method
+        ``read`` returns the targets.
     passes : list of int, optional
-        Passes of the tiling to plan, in this order; by default all passes in ascending order.
+        Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, so that other tiles can observe them.
+        Whether a target counts as not observed if the arm at this target collides, so that other tiles can observe it.
     order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
@@ -93,8 +93,8 @@ def plan_survey(
         one after the other in the order ``color``, and then together, such that the number of visits increases. This
         order requires the allocator ``optimal``; requirements and required targets are not supported.
     folder : str or path-like, optional
-        Folder to which the visits of each tile are written as a FITS file. FITS allows only ASCII text. Without a
-        folder, the visits of all tiles are kept in memory.
+        Folder to which the visits of each tile are written as a FITS file. Identifiers and other text must then be
+        ASCII, because FITS allows no other characters. Without a folder, the visits of all tiles are kept in memory.
     resume : bool, optional
         Whether to continue an unfinished survey in the folder. The files of its tiles are verified, and tiles whose
         files are damaged are planned again.
@@ -102,11 +102,11 @@ def plan_survey(
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with two arguments: the number of finished tiles,
-        and the number of all tiles. The displayed rate and remaining time only include tiles that are planned in this
-        run.
+        and the number of all tiles. The displayed rate and the remaining time are computed only from tiles that are
+        planned in this run.
     rng : int, Generator or None, optional
-        Seed or random number generator; each tile has its own stream of random numbers. With None, a seed is drawn; it
-        is recorded in ``provenance`` and ``survey.json``, and is used to continue the survey.
+        Seed or random number generator; each tile has its own stream of random numbers. With None, a random seed is
+        drawn and recorded in ``provenance`` and ``survey.json``. Give this seed to continue the survey.
 
     Returns
     -------
@@ -116,9 +116,9 @@ def plan_survey(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if a name or a required identifier is unknown, if a number is out of
-        range, or if the folder is in use, contains another survey, or is not writable. The files of finished tiles
-        remain.
+        If the catalog or the tiling is empty, if the name of an instrument, allocator or order is unknown, if a
+        required target is not in the catalog, if a number is out of range, or if the folder is in use, contains another
+        survey, or is not writable. The files of finished tiles remain.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The files of finished tiles remain.
 
@@ -128,7 +128,8 @@ def plan_survey(
         If no target was observed, if required targets were never observed (``summary["unmet"]``), if identifiers occur
         twice, if the catalog has no target of a kind or category that a requirement names, if an option has no effect,
         if the tiles were placed for fields of another size, or if a table of tiles looks like a catalog of targets.
-        When a survey is continued: if the versions of the software differ or files are damaged.
+        There are also warnings if a survey is continued with other versions of the software, or if its files are
+        damaged.
 
     See Also
     --------
@@ -231,5 +232,6 @@ def _warn_of_lacks(request) -> None:
     for what, one in asked.items():
         if what not in there:
             hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
-            text = f"no target of the catalog is {what!r}, as the requirement '{one}' asks for{hint and '; ' + hint}"
+            text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
+            text += hint and "; " + hint
             warn(text)

@@ -138,7 +138,7 @@ class Request:
 
     @cached_property
     def provenance(self) -> dict:
-        """Versions of the software, instrument, catalog, tiling and parameters of the survey."""
+        """Software versions, instrument, catalog, tiling and parameters of the survey."""
         found = {
             "software": self.software,
             "instrument": self.instrument.provenance,
@@ -150,7 +150,7 @@ class Request:
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
 
     def check_text(self) -> None:
-        """Raise an error for names that FITS files cannot contain."""
+        """Raise an error if FITS files cannot contain an identifier or another text of the survey."""
         columns = {"tile ids": self.tiling.table["tile"], "positioner ids": self.instrument.focal_plane.id}
         if self.source.has_text_ids:
             columns["target ids"] = self.source.ids()

@@ -33,7 +33,7 @@ TILES = {
     "n_observed": "number of successful visits",
     "collision_rate": "n_colliding divided by n_counted",
     "fiber_use": "n_assigned divided by the number of usable positioners",
-    "completeness": "observed visits divided by requested visits, for the targets in the field",
+    "completeness": "successful visits divided by requested visits, for the targets in the field",
 }
 OUTCOME = {
     "target_id": "identifier of the target",
@@ -99,7 +99,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
 
 
 def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
-    """Return a sentence for each outcome of the required targets that were never observed."""
+    """Return sentences that name the required targets that were never observed, one sentence for each outcome."""
     if len(missed) == 0:
         return []
     code = np.full(len(source), len(OUTCOMES), dtype=np.uint8)
@@ -114,7 +114,10 @@ def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
 
 
 def completeness_table(request, state: Bookkeeping) -> QTable:
-    """Return a table with rows for each pass: one for all targets, and one for each class if there are several."""
+    """Return a table of the completeness after each pass.
+
+    Each pass has one row for all targets and, if there are several priorities or categories, one row for each of them.
+    """
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
     columns = ("priority", "category") if "category" in state.tallies else ("priority",)
     names = ("n_targets", "n_requested", "n_observed", "n_complete")

@@ -74,7 +74,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
 
 
 def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield each tile in order, with its field, its result, and whether the result was computed in this run."""
+    """Yield, for each tile of a round, its row, its field, its result, and whether this run computed the result."""
     waiting = deque()
     try:
         for tile in tiles.tolist():
@@ -138,7 +138,7 @@ def _read(folder, tile, job) -> Done | None:
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"its file lacks {', '.join(lacking)}")
-    except InputError as error:  # the checksum is correct, because the index was also changed
+    except InputError as error:  # the checksum of the damaged file is correct only if the index was also changed
         folder.distrust(tile, str(error))
         return None
     given = visits["target_row"] >= 0

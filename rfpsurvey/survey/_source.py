@@ -123,7 +123,7 @@ class InMemory:
 
 
 class Partitioned:
-    """A catalog in partitions; the most recently read ones are kept in memory, and the slot of a target is its row."""
+    """A catalog in partitions, which keeps the last used partitions in memory; the slot of a target is its row."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
         self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch
@@ -232,7 +232,7 @@ class Partitioned:
         return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
-        """Return a digest that identifies the catalog, from those columns of its files that a survey requires."""
+        """Return a digest that identifies the catalog, computed from the columns that a survey requires."""
         return self._parts.digest()
 
 

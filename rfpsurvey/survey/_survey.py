@@ -38,12 +38,13 @@ class Survey:
         ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets in the field that still
         require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
         (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
-        ``n_colliding``, ``n_counted`` (positioners with a target, or parked as obstacles), ``n_colliding_pairs``,
-        ``n_obstacle_collisions``, ``n_unmet`` (requirements that are not met; all required targets of a tile count as
-        one requirement), ``n_observed`` (successful visits to science targets), ``collision_rate``, ``fiber_use``,
-        ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
-        visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and
-        ``provenance``.
+        ``n_colliding`` (positioners in collision), ``n_counted`` (positioners that have a target or are parked),
+        ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
+        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement),
+        ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
+        ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness``
+        (visits that all tiles together made to the targets of this field, divided by the requested visits of these
+        targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
@@ -57,13 +58,13 @@ class Survey:
     folder : Path, optional
         Folder that contains the visits.
     parts : tuple of ndarray, optional
-        Array of the visits of each tile; None if the visits are in the folder.
+        One array for each tile, with the visits of this tile; None if the visits are in the folder.
     joint : QTable, optional
-        If all tiles were planned together (`JointOptions`), a table with a row for each iteration and each priority
-        (for at most eight priorities): ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this
-        priority), ``bound`` (upper bound of ``n_visits`` in any plan without collisions), ``gap``
-        (1 - ``n_visits`` / ``bound``), ``seconds`` (computing time until the end of the iteration). The entry ``joint``
-        of the summary contains the values after the last iteration.
+        If all tiles were planned together (`JointOptions`), a table with a row for each iteration and each priority:
+        ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
+        bound of ``n_visits`` in any plan without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
+        (computing time until the end of the iteration). If there are more than eight priorities, the table contains
+        eight of them. The entry ``joint`` of the summary contains the values after the last iteration.
 
     Examples
     --------
@@ -98,7 +99,7 @@ class Survey:
 
     @property
     def provenance(self) -> dict:
-        """Versions of the software, instrument, catalog and parameters of the survey."""
+        """Software versions, instrument, catalog, tiling and parameters of the survey."""
         return self.tiles.meta["provenance"]
 
     @property
@@ -129,7 +130,7 @@ class Survey:
         Raises
         ------
         InputError
-            If the survey has no such tile, or if the file with its visits is missing or damaged.
+            If the survey has no tile with this identifier, or if the file of the tile is missing or damaged.
         """
         rows = np.flatnonzero(np.asarray(self.tiles["tile"]).astype(str) == str(tile))
         if len(rows) == 0:
@@ -168,7 +169,7 @@ class Survey:
         Returns
         -------
         NotebookView
-            Object that a notebook shows.
+            Object that a notebook displays as the map.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The work on one tile: a function that depends only on its arguments, can run on any machine, and can be repeated."""
+"""The function that plans one tile; its result depends only on its arguments, and it can run on any machine."""
 
 import pickle
 from functools import cached_property, lru_cache
@@ -38,14 +38,14 @@ VISITS = {
     "target_row": "row in the catalog, -1 for blank sky",
     "positioner": "identifier of the positioner",
     "in_collision": "whether the arm collides",
-    "observed": "whether the visit counts",
+    "observed": "whether the visit counts as an observation",
     "fiber_type": "type of the fiber that is used",
     **TARGET_COLUMNS,
 }
 
 
 class Model:
-    """The data that all tiles share, which each process unpacks once.
+    """The data that all tiles of a survey share; each worker process unpacks these data only once.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ class Model:
     blank : BlankIds or None
         Identifiers of blank sky positions; None if no blank sky positions are added.
     lost_in_collision : bool
-        Whether targets whose arms collide count as not observed.
+        Whether a target counts as not observed if the arm at this target collides.
     units : dict
         Units of the additional columns of the catalog, by name.
     epoch : str or None
-        Epoch of the positions.
+        Epoch of the positions of the targets; None if no epoch was requested.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
 
 __all__ = ["Centers", "Declinations", "as_centers"]
 
-# Tolerance of the limits for rounding, radians.
+# Tolerance (radians) for rounding errors at the limits of declination.
 ROUNDING = 1e-12
 
 
@@ -26,9 +26,9 @@ class Centers:
     Parameters
     ----------
     coord : SkyCoord, Tiling or Table, optional
-        List of the allowed centers, such as bright stars or the tiles of an earlier survey. If a list is given,
-        coverings may be incomplete. The method ``given`` uses all of these centers in their order. From a tiling or a
-        table, this method also uses the identifiers, position angles, passes and further columns.
+        List of the allowed centers, such as bright stars or the tiles of an earlier survey. Tiles at these centers may
+        leave gaps in the field. The method ``given`` uses all of these centers in their order. If the list is a tiling
+        or a table, this method also keeps its identifiers, position angles, passes and further columns.
     declination : tuple of Quantity or Quantity, shape (2,), optional
         Lowest and highest declination of a center. For a site at the latitude b and a maximum zenith distance z on
         the meridian, the limits are b - z and b + z.
@@ -39,7 +39,7 @@ class Centers:
     Raises
     ------
     InputError
-        If a direction, an angle or a unit is wrong, if the lower limit exceeds the upper limit, or if no center is
+        If a direction, an angle or a unit is not valid, if the lower limit exceeds the upper limit, or if no center is
         inside the limits.
 
     Examples

@@ -31,7 +31,7 @@ def when_of(table: QTable) -> str | None:
 
 
 def convert_when(table: QTable, tile: np.ndarray) -> None:
-    """Convert times to text (UTC) and hour angles to degrees, which files of all formats preserve."""
+    """Convert the times of a table to text (UTC), or its hour angles to degrees, for files of all formats."""
     name = when_of(table)
     if name is not None:
         values = _times(table["time"], tile) if name == "time" else _hour_angles(table["hour_angle"], tile)

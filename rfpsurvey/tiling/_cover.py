@@ -99,7 +99,7 @@ def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:
 
 
 def _conservative(region, exclude, reach, radius):
-    """Return the HEALPix pixel centers that sample a region, and the largest distance of a point from such a center."""
+    """Return the centers of the HEALPix pixels that sample a region, and the largest radius of a pixel."""
     nside = _healpix.nside_for(FINE * radius)
     area = region.area.to_value("sr")
     while nside > 1 and 12 * nside**2 * min(area / (4 * np.pi) + reach / nside, 1) > MOST_SAMPLES:
@@ -122,7 +122,11 @@ def _all_inside(regions, samples, margin):
 
 
 def _needed(index, centers, radius, margin):
-    """Return the centers of circles that touch at least one pixel that no other of the circles covers completely."""
+    """Return the centers that remain after redundant circles are removed.
+
+    A circle is redundant if the remaining circles completely cover all pixels that it touches. If the radius of
+    the circles is at most twice the radius of a pixel, only circles that touch no pixel are removed.
+    """
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
     if radius <= 2 * margin:
         return centers[[len(rows) > 0 for rows in touched]]
@@ -141,7 +145,7 @@ def _needed(index, centers, radius, margin):
 
 
 def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Move centers to the nearest allowed centers, and add allowed centers while these cover additional points."""
+    """Move centers to the nearest allowed centers, and add allowed centers as long as these cover further points."""
     from scipy.spatial import cKDTree
 
     chosen = np.unique(cKDTree(allowed).query(centers)[1]) if len(centers) else np.empty(0, dtype=np.int64)
@@ -149,7 +153,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the chosen allowed centers, and additional allowed centers while these cover additional points."""
+    """Return the chosen allowed centers (``chosen`` lists their rows), and others that cover further points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

@@ -1,4 +1,4 @@
-"""Coverings of a circle on the sphere by equal circles; each covering is tested to have no gaps.
+"""Coverings of a circle on the sphere by equal circles; each covering is tested for gaps.
 
 The center of the widest empty circle between points is the circumcenter of a Delaunay triangle, and the Delaunay
 triangles of points on the sphere are the facets of their convex hull.
@@ -11,7 +11,8 @@ from rfpsurvey.errors import InputError
 __all__ = ["basis_of", "dither", "hexagonal", "lattice", "spiral", "widest_gap"]
 
 GOLDEN = np.pi * (3 - np.sqrt(5))
-# Area of a regular hexagon in a circle of radius 1. No covering by equal circles has a larger area per circle.
+# Area of a regular hexagon inscribed in a circle of radius 1. No covering by equal circles has a larger area per
+# circle.
 HEXAGON = 1.5 * np.sqrt(3)
 # The plastic number. Its inverse powers define shifts of passes that are as different as possible (Roberts 2018).
 PLASTIC = 1.32471795724474602596
@@ -49,7 +50,7 @@ def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -
 
 
 def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
-    """Return the radius of the widest circle that touches the given circle and contains none of the vectors."""
+    """Return the radius of the widest empty circle (without any of the vectors) that touches the given circle."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vectors)
@@ -69,7 +70,7 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Radius of the circle to cover in radians, at most a right angle.
+        Radius (radians) of the circle to cover, at most pi / 2.
     radius : float
         Radius of the covering circles in radians.
     number : int, optional
@@ -118,7 +119,7 @@ def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> 
     center : ndarray, shape (3,)
         Center of the circle to cover.
     reach : float
-        Radius of the circle to cover in radians, up to pi.
+        Radius (radians) of the circle to cover, at most pi.
     radius : float
         Radius of the covering circles in radians.
     number : int, optional
@@ -162,7 +163,7 @@ def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> 
 
 
 def check_number(reach: float, radius: float) -> None:
-    """Raise an error if the covering requires more tiles than fit into memory."""
+    """Raise an error if the covering requires more than ``MOST`` tiles."""
     expected = 4 * np.pi * np.sin(min(reach + radius, np.pi) / 2) ** 2 / (HEXAGON * radius**2)
     if expected > MOST:
         raise InputError(

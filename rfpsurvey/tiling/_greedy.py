@@ -10,7 +10,9 @@ from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
 __all__ = ["density_gradient", "max_density", "mean_shift", "ring"]
 
-# Lengths as fractions of the radius of the field.
+# Lengths as fractions of the radius of a tile: spacing of the candidate centers, standard deviation of the smoothing,
+# radius of the circle that determines where targets are densest, smallest step, and shifts of a tile that observes no
+# target.
 GRID = 0.1
 SIGMA = 0.5
 SEED = 0.5
@@ -40,17 +42,17 @@ def max_density(problem: TilingProblem) -> TilingState:
 
 
 def density_gradient(problem: TilingProblem) -> TilingState:
-    """Place each tile at a maximum of the smoothed density of targets, climbing from the densest target."""
+    """Place each tile at a maximum of the smoothed density of targets; the search starts where targets are densest."""
     return _follow(problem, _climb_density)
 
 
 def mean_shift(problem: TilingProblem) -> TilingState:
-    """Place each tile by repeatedly moving it to the mean of its targets, starting at the densest target."""
+    """Place each tile by repeatedly moving it to the mean of its targets, starting where targets are densest."""
     return _follow(problem, _shift_to_mean)
 
 
 def _follow(problem: TilingProblem, move: Callable) -> TilingState:
-    """Place tiles by a method that starts each tile at the target with the most targets around it."""
+    """Place tiles one after the other; each tile starts where targets are densest, and ``move`` returns its center."""
     state = TilingState(problem)
     seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
     allowed = None if problem.allowed is None else _Candidates(state, problem.allowed, problem.radius)
@@ -105,7 +107,7 @@ class _Candidates:
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the best candidate within half a radius of a direction; if there is none, return the best of all."""
+        """Return the best candidate within half a tile radius of a direction, or the best of all if there is none."""
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5 * self.state.unit:
             return self.best()
@@ -121,7 +123,7 @@ class _Candidates:
 
 
 def _grid(problem: TilingProblem) -> np.ndarray:
-    """Return HEALPix pixel centers, closer than a tenth of the radius, that have a target within one radius."""
+    """Return candidate centers with targets in their field: a HEALPix grid finer than a tenth of the tile radius."""
     fine = _healpix.nside_for(GRID * problem.radius / 1.0233)  # the side of a pixel is 1.0233 / nside
     coarse = max(_healpix.nside_for(problem.radius) // 2, 1)
     near = _near_targets(problem, _healpix.centers(coarse, np.arange(12 * coarse**2)), _healpix.pixel_radius(coarse))

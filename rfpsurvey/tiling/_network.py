@@ -1,8 +1,8 @@
 """Place tiles by network flow (Blanton et al. 2003, AJ 125, 2276, Section 4).
 
-Targets are combined into small cells, and a minimum-cost flow assigns the cells to tiles. For a cell outside a tile,
-the cost increases with the distance of the cell from the edge of the tile. Each tile then moves to the center that
-minimizes the cost of the cells assigned to it.
+Targets are combined into small cells, and a minimum-cost flow assigns the cells to tiles. If a cell lies outside its
+tile, the cost of the assignment increases with the distance of the cell from the edge of the tile. Each tile then moves
+to the center that minimizes the cost of the cells assigned to it.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ from rfpsurvey.tiling._visit import visit_all
 
 __all__ = ["sdss"]
 
-# Fractions of the radius of a tile: the largest distance between the edge of a tile and a target outside that the flow
-# can assign to the tile, and the size of the cells.
+# Lengths as fractions of the radius of a tile. The flow can assign targets outside a tile to this tile, up to the
+# distance OUTSIDE from its edge. CELL is the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
 # The cost of a visit is almost 0 inside the field, and increases from 1 to 3 beyond its edge. The last value is the
@@ -169,7 +169,10 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
 
 
 def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
-    """Assign cells to tiles at the lowest cost; return cell, tile and number of visits of each flow, and total cost."""
+    """Assign cells to tiles at the lowest total cost.
+
+    Return the cell, the tile and the number of visits of each assignment, and the total cost.
+    """
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
 

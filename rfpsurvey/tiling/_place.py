@@ -35,7 +35,7 @@ from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 __all__ = ["place_tiles"]
 
 MOST_LEVELS = 100
-"""Largest number of classes of priorities for which tiles are placed one class after the other."""
+"""Largest number of priority classes; tiles are placed for one class after the other."""
 log = logging.getLogger("rfpsurvey")
 
 
@@ -60,11 +60,10 @@ def place_tiles(
     """Place the tiles of a survey.
 
     A tile is a circle with the field radius of the instrument. As in a survey, an allocator and the collisions of
-    arms determine which targets a tile observes. Ideal fibers are used instead if no ``allocator`` is
-    given and, in addition, ``fibers`` or ``radius`` is given or there is no instrument. A tile can then observe any of
-    its targets, up to the number of fibers, and the completeness is an upper limit, as
-    ``summary["completeness_means"]`` states. A tile observes each target at most once. Only science targets are
-    counted.
+    arms determine which targets a tile observes. Without ``allocator``, ideal fibers are used instead if ``fibers`` or
+    ``radius`` is given, or if there is no instrument. A tile can then observe any of its targets, up to the number of
+    fibers, and the completeness is an upper limit, as ``summary["completeness_means"]`` states. A tile observes each
+    target at most once. Only science targets are counted.
 
     Parameters
     ----------
@@ -76,11 +75,11 @@ def place_tiles(
     method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss", "given"}, optional
         ``hexagonal``: a hexagonal lattice without gaps around the center of the field, for up to a hemisphere.
         ``spiral``: a Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: each tile in turn is
-        placed where the number of requested visits is largest. ``density_gradient``: each tile in turn climbs the
-        smoothed density of targets, starting at the densest target. ``mean_shift``: each tile in turn moves
-        repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest priority
-        first. ``sdss``: tiles are placed together by network flow; by default, as many tiles as a hexagonal lattice
-        has. ``given``: the tiles in ``centers``, in their order.
+        placed where the number of remaining visits is largest. ``density_gradient``: each tile in turn starts where
+        targets are densest, and is moved to a maximum of their smoothed density. ``mean_shift``: each tile in turn is
+        moved repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest
+        priority first. ``sdss``: tiles are placed together by network flow; by default, as many tiles as a hexagonal
+        lattice has. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
         Number of passes of the methods ``hexagonal`` and ``spiral``. Each pass covers the whole field with shifted
         tiles, even if no visits remain. If ``completeness`` or ``n_tiles`` is given, passes are instead added until
@@ -95,9 +94,9 @@ def place_tiles(
         of these targets. Without an allocator, the fibers reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
         Allocator of the positioners, which determines the targets that a tile observes, as in `plan_survey`; see
-        `AllocationOptions`. The default is ``lamost``. A target whose arm collides is not observed, see
-        `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile; circles that no arm may cover are
-        obstacles in each tile.
+        `AllocationOptions`. The default is ``lamost``. By default, a target is not observed if the arm at this target
+        collides; see `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile. Circles that no arm may
+        cover are obstacles in each tile.
     radius : Quantity, optional
         Angular radius of a tile; by default, the field radius of the instrument.
     centers : Centers, SkyCoord, Tiling or Table, optional
@@ -128,8 +127,9 @@ def place_tiles(
     Raises
     ------
     InputError
-        If there are no targets, if a name is unknown, if a unit is missing, if a number is out of range, if the method
-        requires targets but a region is given, or if the lattice would have to cover more than a hemisphere.
+        If there are no targets, if the name of a method, instrument or allocator is unknown, if a unit is missing, if a
+        number is out of range, if the method requires targets but a region is given, or if the lattice would have to
+        cover more than a hemisphere.
 
     Warns
     -----
@@ -300,7 +300,7 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
     if n_away:
         sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
     if not n:
-        sentences.append("no tile serves any target")
+        sentences.append("no tile observes any target")
     for sentence in sentences:
         warn(sentence)
 
@@ -316,7 +316,7 @@ def _wanted(catalog, visits, exclude):
     wanted[in_any(exclude, catalog.arrays.vectors)] = 0
     if not wanted.any():
         raise InputError(
-            "the catalog must have at least one science target that requires a visit and lies outside of exclude"
+            "the catalog must have at least one science target that requires a visit and is not in a region of exclude"
         )
     return wanted
 
@@ -373,7 +373,7 @@ def _table(vectors, number) -> QTable:
 
 
 def _finish(table, angles, summary, columns) -> Tiling:
-    """Return the tiling after the position angles, further columns and the summary are added to its table."""
+    """Return a tiling: the table of its tiles, with position angles, further columns and the summary added."""
     table, n = table.copy(), len(table)
     table["position_angle"] = np.resize(angles, n).astype(float) * u.deg
     for name, values in columns.items():

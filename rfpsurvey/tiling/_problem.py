@@ -33,7 +33,7 @@ class TilingProblem:
     n_beyond: int = 0
     """Number of requested visits that no tile within the limits can make; ``wanted`` does not include these visits."""
     tiles: Tiling | None = None
-    """List of the centers of tiles and their passes, for the method that evaluates an existing tiling."""
+    """The tiles of an existing tiling, for the method ``given``."""
     level: np.ndarray | None = None
     """Priority class of each target, 0 for the highest priority; None if all targets have the same priority."""
     tell: Callable | None = None
@@ -63,9 +63,9 @@ class TilingState:
     left: np.ndarray = field(init=False)
     """Number of remaining visits of each target."""
     hopeless: np.ndarray = field(init=False)
-    """Targets for which no more tiles are placed, because a tile placed on them observed no target."""
+    """For each target, whether no more tiles are placed for it, because a tile near it observed no target."""
     chances: np.ndarray | None = None
-    """Number of later tiles that cover each target; None if it is unknown."""
+    """Number of later tiles that cover each target; None if these numbers are unknown."""
     rows: list = field(default_factory=list)
     """A tuple for each tile: center, pass, targets that require a visit, targets that it observes, completeness."""
 

@@ -28,11 +28,11 @@ class Fibers:
         Largest number of targets that a tile observes; by default the number of positioners that are neither disabled
         nor stuck.
     min_separation : Quantity, optional
-        Minimum angular separation of the targets that a tile observes. It applies only to ideal fibers, which reach
-        any target of the field, and is not allowed with an allocator.
+        Minimum angular separation of the targets that a tile observes. This parameter applies only to ideal fibers,
+        which reach any target of the field, and is not allowed with an allocator.
     lost_in_collision : bool, optional
-        Whether targets whose arms collide count as not observed, as in `~rfpsurvey.plan_survey`. It applies only if an
-        allocator plans the tiles.
+        Whether a target counts as not observed if the arm at this target collides, as in `~rfpsurvey.plan_survey`. This
+        parameter applies only if an allocator plans the tiles.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class FreeFibers:
         self.means = "an upper limit: each fiber reaches any target of its field, and no arms collide"
 
     def __call__(self, center, near, state):
-        """Return the targets that a tile observes; ``near`` lists the targets that require a visit in its field."""
+        """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         if self.neighbors is None and len(near) <= self.fibers:
             return near
         keys = [np.arange(len(near))]
@@ -139,7 +139,7 @@ class FocalPlaneFibers:
     index : SkyIndex
         Spatial index of the targets.
     fibers : Fibers
-        Largest number of targets, and whether targets whose arms collide are lost.
+        Largest number of observed targets, and whether a target is lost if the arm at this target collides.
     angles : ndarray
         Position angles in radians: one value for each tile, or one value for all tiles.
     seed : int
@@ -167,7 +167,7 @@ class FocalPlaneFibers:
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
-        """Return the targets that a tile observes; ``near`` lists the targets that require a visit in its field."""
+        """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
         plane = self.instrument.field_projection(
@@ -193,7 +193,7 @@ class FocalPlaneFibers:
         return near[served]
 
     def _candidates(self, center, near, state):
-        """Return the targets that may be assigned, in row order, and the directions that blank sky must avoid."""
+        """Return the targets that can be assigned, in the order of rows, and directions that blank sky must avoid."""
         others, rest = self.science is not None and bool(self.options.requirements), None
         if others:  # every tile may use standards and sky positions
             use = np.where(self.science, state.left > 0, True).astype(np.float64)
@@ -205,9 +205,9 @@ class FocalPlaneFibers:
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each direction, the other directions that are closer than an angle.
+    """Return, for each direction, the other directions that are closer than ``separation_rad``.
 
-    The result is the arrays ``indptr`` and ``indices`` of compressed rows.
+    The two arrays of the result are ``indptr`` and ``indices`` of a matrix in compressed rows.
     """
     from scipy.spatial import cKDTree
 

@@ -171,7 +171,7 @@ class Tiling:
             are accepted; their angles are in degrees unless ``units`` specifies other units.
         columns : dict, optional
             Dict from role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns whose
-            names are not common.
+            names are not recognized.
         units : dict, optional
             Dict from role to unit, for columns without a unit, for example ``{"ra": "deg", "dec": "deg"}``.
 
@@ -224,7 +224,7 @@ class Tiling:
 
     @classmethod
     def read(cls, path: str | os.PathLike, columns: dict | None = None, units: dict | None = None) -> "Tiling":
-        """Read a tiling from a file: one written by this package, or any list of tiles.
+        """Read a tiling from a file that this package wrote, or from a file with another list of tiles.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class Tiling:
             FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. CSV files have no units; degrees are
             assumed.
         columns, units : dict, optional
-            As in `from_table`.
+            Names and units of the columns, as in `from_table`.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Observe the tiles of a list, either in the order of the list or with the most remaining targets first."""
+"""Observe the tiles of a list, in the order of the list or in the order of their numbers of remaining targets."""
 
 import heapq
 
@@ -41,7 +41,7 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
 
 
 def visit_given(problem: TilingProblem) -> TilingState:
-    """Observe the tiles of the list in the order of the list, either all tiles or until the goal is reached."""
+    """Observe the listed tiles in their order until the goal is reached; without a goal, observe all tiles."""
     state = TilingState(problem)
     for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
         if state.done and not problem.open_ended:

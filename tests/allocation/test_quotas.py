@@ -58,8 +58,8 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
         ({"required": [[1]]}, r"required must be row numbers of targets \(whole numbers\), got int64 of the shape"),
         ({"required": [-1, 2]}, "required must be row numbers of targets, 0 to 5, got -1 to 2"),
         ({"required": 6}, "required must be row numbers of targets, 0 to 5, got 6 to 6"),
-        ({"forbidden": [0, 1]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
-        ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be rows \(positioner, target\) of whole numbers"),
+        ({"forbidden": [0, 1]}, r"forbidden must be pairs \(positioner, target\) of row numbers"),
+        ({"forbidden": [[0.0, 1.0]]}, r"forbidden must be pairs \(positioner, target\) of row numbers"),
         (
             {"forbidden": [[3, 0]]},
             "forbidden must contain rows of positioners from 0 to 2 and rows of targets from 0 to 5",

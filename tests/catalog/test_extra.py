@@ -74,7 +74,7 @@ def test_columns_of_results_are_reserved():
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({"n": [1, 2]}, "columns of extra must have one value per target, 4, got 2"),
+        ({"n": [1, 2]}, "columns of extra must have one value for each of the 4 targets, got 2 values"),
         ({"n": [[1, 2]] * 4}, r"column 'n' in keep must contain .* got the type int64 and the shape \(4, 2\)"),
         ({"t": Time([2000, 2001, 2002, 2003], format="jyear")}, "column 't' in keep must contain .* got a Time"),
         ({"c": [1j] * 4}, "column 'c' in keep must contain"),

@@ -180,7 +180,7 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):
             rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
-    with pytest.raises(rs.InputError, match=r"epoch differ \(epoch was None and is now 2026.5\)"):
+    with pytest.raises(rs.InputError, match=r"epoch differs \(epoch was None and is now 2026.5\)"):
         rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey", resume=True, epoch=2026.5)
 
 
@@ -243,7 +243,7 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
     write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
     write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
     with pytest.raises(
-        rs.InputError, match="columns must have one type in all partitions: the column id contains numbers and text"
+        rs.InputError, match="must have the same type in all partitions: the column id contains numbers and text"
     ):
         rs.PartitionedCatalog(tmp_path / "ids").read()
     with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):

@@ -50,7 +50,7 @@ def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
     code, out, err = run("plan", "--instrument", "sdss_apo", "--output", path)
     assert (code, err) == (0, "")
     told = (
-        f"{path} will not contain the outcomes of targets; to keep the outcomes, write a .fits file, which can "
+        f"{path} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, which can "
         "hold two tables"
     )
     assert (told in out.splitlines()) == (rs.Tile.read(path).outcomes is None) == (".ecsv" in name)

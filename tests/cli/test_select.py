@@ -58,7 +58,7 @@ def test_visits_and_passes(run, files, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--output", "selection.csv"), "selection.csv: the name of this output must end in .fits"),
+        (("--output", "selection.csv"), "selection.csv: the name of this output file must end in .fits"),
         (("--resume",), "resume requires the folder of the work to continue"),
         (("--visits", 300), "--visits must be whole numbers from 0 to 255"),
         (("--allocator", "nearer"), "unknown allocator 'nearer'"),

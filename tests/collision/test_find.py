@@ -258,7 +258,7 @@ def test_the_fold_bound_is_sharp():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from the center of the positioner is 30 mm"),
+        ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from .* must be .* to .* mm, got 30 mm"),
         ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
         ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
         ({}, "either tips, or both theta and phi, must be given"),

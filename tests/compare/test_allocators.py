@@ -180,7 +180,7 @@ def test_commands(run, tmp_path, crowded):
     assert "gap to the best plan                  0.0000" in said
     code, said, err = run("plan", path, "--instrument", "lamost", "--require", "instrument", "--require", "sky=2")
     assert code == 2
-    assert "must be the only --require" in err
+    assert "must be the only option --require" in err
     code, said, err = run("plan", path, "--instrument", "moons", "--require", "skies")
     assert code == 2
     assert "a requirement must have a form such as" in err

@@ -335,7 +335,7 @@ def test_arguments_that_do_not_fit_are_refused(folder):
     desi_files.metrology(folder / "fp.csv", per_petal=FEW)
     plane, log = (next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state"))
     for path, options, sentence in (
-        (folder, {"time": "2019-01-01"}, "time must not be before the first event, 2020-01-01"),
+        (folder, {"time": "2019-01-01"}, "time must not be before the first focal plane, 2020-01-01"),
         (folder, {"time": "soon"}, "time must be a Time or text such as .*, got 'soon'"),
         (folder, {"time": 3}, "time must be a Time or text such as .*, got 3"),
         (plane, {"time": "2021-01-01"}, "time must be None without a state, got 2021-01-01"),

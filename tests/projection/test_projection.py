@@ -116,10 +116,10 @@ def test_a_map_that_turns_over_is_refused():
     with pytest.raises(rs.InputError, match="must increase from the center"):
         rs.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # the radial map has a maximum at 0.577 deg
     rs.RadialMap("theta", [1, -1], max_angle=0.57 * u.deg)
-    with pytest.raises(rs.InputError, match="must rise"):
+    with pytest.raises(rs.InputError, match="must increase"):
         # the sine form is not defined beyond 90 deg
         rs.RadialMap("sine", [60.0], max_angle=1.6 * u.deg, radius=1 * u.m)
-    with pytest.raises(rs.InputError, match="must rise"):
+    with pytest.raises(rs.InputError, match="must increase"):
         rs.RadialMap("theta", [-1.0], max_angle=1 * u.deg)
 
 
@@ -222,7 +222,7 @@ def test_units_of_a_map_and_rotation_of_a_focal_length():
     for angle in (0.1, 0.7, 1.0):
         assert in_arcmin.to_radius(angle * u.deg).value == pytest.approx(in_deg.to_radius(angle * u.deg).value)
     # the radial map has a maximum at tan(theta) = 0.577, theta = 30 deg
-    with pytest.raises(rs.InputError, match="must rise"):
+    with pytest.raises(rs.InputError, match="must increase"):
         rs.RadialMap("tan_theta", [1, -1], max_angle=30.1 * u.deg)
     rs.RadialMap("tan_theta", [1, -1], max_angle=29.9 * u.deg)
     center = SkyCoord(1, 2, unit="deg")

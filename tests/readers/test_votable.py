@@ -110,4 +110,5 @@ def test_the_number_of_tables_and_columns_of_a_votable(tmp_path):
     fields = '<FIELD name="a" datatype="short"/>' * 10_001
     assert "a table must have at most 10000 columns, got more" in refusal(write(path, b"", fields=fields))
     write(path, row(1, *TARGETS[0]), fields=COORDINATES + '<FIELD name="id" datatype="text" arraysize="*"/>')
-    assert "the column id must have a datatype and an arraysize of VOTable, got 'text' and '*'" in refusal(path)
+    refused = "the column id must have a datatype and an arraysize that VOTable defines, got 'text' and '*'"
+    assert refused in refusal(path)

@@ -210,7 +210,7 @@ def test_refused_folders(case, tmp_path):
     same(compute(case, folder, 2, resume=True), rs.SelectionProbabilities.read(folder))
     with pytest.raises(rs.InputError, match="holds a computation of selection probabilities; continue it"):
         compute(case, folder, 2)
-    with pytest.raises(rs.InputError, match="n_realizations differ .n_realizations was 2 and is now 3"):
+    with pytest.raises(rs.InputError, match="n_realizations differs .n_realizations was 2 and is now 3"):
         compute(case, folder, 3, resume=True)
     with pytest.raises(rs.InputError, match="lost_in_collision differ"):
         compute(case, folder, 2, resume=True, lost_in_collision=False)

@@ -329,7 +329,7 @@ def test_another_survey_in_the_folder_is_refused(case, tmp_path, folder):
     for other, name in (((sky, renamed, tiling), "instrument"), ((ranked, small, tiling), "catalog")):
         with pytest.raises(rs.InputError, match=f"holds another survey: .*{name}"):
             plan(other, folder, resume=True)
-    with pytest.raises(rs.InputError, match=r"rng differ \(rng was 0 and is now 5\)"):
+    with pytest.raises(rs.InputError, match=r"rng differs \(rng was 0 and is now 5\)"):
         plan(case, folder, resume=True, rng=5)
     (tmp_path / "papers").mkdir()
     (tmp_path / "papers" / "thesis.tex").touch()

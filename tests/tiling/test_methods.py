@@ -304,7 +304,7 @@ def test_centers_too_few_are_a_warning(method):
 
 def test_no_center_near_any_target_is_a_warning(method):
     far = SkyCoord([200] * DEG, [-60] * DEG)
-    with pytest.warns(rs.RfpsurveyWarning, match="no tile serves any target"):
+    with pytest.warns(rs.RfpsurveyWarning, match="no tile observes any target"):
         tiling = rs.place_tiles(sky(n=20), radius=1 * DEG, fibers=20, method=method, centers=far)
     assert len(tiling) == 0
     assert "n_new" in tiling.table.colnames
@@ -344,10 +344,10 @@ def test_few_targets(method, coord):
         ({"radius": None}, "an instrument or the radius"),
         ({"allocator": "lamost"}, "an allocator needs the positioners of an instrument"),
         ({"visits": [1, 2]}, "visits must be one number or have the shape"),
-        ({"visits": 0}, "at least one science target that requires a visit and lies outside of exclude"),
+        ({"visits": 0}, "at least one science target that requires a visit and is not in a region of exclude"),
         (
             {"exclude": rs.Region.whole_sky()},
-            "at least one science target that requires a visit and lies outside of exclude",
+            "at least one science target that requires a visit and is not in a region of exclude",
         ),
         ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
         (

@@ -18,7 +18,7 @@ class FixedTile(NamedTuple):
     """Slot of the target of each positioner; -1 if the positioner has no target."""
     side: np.ndarray
     counted: np.ndarray
-    """Whether the visit of each positioner counts."""
+    """Whether the visit of each positioner counts as an observation."""
 
 
 def fixed_tiles(request) -> dict[int, FixedTile]:
@@ -27,8 +27,8 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     Raises
     ------
     InputError
-        If the fixed survey has another instrument or other targets, if it has no tile of the tiling, or if it contains
-        more visits of a target than requested.
+        If the fixed survey has another instrument or other targets, if it contains none of the tiles of the tiling, if
+        it contains more visits of a target than requested, or if its positioners have the handedness ``both``.
     """
     given = request.joint.fixed
     if given is None:
@@ -64,7 +64,9 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         if (left[slot[own]] < 0).any() or (request.open_state().left[slot[own]] == 0).any():
             worst = slot[own][np.argmin(left[slot[own]])]
             row = int(np.flatnonzero(slot_of_row == worst)[0])
-            raise InputError(f"fixed must not have more visits of a target than requested, got too many of {ids[row]}")
+            raise InputError(
+                f"fixed must not have more visits of a target than requested, got too many visits of target {ids[row]}"
+            )
         found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
     if not found:
         raise refusal("fixed must be a survey with at least one tile of the tiling", given)
@@ -74,7 +76,8 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
 def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:
     """Return the candidates of a fixed tile, one for each positioner.
 
-    ``slots`` lists the slots of all targets in the field of the tile. Visits that do not count are omitted.
+    ``slots`` lists the slots of all targets in the field of the tile. Visits that do not count as observations
+    are omitted.
     """
     n = len(fixed.slot)
     order = np.argsort(slots, kind="stable")

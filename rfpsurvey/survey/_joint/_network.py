@@ -1,6 +1,7 @@
 """All tiles of a survey as one problem: candidates of all positioners, and sets that limit the use of candidates.
 
-A *candidate* is a possible target of a positioner, with the elbow of the arm. The idle arm is also a candidate.
+A *candidate* is a possible target of a positioner, with the elbow of the arm. The idle arm is also a candidate. A plan
+uses exactly one candidate of each positioner, and a limited number of candidates of each *set*.
 """
 
 from dataclasses import dataclass
@@ -20,18 +21,22 @@ class Network:
     """Candidates of the positioners of all tiles; the last candidate of each positioner is its idle arm."""
 
     start: np.ndarray
-    """First candidate of each positioner, followed by the number of candidates."""
+    """Index of the first candidate of each positioner, followed by the number of all candidates."""
     target: np.ndarray
     """Index of the target of each candidate; -1 for idle arms."""
     side: np.ndarray
     rank: np.ndarray
     """Priority class of the target of each candidate, 0 for the highest priority; ``n_classes`` for idle arms."""
     first: np.ndarray
-    """First positioner of each tile, followed by the number of positioners of all tiles."""
+    """Index of the first positioner of each tile, followed by the number of positioners of all tiles."""
     free: np.ndarray
-    """Whether some candidates of each positioner were omitted."""
+    """For each positioner, whether some of its candidates were omitted."""
     matrix: csr_array
-    """Sets of candidates, one per row: cliques (of which a plan uses at most one candidate), then sets of targets."""
+    """Matrix with a row for each set and a column for each candidate.
+
+    The first sets are cliques; a plan uses at most one candidate of each clique. Each further set contains all
+    candidates with the same target.
+    """
     most: np.ndarray
     """Largest number of candidates of each set that a plan may use."""
     slot: np.ndarray
@@ -60,7 +65,7 @@ class Network:
         return np.bincount(self.rank[chosen], minlength=self.n_classes + 1)[: self.n_classes]
 
     def holds(self, chosen: np.ndarray) -> bool:
-        """Return whether the plan ``chosen`` has no collisions, and no target has more visits than requested."""
+        """Return whether the plan ``chosen`` has no collisions and no target with more visits than requested."""
         own = np.arange(len(self.start) - 1)
         inside = (chosen >= self.start[:-1]) & (chosen < self.start[1:])
         x = np.zeros(len(self.target))
@@ -120,7 +125,7 @@ def make_network(tiles: list[TileCandidates], slots: list, visits: np.ndarray, c
     indptr = [np.zeros(1, dtype=np.int64), *(t.indptr[1:] + e for t, e in zip(tiles, ends, strict=False))]
     column = [tile.column + o for tile, o in zip(tiles, offset, strict=False)]
     n_cliques = sum(map(len, indptr)) - 1
-    # Make a set for each target that can be observed by more tiles than the number of visits that it requires.
+    # Make a set for each target for which the number of tiles that can observe it exceeds the requested visits.
     own_tile = np.repeat(np.arange(len(tiles)), np.diff(offset))
     real = np.flatnonzero(target >= 0)
     real = real[np.lexsort((real, target[real]))]

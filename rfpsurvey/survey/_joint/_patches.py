@@ -15,8 +15,8 @@ PRECISION = 0.5
 def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
     """Divide positioners into patches of at most about ``size`` candidates, and return the patch of each positioner.
 
-    The positioners are divided at medians along coordinates that are rotated at random. Positioners with only one
-    candidate belong to no patch, which is indicated by -1.
+    Groups of positioners are divided repeatedly, usually at the median of a coordinate. The coordinate axes are rotated
+    at random. Positioners with only one candidate belong to no patch, which is indicated by -1.
     """
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     load = np.diff(network.start)
@@ -44,7 +44,7 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
 
 
 class Patches:
-    """The patches of one division, and the sets that contain candidates of several patches."""
+    """The patches of one division of the positioners, and the sets that contain candidates of several patches."""
 
     def __init__(self, network: Network, label: np.ndarray):
         self.network, self.label = network, label
@@ -92,7 +92,7 @@ class Patches:
     def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the candidates of a patch, and the index of the first candidate of each positioner.
 
-        The last index is the number of candidates.
+        The array of indices ends with the number of candidates.
         """
         members, start = self._members[patch], self.network.start
         size = start[members + 1] - start[members]
@@ -113,7 +113,7 @@ class Patches:
         return bool(unmet[network.target[rows]].any())
 
     def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
-        """Return the candidates of a patch that are possible if no arm outside of it moves, and its integer program.
+        """Return the candidates that a patch can use while all other arms remain fixed, and its integer program.
 
         ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
         """
@@ -140,7 +140,7 @@ class Patches:
         return rows, WeightedProblem(start, weight[rows], *args)
 
     def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
-        """Return the integer program of a patch without the sets that contain candidates of several patches."""
+        """Return the integer program of a patch; sets that contain candidates of several patches are omitted."""
         network = self.network
         rows, ends = self.candidates(patch)
         part = network.columns[:, rows]

@@ -9,8 +9,8 @@ from rfpsurvey.survey._joint._network import Network
 
 __all__ = ["Paths"]
 
-# Largest number of positioners in a path. The search uses these depths one after the other, because short paths are
-# found much faster.
+# Depths, that is, largest numbers of positioners in a path. The search uses these depths one after the other, because
+# short paths are found much faster.
 DEPTHS = (4, 16, 64, 256)
 # Largest number of times that the search considers all targets of a class for each depth.
 PASSES = 20

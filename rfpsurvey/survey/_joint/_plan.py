@@ -69,7 +69,8 @@ class Together:
             tell = partial(_tell, self._progress, 0, steps + n)
         with Progress(tell, steps, "steps") as tell:
             if stored is None:
-                plans = first_plans(request, fixed, self._executor, partial(tell, note="tiles one after the other"))
+                note = "planning one tile after the other"
+                plans = first_plans(request, fixed, self._executor, partial(tell, note=note))
             else:
                 plans = [TilePlan(*columns) for columns in stored.plans]
                 tell(n, new=False)
@@ -111,7 +112,7 @@ def _store(folder, network, search) -> None:
 
 
 def table_of(search: Search, names: list[str]) -> QTable:
-    """Return a table with a row for each iteration and level; its meta contains the values after the last iteration."""
+    """Return a table with a row for each iteration and priority; its meta contains the values of the last iteration."""
     rows = []
     for step in search.steps:
         for k, level in enumerate(search.levels.tolist()):

@@ -1,7 +1,7 @@
 """The search for a joint plan: prices, integer programs for patches of the sky, and upper bounds.
 
 A *level* is a priority class together with all classes of higher priority. A plan may use only a limited number of
-candidates of each set; the *price* of a set is the multiplier of this constraint in the upper bound.
+candidates of each set. The *price* of a set is the Lagrange multiplier of this constraint in the upper bound.
 """
 
 from collections.abc import Callable
@@ -22,11 +22,11 @@ __all__ = ["Search", "Step"]
 
 # Widths of the smooth maximum, and the number of sweeps over all prices for each width.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
-# Fraction of the time limit that is available for the prices before the first iteration.
+# Fraction of the time limit that is available for computing the prices before the first iteration.
 FOR_PRICES = 0.15
 # Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
-# Largest number of nodes of the search tree of an integer program that improves a plan, and of one that gives a bound.
+# Largest number of nodes of a search tree, for integer programs that improve a plan, and for those that give a bound.
 NODES, NODES_OF_BOUND = 300, 100
 # Allowed relative error of an integer program that gives a bound; the bound is valid whatever the error is.
 GAP = 2e-4
@@ -53,7 +53,7 @@ class Step(NamedTuple):
 
 
 class Search:
-    """A plan of all tiles and upper bounds of its numbers of visits, which are improved in iterations.
+    """A plan of all tiles, and upper bounds of the number of visits; each iteration can improve the plan or a bound.
 
     ``chosen`` is the candidate of each positioner in the first plan; ``directions`` are unit vectors of the centers
     of all positioners.
@@ -67,7 +67,7 @@ class Search:
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
-        # A bound is computed again only with patches that are larger than those that did not lower this bound.
+        # If the patches of an iteration do not lower a bound, the bound is next computed with larger patches.
         self._next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
@@ -75,7 +75,7 @@ class Search:
 
     @property
     def next_size(self) -> np.ndarray:
-        """Size of the patches from which on the bound of each level is computed again; smaller patches do not help."""
+        """For each level, the size that the patches must reach before its bound is computed again."""
         return self._next_size
 
     @property
@@ -111,7 +111,7 @@ class Search:
 
     @property
     def seconds(self) -> float:
-        """Time of the search, including the time before it was continued."""
+        """Duration of the search in seconds, including the time before a search was interrupted and continued."""
         return self.spent + perf_counter() - self._begin
 
     @property
@@ -125,7 +125,7 @@ class Search:
         return self.seconds >= self.options.seconds
 
     def _out_of_time_for_prices(self) -> bool:
-        """Return whether the time for the prices before the first iteration has passed."""
+        """Return whether the time for computing the prices before the first iteration has passed."""
         return self.seconds >= FOR_PRICES * self.options.seconds
 
     def _deadline(self) -> float:
@@ -193,7 +193,7 @@ class Search:
     def _bound(self, level, patches, executor):
         """Lower the bound of a level by solving the patches as integer programs.
 
-        In these programs, prices replace the sets that contain candidates of several patches.
+        In these programs, prices replace the constraints of the sets that contain candidates of several patches.
         """
         prices, network = self._prices_of(level), self.network
         if network.free.any():

@@ -81,7 +81,7 @@ def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tu
         options = replace(request.options, allocator=ListCandidates(keep))
         jobs.append(_bare(job)._replace(model=_model(request, options)))
     found = map_in_order(executor, _list, jobs)
-    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # fixed positioners are in no patch
+    nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(found) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
     return make_network(list(tiles), slots, state.left, class_of(request, state.left)), np.concatenate(vectors)
@@ -97,7 +97,7 @@ def class_of(request, wanted: np.ndarray) -> np.ndarray:
 
 
 def class_names(request) -> list[str]:
-    """Return the name of each class of `class_of`: its priority."""
+    """Return the names of the classes that `class_of` returns; the name of a class is its priority."""
     priority = request.source.by_slot("priority")
     wanted = request.open_state().left
     if priority is None or not (wanted > 0).any():
@@ -106,7 +106,7 @@ def class_names(request) -> list[str]:
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
-    """Return the candidate of each positioner in the plans; a positioner is idle if its target is no candidate."""
+    """Return the planned candidate of each positioner, or its idle arm if its target is not among its candidates."""
     slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
     place = np.searchsorted(network.slot, slot)
     target = np.where(slot >= 0, place, -2)

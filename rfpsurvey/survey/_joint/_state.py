@@ -1,4 +1,4 @@
-"""The state of the search for a joint plan in the folder of a survey."""
+"""The state of the search for a joint plan, which is stored in the folder of a survey."""
 
 import io
 from typing import NamedTuple
