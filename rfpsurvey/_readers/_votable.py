@@ -79,7 +79,7 @@ class _Contents:
         try:
             self._parser.ParseFile(file)
         except self._error as error:
-            raise InputError(f"{self._path} cannot be read as votable: {error}") from None
+            raise InputError(f"{self._path} cannot be read as a VOTable: {error}") from None
 
     def _start(self, name, attributes):
         name = name.rpartition(":")[2]

@@ -49,7 +49,7 @@ class Candidates:
     def relaxed(self) -> "Candidates":
         """Return a copy in which some collisions are omitted, so that its best plan gives an upper bound for all plans.
 
-        The candidates that can replace omitted candidates (`replaceable`) have no collisions in the copy. The bound is
+        The copy contains no collisions of candidates that can replace omitted candidates (`replaceable`). The bound is
         therefore also valid for plans that use omitted candidates.
         """
         o, plane = self.options, self.problem.focal_plane

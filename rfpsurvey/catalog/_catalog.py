@@ -270,7 +270,7 @@ class Catalog:
         Parameters
         ----------
         path : str or path-like
-            Path of the file, or ``example:anticenter``. The extension (before ``.gz``) determines the format.
+            Path of the file, whose extension (before ``.gz``) determines the format, or ``example:anticenter``.
         columns, units : dict, optional
             As in `from_table`.
         frame : str, optional

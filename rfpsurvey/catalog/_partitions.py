@@ -94,10 +94,8 @@ class PartitionedCatalog:
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         if not self.parts.files:
-            files = "files such as Norder=5/Dir=0/Npix=77.parquet"
-            raise InputError(
-                f"{self.folder} must contain partitions, which are {files}, got a folder without partitions"
-            )
+            files = "(files such as Norder=5/Dir=0/Npix=77.parquet)"
+            raise InputError(f"{self.folder} must contain partitions {files}, got a folder without partitions")
         given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
         said = given.pop("nrows", None)
         object.__setattr__(self, "columns", {**given, **(self.columns or {})})

@@ -364,14 +364,14 @@ class FocalPlaneArrays:
         return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Convert angles from the convention of the kernels (see `Joints`) to joint angles."""
+        """Convert angles from the convention of the kernels (see ``Joints``) to joint angles."""
         if self.joints is None:
             return theta, phi
         own, fiber = self.rows_of(own, fiber)
         return self.joints.from_kernel(theta, phi, own, fiber)
 
     def from_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
-        """Convert joint angles to the convention of the kernels (see `Joints`)."""
+        """Convert joint angles to the convention of the kernels (see ``Joints``)."""
         if self.joints is None:
             return theta, phi
         theta_zero, phi_zero = self.joints.zeros(*self.rows_of(own, fiber))

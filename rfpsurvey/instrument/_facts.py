@@ -19,7 +19,8 @@ N_PIECES = 8
 sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field is named after a shape if the mean difference between their radii is below this value (mean radius: 1)."""
+"""A field is named after a shape if, on average over all directions, the radii of their outlines differ by less than
+this fraction of the mean radius."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",

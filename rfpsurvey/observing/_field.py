@@ -1,4 +1,4 @@
-"""The projection of one field under observing conditions, on arrays without units."""
+"""The projection of one field for given observing conditions; its methods use arrays without units."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
 
 
 class ObservedField:
-    """The projection of a field onto the focal plane under observing conditions, for arrays without units.
+    """Projection of a field onto the focal plane for given observing conditions; arrays have no units.
 
     The telescope follows the field center at the guide wavelength: the image of the center is at (0, 0) mm. The rotator
     removes the rotation of the field: the field is oriented such that, close to its center, the mean rotation relative

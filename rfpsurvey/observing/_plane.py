@@ -1,4 +1,4 @@
-"""Projection between sky and focal plane under observing conditions."""
+"""Projection between the sky and the focal plane for given observing conditions."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,7 @@ __all__ = ["ObservedPlane"]
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class ObservedPlane(TangentPlane):
-    """Projection of the sky around a field center onto the focal plane, under observing conditions.
+    """Projection of the sky around a field center onto the focal plane, for given observing conditions.
 
     The projection includes refraction and the dependence of refraction on the wavelengths of fiber types. For
     conditions with a time, the projection also includes aberration and precession. The telescope follows the field

@@ -48,7 +48,10 @@ NATIVE = {
     "ra_fiber": "ra",
     "dec_fiber": "dec",
 }
-"""Name of each column in a plan, and its name in a file. The values are the same, except for missing numbers."""
+"""Name of each column in a plan, and its name in a file.
+
+The values are the same, except that missing numbers are represented differently.
+"""
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
 

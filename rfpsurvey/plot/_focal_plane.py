@@ -56,7 +56,7 @@ def plot_focal_plane(
     classification, such as ``"kind"``, assigned targets are larger dots, and other targets of the class are smaller
     dots of the same color.
 
-    The arrows show north and east, which depend on the position angle of the tile. An instrument is drawn at the
+    The arrows show north and east, which depend on the position angle of the tile. An instrument is drawn at
     position angle 0.
 
     Parameters

@@ -52,7 +52,7 @@ class ArmOutline:
     Attributes
     ----------
     parts : tuple of (ndarray of float, shape (k, 2), float)
-        Counter-clockwise vertices and radius of each part as numbers, mm; eccentric parts are first.
+        Counter-clockwise vertices and radius of each part, in mm without units; eccentric parts are first.
     n_eccentric : int
         Number of eccentric parts.
 

@@ -134,7 +134,7 @@ ESTIMANDS = {
 
 
 SHORT = 2.0
-"""Number of targets per positioner below which ``monte_carlo`` reaches a precision sooner than ``conditional``."""
+"""If there are fewer targets per positioner than this number, ``monte_carlo`` is faster than ``conditional``."""
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:

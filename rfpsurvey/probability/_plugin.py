@@ -37,7 +37,7 @@ def find_method(
 
 
 def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
-    """Call a plugin with a question, and return its result with all fields that an `Estimate` has."""
+    """Call a plugin with a question, and return all fields of an `Estimate`; fields that the plugin omits are added."""
     targets, precision = question.targets, question.precision
     check_usable(question.focal_plane)
     about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}

@@ -117,9 +117,9 @@ def _of_differences(table, differences):
             "large",
             "targets in a circle that does not cover the plane distort the simulation",
             "named as a cause",
-            f"range 200 gives {edge.min():.2f} to {edge.max():.2f} times the probability for a covered plane; the "
-            f"difference is larger than 3 standard errors in {clear.sum()} of {len(clear)} designs; but the "
-            f"correlation with the formula is {other:.3f} for range 200 and {correlation:.3f} for a covered plane",
+            f"for targets in range 200, the probability is {edge.min():.2f} to {edge.max():.2f} times that for covered "
+            f"targets; the difference is larger than 3 standard errors in {clear.sum()} of {len(clear)} designs; the "
+            f"correlation with the formula is {other:.3f} for range 200 and {correlation:.3f} for covered targets",
             REPRODUCED if clear.mean() > 0.5 else NOT_REPRODUCED,
             "only the distortion is reproduced; whether the distortion causes the discrepancy between formula and "
             "simulation is not tested; positioners without targets count only if their two arms have equal lengths",
@@ -158,7 +158,7 @@ def _of_plain(plain):
             Claim(
                 "large",
                 f"{row['plain_n']} iterations suffice ({row['design']})",
-                "6000 iterations are a proper number",
+                '6000 iterations are a "proper" number',
                 f"plain simulation: {row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, with a 95 % "
                 f"interval of +- {100 * width:.1f} %; conditional simulation: "
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "

@@ -27,8 +27,8 @@ IN_FLIGHT = 256
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool, together=None) -> Survey:
     """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None.
 
-    ``together`` is None, or a function that first plans all tiles together. This function returns a request with these
-    plans, and the table of its iterations.
+    ``together`` is None, or a function that first plans all tiles together. ``together`` returns a request with these
+    plans, and a table of the iterations of the joint search.
     """
     joint = None
     where = nullcontext()

@@ -269,7 +269,7 @@ class Tile:
             "INSTRUME": (self.instrument, "instrument"),
             "RA": (parameters.get("ra_deg"), "[deg] field center"),
             "DEC": (parameters.get("dec_deg"), "[deg] field center"),
-            "POSANG": (parameters.get("position_angle_deg"), "[deg] of +y, from north toward east"),
+            "POSANG": (parameters.get("position_angle_deg"), "[deg] position angle of +y, north toward east"),
             "NORTHOF": (parameters.get("north_of"), "frame or equinox of north"),
             "RADESYS": ("ICRS", "frame of right ascensions and declinations"),
             "REFEPOCH": (parameters.get("epoch"), "epoch of the positions"),

@@ -335,7 +335,8 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
         tile = rs.plan_tile(sky, presets[name], CENTER)
         said[name] = tile.summary["model"]
         plane = presets[name].focal_plane
-        tested, near = map(int, re.search(r"Of (\d+) pairs of arms that can touch, (\d+) are close", said[name]).groups())
+        found = re.search(r"Of (\d+) pairs of arms that can touch, (\d+) are close", said[name])
+        tested, near = map(int, found.groups())
         assert tested == len(plane.neighbor_pairs())
         # all pairs with a distance less than the length of an arm are listed
         middle = np.column_stack(
