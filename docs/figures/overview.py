@@ -1,26 +1,30 @@
-"""Plot a crowded field of SDSS-V with two allocators, for the first page (``python docs/figures/overview.py FILE``)."""
+"""Plot the plans of the README with two allocators, for the first page (``python docs/figures/overview.py FILE``)."""
 
 import sys
 
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.lines import Line2D
 from PIL import Image
 
 import rfpsurvey as rs
 
-center = "06h20m00s +23d00m00s"
-sky = rs.synthetic_catalog(
-    "clustered", center, 1.5 * u.deg, density=150 / u.deg**2, cluster_size=8, cluster_scale=0.1 * u.deg, rng=4
-)
-figure, axes = plt.subplots(1, 2, figsize=(12, 6.2), layout="constrained", sharey=True)
-for ax, allocator in zip(axes, ("lamost", "optimal"), strict=True):
-    tile = rs.plan_tile(sky, "sdss_apo", center, allocator=allocator)
+TITLES = {"lamost": "LAMOST's rule, which ignores collisions", "optimal": "optimal plan without collisions"}
+stars, center = rs.example_catalog("anticenter"), "06h20m00s +23d00m00s"
+figure, axes = plt.subplots(1, 2, figsize=(12, 6.7), layout="constrained", sharey=True)
+for ax, (allocator, title) in zip(axes, TITLES.items(), strict=True):
+    tile = rs.plan_tile(stars, "sdss_apo", center, allocator=allocator)
     rs.plot.plot_focal_plane(tile, ax=ax, region=[[-100, -100], [100, 100]] * u.mm)
     assigned, colliding = tile.summary["n_assigned"], tile.summary["n_colliding"]
-    ax.set_title(f'allocator="{allocator}": {assigned} assigned, {colliding} in collision')
-    ax.get_legend().remove()
+    ax.set_title(f"{title}\nwhole field: {assigned} assigned, {colliding} in collision")
     ax.label_outer()
+legend = axes[0].get_legend()
+entries = {text.get_text(): handle for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)}
+entries["fiber"] = Line2D([], [], linestyle="none", marker="o", color="#0072B2")
+for ax in axes:
+    ax.get_legend().remove()
+figure.legend(entries.values(), entries, loc="outside lower center", ncols=len(entries), frameon=False)
 if sys.argv[1:]:
     figure.canvas.draw()
     image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
