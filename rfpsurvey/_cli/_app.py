@@ -77,7 +77,7 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the instrument called ``name``; if ``name`` is None, return the instrument that the table names."""
+    """Return the instrument called ``name``; if ``name`` is None, return the instrument named in the table."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if own is None and is_plan(table):
@@ -139,7 +139,7 @@ def allocation_options(
     own = require is not None and "instrument" in require
     if own and len(require) > 1:
         raise rs.InputError(
-            "--require instrument must be the only option --require: it stands for all requirements of the instrument"
+            "--require instrument must be the only option --require: it adds all requirements of the instrument"
         )
     if sky_separation is not None:
         sky_separation = sky_separation * u.arcsec
@@ -212,7 +212,8 @@ def check_targets(color: str | None, plot: Path | None, catalog: "rs.Catalog | N
         raise rs.InputError("--targets colors the targets in a plot, and must be used with --plot")
     if catalog is not None and color in ("category", "priority") and getattr(catalog, color) is None:
         raise rs.InputError(
-            f"--targets {color} needs the column {color}, which the catalog does not have: name a column with --column"
+            f"--targets {color} needs the column {color}, which the catalog does not have; if the column has another "
+            f"name, use --column {color}=NAME"
         )
 
 
@@ -229,6 +230,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
-    """Return the path of the table that is written next to a plot; raise an error if a file cannot be written."""
+    """Return the path of the table in the same folder as a plot; raise an error if a file cannot be written."""
     check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

@@ -26,6 +26,6 @@ class _Announcement(event.Listener):
 
 
 def announce_compilation() -> None:
-    """Print a line before the first compilation, if standard error is a terminal."""
+    """Print a message when numba compiles the first function, if standard error is a terminal."""
     if sys.stderr.isatty():
         event.register("numba:compile", _Announcement())

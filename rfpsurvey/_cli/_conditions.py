@@ -68,7 +68,7 @@ ProjectionOption = Annotated[
     str | None,
     typer.Option(
         help="Model of the projection onto the focal plane: tangent, radial, refraction, dispersion, full, "
-        "or auto, which selects the fastest sufficient model. The default is full if observing "
+        "or auto, which selects the fastest model that is accurate enough. The default is full if observing "
         "conditions are given, and radial otherwise."
     ),
 ]
@@ -82,7 +82,7 @@ def conditions_of(
     wavelength: list[str] | None,
     exposure_time: float | None,
 ) -> "rs.ObservingConditions | None":
-    """Return observing conditions from a file and from options, which take precedence; None if neither is given."""
+    """Return observing conditions from a file and from options, which override the file; None if neither is given."""
     given = {}
     if site is not None:
         given["site"] = site if "," not in site else location(site.split(","))

@@ -98,8 +98,9 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
             print(f"no sensitivities: {error}")
         else:
             print(
-                "sensitivities of the values in the column figure: share is the fraction of the variance that a "
-                "parameter explains; slope is the change in percent if the parameter grows by one percent:"
+                "sensitivities: figure is the name of a result; share is the fraction of the variance of this result "
+                "that a parameter explains; slope is the change of this result in percent if the parameter grows by "
+                "one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
         if output is not None:

@@ -29,11 +29,11 @@ FixedOption = Annotated[
     str | None,
     typer.Option(
         "--fixed",
-        help="With --order joint: folder of a survey whose tiles were already observed and whose plans therefore "
+        help="With --order joint: folder of a survey whose tiles were already observed. The plans of these tiles "
         "do not change.",
     ),
 ]
-# If the search can add a smaller fraction of visits than this, the text states that it is not worth much time.
+# If the search can increase the number of visits by less than this fraction, the text advises against a long search.
 LITTLE = 0.001
 
 
@@ -62,8 +62,8 @@ def _print_gain(state: dict) -> None:
     if more == 0 and not several:
         text += "the search cannot add visits"
     elif part < LITTLE and not several:
-        text += f"the search can add at most {more} visits ({part:.2%}), which is not worth much time"
+        text += f"the search can add at most {more} visits ({part:.2%}); a long search is not worthwhile"
     else:
         text += f"the search can add at most {more} visits ({part:.2%})"
-        text += ", or replace visits to targets of lower priority" if several else ""
+        text += ", or move visits from targets of lower priority to targets of higher priority" if several else ""
     print(text, file=sys.stderr)

@@ -37,7 +37,8 @@ COMMANDS = {
     "survey": "Plan the tiles of a survey so that as many targets as possible are observed the requested number of "
     "times.",
     "tile": "Place the tiles of a survey.",
-    "benchmark": "Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
+    "benchmark": "Measure the speed and the errors of the methods that find collisions or estimate collision "
+    "probabilities, for the arms of an instrument.",
 }
 """Summary of each command, stored here so that the list of commands is printed without importing the commands."""
 OPTIONS = {
@@ -114,7 +115,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command of the user; if the input is invalid, print a one-sentence message and exit with the code 2."""
+    """Run the command that the user typed; if the input is invalid, print one sentence and exit with the code 2."""
     warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
     warnings.filterwarnings("ignore", module="astropy")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
@@ -131,7 +132,7 @@ def main() -> None:
 
 
 def _complain(error: Exception) -> int:
-    """Print a one-sentence message, and return the exit code for invalid input."""
+    """Print the message of an error as one line, and return the exit code for invalid input."""
     with suppress(BrokenPipeError):
         print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
     return 2

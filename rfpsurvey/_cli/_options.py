@@ -19,8 +19,8 @@ CatalogArgument = Annotated[
     Path | None,
     typer.Argument(
         help="Catalog of targets: a file (FITS, ECSV, CSV, VOTable or Parquet), a folder of HEALPix "
-        "partitions (HATS), or example:anticenter, a catalog that comes with the package. By default, a "
-        "synthetic Poisson catalog."
+        "partitions (HATS), or example:anticenter, a catalog that comes with the package. By default, "
+        "Poisson-distributed targets are generated."
     ),
 ]
 CenterOption = Annotated[
@@ -166,8 +166,8 @@ ExcludeOption = Annotated[
 CentersOption = Annotated[
     Path | None,
     typer.Option(
-        help="Table of permitted centers of tiles, with columns ra, dec, ... With --method=given, a tile is "
-        "placed at each of these centers."
+        help="Table of permitted centers of tiles, with at least the columns ra and dec. With --method=given, a "
+        "tile is placed at each of these centers."
     ),
 ]
 DeclinationOption = Annotated[
@@ -228,14 +228,15 @@ SurveyCatalogArgument = Annotated[
     Path | None,
     typer.Argument(
         help="Catalog of targets: a file (FITS, ECSV, CSV, VOTable or Parquet), a folder of HEALPix "
-        "partitions (HATS), or example:anticenter, a catalog that comes with the package. By default, a "
-        "synthetic Poisson catalog that is wider than a field."
+        "partitions (HATS), or example:anticenter, a catalog that comes with the package. By default, "
+        "Poisson-distributed targets are generated in a circle with twice the radius of the field."
     ),
 ]
 TilesOption = Annotated[
     Path | None,
     typer.Option(
-        help="Table of tiles, with columns ra, dec, pass, ... By default, two hexagonal coverings of the catalog."
+        help="Table of tiles, with at least the columns ra and dec. By default, two hexagonal coverings of the "
+        "catalog are used."
     ),
 ]
 VisitsOption = Annotated[
@@ -318,12 +319,17 @@ PitchOption = Annotated[
     ),
 ]
 ClearanceOption = Annotated[
-    str | None, typer.Option(help="Clearance of an arm (mm), in one of the forms of --central-arm. By default, 2.25.")
+    str | None,
+    typer.Option(
+        help="Clearance, which is the width of the margin around each eccentric arm (mm), in one of the forms of "
+        "--central-arm. By default, 2.25."
+    ),
 ]
 NDesignsOption = Annotated[
     int | None,
     typer.Option(
-        help="Number of designs to draw as Sobol points between LOW and HIGH. Without this option, a grid is scanned."
+        help="Number of designs, which are Sobol points between the limits LOW and HIGH of each parameter. Without "
+        "this option, a grid is scanned."
     ),
 ]
 EstimandOption = Annotated[

@@ -38,9 +38,9 @@ def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None)
     """Write the output files before the summary is printed, and print their names after the summary.
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
-    ``output``, ``plot`` and ``quality`` are pairs: the path of a file, and the content of the file. For ``output``, the
-    content is a function that writes to a path. For ``plot`` and ``quality``, the content is a function that makes a
-    figure. ``report`` contains three elements: the path, the result, and the options of `write_report`.
+    ``output``, ``plot`` and ``quality`` are pairs of a path and a function. The function of ``output`` writes the file
+    with the given path. The functions of ``plot`` and ``quality`` return the figure that is written to the file.
+    ``report`` contains three elements: the path, the result, and the options of `write_report`.
     """
     written = []
     if output is not None and output[0] is not None:

@@ -52,7 +52,7 @@ Examples:
 def with_visits(targets, visits: int):
     """Return a copy of a catalog in which every target requires the given number of visits."""
     if isinstance(targets, rs.PartitionedCatalog):
-        raise rs.InputError("--visits cannot be used with a partitioned catalog; add a column visits to the catalog")
+        raise rs.InputError("--visits cannot be used with a partitioned catalog; add the column visits to the catalog")
     return replace(targets, visits=np.full(len(targets), visits))
 
 

@@ -39,7 +39,7 @@ def tiles_of(path: Path | None, targets, model: "rs.Instrument"):
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
         raise rs.InputError(
-            "--tiles must be given for a catalog in partitions: make a list of tiles with rfpsurvey tile --region"
+            "--tiles must be given for a partitioned catalog: make a table of tiles with rfpsurvey tile --region"
         )
     return rs.place_tiles(targets, model, passes=2)
 
@@ -108,7 +108,7 @@ def run(
     quality: Path | None,
     report: Path | None,
 ) -> None:
-    """Plan a survey, print its summary, and plot it if requested."""
+    """Plan a survey and print its summary; write the plots and the report if requested."""
     begin = perf_counter()
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)

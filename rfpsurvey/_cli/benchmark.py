@@ -12,7 +12,8 @@ from rfpsurvey.instrument import as_instrument
 
 benchmark = typer.Typer(
     no_args_is_help=True,
-    help="Measure the speed and the errors of the methods of this package, for the arms of an instrument.",
+    help="Measure the speed and the errors of the methods that find collisions or estimate collision probabilities, "
+    "for the arms of an instrument.",
 )
 _main.app.add_typer(benchmark, name="benchmark")
 
@@ -65,8 +66,9 @@ def probability(
 ) -> None:
     """Compare the time and the error of the methods that estimate collision probabilities.
 
-    The command also prints the collision probability of independent targets for several probability densities, and its
-    difference from the collision probability of allocated targets.
+    The command also prints the collision probability of independent targets for several probability densities of the
+    targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
+    targets.
     """
     output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))

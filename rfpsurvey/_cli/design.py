@@ -37,8 +37,8 @@ def design(
     around = instrument is not None
     if spread is not None and not around:
         raise rs.InputError(
-            "--spread must be used with --instrument, the instrument around which the scan varies the design; "
-            "got no instrument"
+            "--spread must be used with --instrument, which names the instrument whose design is varied; "
+            "got no --instrument"
         )
     parameters = {"central_arm": central_arm, "ratio": ratio, "pitch": pitch, "clearance": clearance}
     scan = _designs.axes(n_designs, around=around, **parameters)

@@ -19,8 +19,8 @@ def probability(
     estimand: Annotated[
         str | None,
         typer.Option(
-            help="For the method auto: allocated (an allocator assigns the targets; the default) or independent "
-            "(each positioner draws its own target)."
+            help="Definition of the collision probability, for the method auto: allocated (an allocator assigns the "
+            "targets; the default) or independent (each positioner draws its own target)."
         ),
     ] = None,
     precision: Annotated[float | None, typer.Option(help="Standard error at which the computation ends.")] = None,
@@ -38,7 +38,9 @@ def probability(
     target_radius: Annotated[
         float | None, typer.Option(help="Radius of the circle that contains the random targets (mm).")
     ] = None,
-    min_separation: Annotated[float | None, typer.Option(help="Minimum separation for poisson_disc (mm).")] = None,
+    min_separation: Annotated[
+        float | None, typer.Option(help="Minimum separation of the targets, for poisson_disc (mm).")
+    ] = None,
     allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = "balanced",
     density: Annotated[
         str | None,

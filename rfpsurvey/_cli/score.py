@@ -28,12 +28,16 @@ def score(
     ] = None,
     center: Annotated[
         str | None,
-        typer.Option(help="Field center (ICRS). By default, racen and deccen in the columns or header of the table."),
+        typer.Option(
+            help="Field center (ICRS). By default, the values racen and deccen in the columns or the header of the "
+            "table are used."
+        ),
     ] = None,
     pa: Annotated[
         float | None,
         typer.Option(
-            help="Position angle (deg). By default, position_angle in the columns or header of the table.",
+            help="Position angle (deg). By default, the value position_angle in the columns or the header of the "
+            "table is used.",
             callback=_options.check_angle,
         ),
     ] = None,

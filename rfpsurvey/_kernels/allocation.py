@@ -1,4 +1,9 @@
-"""Allocators whose input is a list of pairs of a positioner and a target in its reach, as compressed rows (CSR)."""
+"""Allocators whose input is a list of pairs of a positioner and a target in its reach, as compressed rows (CSR).
+
+If the pairs are sorted by target, the positioners that reach target t are ``owner[indptr[t]:indptr[t + 1]]``. If the
+pairs are sorted by positioner, the targets in reach of positioner i are ``target[indptr[i]:indptr[i + 1]]``. ``r2``
+contains the squared distance of the target from the center of the positioner, for each pair.
+"""
 
 import numpy as np
 
@@ -12,8 +17,9 @@ MOST = 2**62
 def balanced(indptr, owner, r2, count, positioner_of_target):
     """Add each target, in catalog order, to the shortest queue among the positioners that reach it.
 
-    If several queues are equally short, the target is added to the queue of the nearest of these positioners or, in a
-    tie, of the positioner with the lowest index.
+    The queue of a positioner is a list of targets, from which one target is drawn later. If several queues are equally
+    short, the target is added to the queue of the nearest of these positioners or, in a tie, of the positioner with the
+    lowest index.
     """
     count[:] = 0
     for t in range(indptr.size - 1):
@@ -59,11 +65,11 @@ def draw_configuration(indptr, queue, uniform, target_of_positioner):
 
 @kernel
 def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
-    """List the best targets of each positioner, sorted by class (rank 0 first), then distance, then catalog order.
+    """List the best targets of each positioner, sorted by priority class, then distance, then catalog order.
 
-    If ``in_order`` is true, the targets are sorted by class, then catalog order.
-    The input lists the positioners that reach each target. At most ``start[i + 1] - start[i]`` targets of positioner i
-    are stored, beginning at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
+    The class of rank 0 is first. If ``in_order`` is true, the targets are sorted by class, then catalog order. The
+    input lists the positioners that reach each target. At most ``start[i + 1] - start[i]`` targets of positioner i are
+    stored, beginning at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
     """
     count[:] = 0
     for t in range(indptr.size - 1):
@@ -169,7 +175,7 @@ def nominate(
     target_of_positioner,
     positioner_of_target,
 ):
-    """Assign the targets of one class after the other, in rounds of nominations (the method of LAMOST).
+    """Assign the targets of one priority class after the other, in rounds of nominations (the method of LAMOST).
 
     Every free positioner nominates its nearest unassigned target of the class. If several positioners nominate a
     target, it is assigned to the positioner with the fewest unassigned targets in reach; ties are decided by the
@@ -230,7 +236,7 @@ def nominate(
 
 @kernel
 def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
-    """Assign targets to near positioners, beginning with the closest pair, one class of targets after the other.
+    """Assign targets to nearby positioners, beginning with the closest pair, one priority class after the other.
 
     The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
     positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to

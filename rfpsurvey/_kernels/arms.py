@@ -49,9 +49,11 @@ def elbow(dx, dy, l1, l2, side, home_x, home_y):
     """Return the position of the elbow relative to the center, and two numbers proportional to sin(phi) and cos(phi).
 
     The factor of proportionality is positive, and the same for the sine and the cosine.
-    ``side`` is +1 for phi in [0, pi] ("right") and -1 for the mirror image. For a tip outside the annulus, the pose
-    points at the nearest reachable point in the same direction. A tip at the center of the positioner has no direction;
-    the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result is NaN.
+
+    ``side`` is +1 for phi in [0, pi] ("right") and -1 for the mirror image. For a tip outside the annulus, the result
+    is the pose at the nearest reachable point in the same direction. A tip at the center of the positioner has no
+    direction; the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result
+    is NaN.
     """
     total = l1 + l2
     difference = inner_difference(l1, l2)

@@ -331,8 +331,8 @@ def colliding_obstacles(segments, owner, limits, pairs, obstacles, clearance, sl
     """List the pairs (arm, obstacle) closer than ``clearance + slack``, measured to the edge of the obstacle.
 
     Returns the number of pairs. Obstacles are numbered from 0: first the circles in ``obstacles``, then the polygons in
-    ``limits``. The result of `obstacle_distance` is written to ``distance``. ``owner`` contains the positioner of each
-    arm; this array is used only if arms have outlines.
+    ``limits``. The distance of each listed pair, as returned by `obstacle_distance`, is written to ``distance``.
+    ``owner`` contains the positioner of each arm; this array is used only if arms have outlines.
     """
     n = 0
     for k in range(pairs.shape[0]):

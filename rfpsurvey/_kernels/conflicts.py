@@ -27,6 +27,7 @@ class Options(NamedTuple):
     cost: np.ndarray
     """Preference among candidates of equal rank; lower costs are better."""
     key: np.ndarray
+    """Candidates that count toward the same requirements have the same key."""
     as_good: np.ndarray
     """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
     t_indptr: np.ndarray
@@ -135,7 +136,7 @@ def adjacency(first, second, indptr, other):
 
 @kernel
 def keep_pairs(pairs, keep, new, out):
-    """Write the pairs of which both elements are kept to ``out``, with new indices; return the number of pairs."""
+    """Write the pairs whose elements are both kept to ``out``, with new indices; return the number of these pairs."""
     n = 0
     for k in range(pairs.shape[1]):
         a, b = pairs[0, k], pairs[1, k]
@@ -146,7 +147,10 @@ def keep_pairs(pairs, keep, new, out):
 
 @kernel
 def join(first, second, label):
-    """Give the same label to elements that are connected by pairs; on input, ``label`` must contain 0, 1, ..."""
+    """Give the same label to all elements that are connected, directly or through other elements, by pairs.
+
+    On input, ``label`` must contain 0, 1, 2, and so on.
+    """
     for k in range(first.size):
         a, b = first[k], second[k]
         while label[a] != a:

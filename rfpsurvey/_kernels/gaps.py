@@ -47,8 +47,9 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
     """Find up to ``most`` points without nearby targets for each positioner in ``own``; return the total number.
 
-    ``fraction`` contains, for each tested point, the fraction of the patrol area inside the circle through this point.
-    The direction from the center of the positioner rotates by the golden angle from each tested point to the next.
+    ``fraction`` contains, for each tested point, the fraction of the patrol area that is closer to the center of the
+    positioner than this point. The direction from the center of the positioner rotates by the golden angle from each
+    tested point to the next.
     """
     x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))

@@ -8,8 +8,8 @@ from rfpsurvey._jit import kernel
 FNV_OFFSET, FNV_PRIME = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
 # Increment and factors of the random number generator SplitMix64 (Steele, Lea & Flood 2014).
 GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-# Code point of the digit 0, and the numbers 9 and 10. An unsigned integer of 64 bits is at most 10 LARGEST + LAST; a
-# signed integer is at least -MOST_NEGATIVE.
+# Code point of the digit 0, and the numbers 9 and 10. An unsigned integer of 64 bits is at most 10 * LARGEST + LAST;
+# a signed integer is at least -MOST_NEGATIVE.
 ZERO, NINE, TEN = np.uint64(48), np.uint64(9), np.uint64(10)
 LARGEST, LAST, MOST_NEGATIVE = np.uint64((2**64 - 1) // 10), np.uint64((2**64 - 1) % 10), np.uint64(2**63)
 # Scale that converts 53 bits to a number in [0, 1).

@@ -128,8 +128,8 @@ def separation_along_normals(v, p, p_end, q, q_end, tx, ty, c, s, enough):
     """Return the largest separation of polygon q from polygon p along the normals of the edges of polygon p.
 
     The polygons have the vertices from p to ``p_end`` and from q to ``q_end`` of the table v. In the frame of polygon
-    p, the frame of polygon q has the origin t and the rotation (c, s). The search stops when it finds a separation
-    larger than ``enough``.
+    p, the frame of polygon q has the origin (tx, ty) and the rotation (c, s). The search stops when it finds a
+    separation larger than ``enough``.
     """
     best, e = -math.inf, p
     while e < p_end and best <= enough:

@@ -76,9 +76,10 @@ def last_step(t, level, replace, links, chosen, load):
 def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
     """Add a visit to the target ``begin`` along a path, and return whether such a path was found.
 
-    A path has at most as many positioners as ``stack`` has rows. The plan is changed while the path is extended. If
-    the path cannot be extended, the last change is undone, and another positioner is tried. Targets in ``seen`` are not
-    tried again. ``left`` is the remaining number of visits of each target.
+    A path has at most as many positioners as ``stack`` has rows. The plan is changed while the path is extended. If the
+    path cannot be extended, the last change is undone, and another positioner is tried. Targets in ``seen`` are not
+    tried again. ``left`` is the remaining number of visits of each target. `last_step` explains ``level`` and
+    ``replace``.
     """
     seen[begin] = True
     depth = 0

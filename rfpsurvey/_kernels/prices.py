@@ -1,8 +1,9 @@
 """Prices of cliques of candidates, which give an upper bound of the number of assigned targets.
 
-A clique is a set of candidates; a plan uses at most one candidate of each clique. Each clique has a price of at least
-0. The value of a candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest
-value of each positioner is an upper bound of the weight of a plan.
+A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A clique is a set of
+candidates; a plan uses at most one candidate of each clique. Each clique has a price of at least 0. The value of a
+candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest value of each
+positioner is an upper bound of the weight of a plan.
 """
 
 import math
@@ -141,13 +142,13 @@ def bound_of(start, value, price):
 
 @kernel
 def adjust_prices(start, own, row_start, column, value, price, most, width, begin, end, step):
-    """Adjust the prices of the cliques from ``begin`` to ``end``, one after the other, and update the values.
+    """Adjust the prices of the cliques from ``begin`` to ``end`` in turn, and update the values of the candidates.
 
     In the upper bound, the largest value of each positioner is replaced by a smooth maximum,
     ``width * log(sum(exp(value / width)))``. The share of a candidate is the derivative of this smooth maximum with
     respect to the value of the candidate. The new price of a clique minimizes the smooth bound: the shares of the
-    members of the clique then sum to 1, or the price is 0. A row can also contain a set of which a plan uses at most
-    ``most`` members. The shares of these members then sum to ``most``.
+    members of the clique then sum to 1, or the price is 0. In place of a clique, row r of ``column`` can contain a set
+    of which a plan uses at most ``most[r]`` members. The shares of these members then sum to ``most[r]``.
     """
     odds = np.empty(256)
     for r in range(begin, end, step):

@@ -7,8 +7,8 @@ import numpy as np
 from rfpsurvey._jit import kernel
 
 INSIDE, BORDERLINE = 1, 2
-# The relative error of r^2 - R^2 as computed below is less than 5 rounding units of 2^-53. The factor 16 leaves a
-# margin.
+# Here, r is the distance of a target from a positioner, and R is the inner or outer radius of the patrol area. The
+# rounding errors of r^2 and R^2, divided by R^2, sum to less than 5 * 2^-53. The factor 16 leaves a margin.
 BAND = 16 * 2.0**-53
 # Number of targets whose grid cells are determined together.
 BATCH = 256

@@ -122,9 +122,9 @@ def take_left(left, slot, out):
 def record_visits(mask, slot, spends, left, is_open, observed):
     """Subtract the visits of a tile from the remaining visits, and count the visits of each realization.
 
-    ``mask`` contains the visits of the tile; row ``slot[f]`` of ``left`` belongs to target f of the tile. Visits of
-    targets for which ``spends`` is false are ignored. ``is_open`` marks targets with remaining visits in at least one
-    realization.
+    ``mask`` contains the visits of the tile; row ``slot[f]`` of ``left`` belongs to target f of the tile. ``spends``
+    states whether a visit to a target reduces its remaining visits; all other visits are ignored. ``is_open`` marks
+    targets with remaining visits in at least one realization.
     """
     n = left.shape[1]
     for f in range(slot.size):
@@ -143,7 +143,8 @@ def record_visits(mask, slot, spends, left, is_open, observed):
 def to_masks(left, wanted, spends, mask):
     """Set bit r of the mask of each target that has received at least one visit in realization r.
 
-    ``wanted`` and ``left`` are the numbers of requested and of remaining visits. The mask is 0 if ``spends`` is false.
+    ``wanted`` and ``left`` are the numbers of requested and of remaining visits of each target. ``spends`` states
+    whether visits reduce the remaining visits of a target; otherwise, the mask of the target is 0.
     """
     for s in range(left.shape[0]):
         found = np.uint32(0)

@@ -44,7 +44,10 @@ def put_all(plan, options, chosen, blocked, holder):
 
 @kernel
 def best_free(i, least, options, chosen, blocked, holder):
-    """Return the best unblocked candidate of positioner i, at least as good as ``least``, or -1 if there is none."""
+    """Return the best unblocked candidate of positioner i, or -1 if there is none.
+
+    Only candidates that are at least as good as the candidate ``least`` are considered.
+    """
     target, rank, cost, key, as_good = options.target, options.rank, options.cost, options.key, options.as_good
     best = -1
     for c in range(options.start[i], options.start[i + 1]):
@@ -59,7 +62,7 @@ def best_free(i, least, options, chosen, blocked, holder):
 
 @kernel
 def sole_blocker(c, i, options, chosen, holder):
-    """Return the only positioner that blocks candidate c of positioner i; -1 for none, -2 for several."""
+    """Return the only positioner that blocks candidate c of positioner i; -1 if there is none, -2 if several do."""
     blocker = -1
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
         blocker = holder[options.target[c]]
@@ -118,8 +121,9 @@ def give_up_target(i, options, chosen, blocked, holder, fixed):
 def fill_group(order, need, group, held, count, most, options, chosen, blocked, holder):
     """Assign candidates of one group to positioners in the given order, until ``need`` candidates are assigned.
 
-    ``held[g, c]`` is True if candidate c belongs to group g. ``count[g]`` is the number of candidates of group g in
-    use, and ``most[g]`` is the largest allowed number of such candidates.
+    A group consists of the candidates that count toward one requirement. ``held[g, c]`` is True if candidate c belongs
+    to group g. ``count[g]`` is the number of candidates of group g in use, and ``most[g]`` is the largest allowed
+    number of such candidates.
     """
     for i in order:
         if need <= 0:
@@ -199,7 +203,7 @@ def drop(options, order, fixed, chosen, blocked, holder):
 
 @kernel
 def gain(options, order, chosen, blocked, holder):
-    """Assign better targets to positioners in the given order, in place; return whether any positioner was moved."""
+    """Assign more important targets to positioners, in the given order and in place; return whether any were moved."""
     start, rank = options.start, options.rank
     changed = False
     for i in order:
