@@ -75,12 +75,13 @@ def benchmark_collisions(
     rng: int | np.random.Generator | None = 0,
     progress: bool | Callable = False,
 ) -> QTable:
-    """Measure the time and the errors of each method that finds collisions; all methods use the same arms.
+    """Measure the time and the errors of each method that finds collisions, for the same configurations of arms.
 
     Each positioner has one target, uniformly distributed in its patrol area. The result of each method is compared with
     the exact result of rational arithmetic. The measured time begins with known poses of the arms and ends with the
-    list of pairs; it excludes compilation. In each round, the methods run in a random order, so that other work on the
-    machine affects all of them in the same way. If ``repeats`` is small, the measured times are inaccurate.
+    list of colliding pairs; it excludes compilation. Each round runs every method once, in a random order, so that
+    other work on the machine affects all methods in the same way. If ``repeats`` is small, the measured times are
+    inaccurate.
 
     Parameters
     ----------
@@ -155,7 +156,7 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each method finds in each case, and the times of each method after the first round."""
+    """Return the pairs that each method finds in each configuration, and the times of each method in later rounds."""
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)
@@ -178,7 +179,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
 
 
 def _true_pairs(case):
-    """Return all colliding pairs and their distances, computed in rational arithmetic from all pairs of neighbors."""
+    """Return all colliding pairs of arms and their distances, computed in rational arithmetic."""
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]

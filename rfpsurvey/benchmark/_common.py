@@ -14,7 +14,7 @@ __all__ = ["has_gpu", "processor", "provenance", "random_tips"]
 
 
 def random_tips(plane, rng):
-    """Return one random target (mm) per positioner, uniformly distributed in its patrol area.
+    """Return the position (mm) of one random target for each positioner, uniformly distributed in its patrol area.
 
     If a positioner reaches none of a hundred random points, its target is NaN.
     """

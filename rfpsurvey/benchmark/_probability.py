@@ -42,7 +42,7 @@ def benchmark_probability(
 
     The reference value for allocated targets is computed by a long conditional Monte Carlo simulation. The reference
     value for independent (uniform) targets is computed by a fine quadrature. The methods run alternately. Errors below
-    ``truth_error``, the error of the reference value, are not significant.
+    ``truth_error``, the standard error of the reference value, are not significant.
 
     Parameters
     ----------
@@ -151,14 +151,14 @@ def benchmark_densities(
     n_allocations: int = 8,
     rng: int | np.random.Generator | None = 0,
 ) -> QTable:
-    """Compare collision probabilities of independent targets from several densities with that of allocated targets.
+    """Compare the collision probability for allocated targets with that for independent targets of several densities.
 
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
         Name of a preset, instrument or focal plane.
     precision : float, optional
-        Standard error of all values except the value for the empirical density.
+        Standard error of each collision probability, except for the empirical density.
     n_allocations : int, optional
         Number of allocations of random targets. The queues (lists of targets) of all positioners in these allocations
         form the empirical density.

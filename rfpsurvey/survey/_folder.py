@@ -112,7 +112,9 @@ class RequestFolder:
         now = dict(self._request)
         warn_of_software(self.path, before.pop("software", None), now.pop("software", None), self.parts)
         if "method" in before:
-            raise InputError(f"{self.path} was begun by version 0.1, which recorded other options; give another folder")
+            raise InputError(
+                f"{self.path} was begun by version 0.1 of rfpsurvey, which recorded other options; give another folder"
+            )
         check_request(self.path, before, now, self.work, "folder")
 
     @contextmanager
@@ -170,12 +172,12 @@ class Folder(RequestFolder):
             return None
 
     def distrust(self, tile: int, reason: str) -> None:
-        """Issue a warning that the stored part of a tile is not used."""
+        """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
         text = f"the tile in row {tile} of the tiling is planned again: {reason}"
         warn(text)
 
     def put_part(self, tile: int, content: bytes) -> None:
-        """Write the part (the stored result) of a tile."""
+        """Write the result of a tile to the file of this tile."""
         self.put_file(part_name(tile), content)
 
     def file(self, name: str) -> bytes | None:
@@ -189,7 +191,7 @@ class Folder(RequestFolder):
             return None
 
     def put_file(self, name: str, content: bytes) -> None:
-        """Write a file; make the folder that contains the file if this folder does not exist."""
+        """Write a file of the survey; if its parent folder does not exist, make this folder."""
         with self._told():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
@@ -202,12 +204,12 @@ class Folder(RequestFolder):
             file.write(_line(name, self._known[name]))
 
     def finish(self) -> None:
-        """Sort the lines of the index, so that they do not depend on the order in which tiles were planned."""
+        """Sort the lines of the index, so that the index does not depend on the order in which tiles were planned."""
         self._write_index(sorted(self._known.items()))
 
 
 def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> bytes:
-    """Return the content of a file of a survey; raise an error if its checksum is not the one in the index."""
+    """Return the content of a file of a survey; raise an error if its checksum differs from that in the index."""
     try:
         content = (path / name).read_bytes()
     except FileNotFoundError:

@@ -15,8 +15,8 @@ def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: b
     """Return a number for each tile such that neighboring tiles have different numbers.
 
     Two tiles are neighbors if their centers are closer than ``reach_rad``. If ``smallest`` is true, neighbors must also
-    belong to the same group, and each number is as small as possible. Otherwise, the number of a tile is larger than
-    the numbers of all its neighbors in earlier rows.
+    have the same value in ``group`` (the pass), and each number is as small as possible. Otherwise, the number of a
+    tile is larger than the numbers of all its neighbors in earlier rows.
     """
     number = np.empty(len(index), dtype=np.int64)
     zones.number_circles(
@@ -44,12 +44,12 @@ def _by_color(index, reach_rad, passes):
 
 
 def _as_given(index, reach_rad, passes):
-    """Return the round of each tile; a tile is planned after all earlier tiles in the list that overlap it."""
+    """Return the round of each tile; a tile is planned after all overlapping tiles that are earlier in the list."""
     return _number(index, reach_rad, passes, smallest=False)
 
 
 ORDERS = {"color": _by_color, "given": _as_given}
-"""Functions that return the round of each tile, by the name of the order.
+"""Dict from the name of an order to the function that returns the round of each tile.
 
 The arguments of these functions are the spatial index of the tiles, the largest distance (rad) between the
 centers of overlapping tiles, and the pass of each tile.
@@ -57,7 +57,7 @@ centers of overlapping tiles, and the pass of each tile.
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
-    """Return the rows of the tiles of each round; the tiles of a round are farther apart than ``reach_rad``."""
+    """Return the rows of the tiles of each round; the centers of these tiles are farther apart than ``reach_rad``."""
     if len(vectors) == 0:
         return []
     index = SkyIndex(vectors)

@@ -73,9 +73,9 @@ def plan_survey(
     tiling : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
-        The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If processes plan
-        the tiles, the allocator must be given by its name; a function can only be used in threads. If the search of
-        an allocator ends at its time limit, the plan may not be reproducible.
+        The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If worker
+        processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
+        the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255; by default, the visits of the catalog, or one visit. A tile
         observes a target at most once. For a `PartitionedCatalog`, the values must be in the order in which its method
@@ -88,10 +88,11 @@ def plan_survey(
         Whether a target counts as not observed if the arm at this target collides, so that other tiles can observe it.
     order : {"color", "given", "joint"} or JointOptions, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
-        and one color is planned after the other. ``given``: if two tiles overlap, the one that is earlier in the list
-        is planned first, even if its pass is a later one. ``joint`` or `JointOptions`: the tiles are first planned
-        one after the other in the order ``color``, and then together, such that the number of visits increases. This
-        order requires the allocator ``optimal``; requirements and required targets are not supported.
+        and one color is planned after the other. ``given``: if two tiles overlap, the tile that is earlier in the
+        list is planned first, even if it belongs to a later pass. ``joint`` or `JointOptions`: the tiles are first
+        planned one after the other in the order ``color``, and then together, such that the number of visits
+        increases. A joint plan requires the allocator ``optimal``. It supports neither requirements nor required
+        targets.
     folder : str or path-like, optional
         Folder to which the visits of each tile are written as a FITS file. Identifiers and other text must then be
         ASCII, because FITS allows no other characters. Without a folder, the visits of all tiles are kept in memory.

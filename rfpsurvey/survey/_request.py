@@ -1,4 +1,4 @@
-"""The validated request of a survey, and a dict that identifies it."""
+"""The validated request of a survey, that is, its input and its options."""
 
 import json
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from rfpsurvey.tiling import Tiling, conditions_of_tiles
 __all__ = ["Request", "make_request"]
 
 FIELDS_DIFFER = 0.01
-# Under observing conditions, aberration and dispersion change the radius of a field by less than this factor.
+# If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
 MARGIN = 1.001
 
 
@@ -91,7 +91,8 @@ class Request:
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
         columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        # with requirements, tiles may use all standards and sky positions; otherwise only required ones
+        # if there are requirements, tiles may use all standards and sky positions; otherwise, tiles may use only those
+        # that are required targets
         others = True if self.options.requirements else self.is_required
         in_turn = self.order == "color"
         return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)

@@ -95,7 +95,7 @@ def _plan_round(request, tiles, state, folder, executor) -> Iterator:
 
 
 def _begin(job, executor):
-    """Do the work of a job, or submit the job to an executor."""
+    """Plan the tile of a job, or submit the job to the executor if there is one."""
     with told(job):
         if executor is None:
             return work(job)
@@ -104,7 +104,7 @@ def _begin(job, executor):
 
 
 def _take(waiting: deque):
-    """Wait for the first of the submitted tiles, and return its result."""
+    """Wait for the tile that was submitted first; return its row, field and result, and whether this run planned it."""
     tile, job, done, fresh = waiting.popleft()
     if not isinstance(done, Done):
         with told(job):
@@ -133,7 +133,7 @@ def _read(folder, tile, job) -> Done | None:
     if part is None:
         return None
     try:
-        visits, cards = _io.read_fits_bytes(part, f"the part of tile {job.tile}")
+        visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
         lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
@@ -145,7 +145,7 @@ def _read(folder, tile, job) -> Done | None:
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
-        folder.distrust(tile, "the tile was planned when other targets still required a visit")
+        folder.distrust(tile, "its stored result was planned when a different set of targets still required a visit")
         return None
     counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

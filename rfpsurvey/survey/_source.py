@@ -1,7 +1,7 @@
-"""The targets of a survey, in memory or in partitions.
+"""The catalog of a survey, which is completely in memory or in partitions on disk.
 
 The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`). The *row* of a
-target is its row in the catalog.
+target is the number of its row in the catalog.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ __all__ = ["Field", "InMemory", "Partitioned", "digest"]
 
 
 class Field(NamedTuple):
-    """The targets of a field, in the order of their rows."""
+    """The targets of a field, in the order of their rows in the catalog."""
 
     slot: np.ndarray
     row: np.ndarray
@@ -123,7 +123,7 @@ class InMemory:
 
 
 class Partitioned:
-    """A catalog in partitions, which keeps the last used partitions in memory; the slot of a target is its row."""
+    """A catalog in partitions; recently used partitions remain in memory, and the slot of a target is its row."""
 
     def __init__(self, catalog: PartitionedCatalog, epoch=None):
         self._catalog, self._parts, self._epoch = catalog, catalog.parts, epoch
@@ -136,7 +136,7 @@ class Partitioned:
 
     @cached_property
     def _margin_rad(self) -> float:
-        """Upper limit of the distance, in radians, that a target moves until the epoch of the survey."""
+        """Upper limit of the angle (radians) by which any target moves until the epoch of the survey."""
         if self._epoch is None or not self._parts.part(0).has_proper_motion:
             return 0.0
         parts = range(len(self._parts.files))
@@ -199,7 +199,7 @@ class Partitioned:
     by_row = to_slots
 
     has_twins = False
-    """Whether two targets have the same id. This is not tested, because a test would require all ids in memory."""
+    """Always False: whether two targets have the same id is not tested, because this requires all ids in memory."""
 
     @property
     def has_text_ids(self) -> bool:
@@ -212,7 +212,7 @@ class Partitioned:
         return self._part(0).units
 
     def text_columns(self) -> dict:
-        """Return an empty dict, because a test of the text columns in advance would require all partitions.
+        """Return an empty dict, because a test of the text columns would require reading all partitions.
 
         Text that FITS files cannot contain causes an error when the visits of a tile are written.
         """

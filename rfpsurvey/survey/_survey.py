@@ -89,7 +89,7 @@ class Survey:
 
     @property
     def summary(self) -> dict:
-        """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
+        """Numbers of tiles, targets, visits, fibers, collisions and outcomes; the model of collisions and positions.
 
         ``n_required`` is the number of required targets, and ``n_required_observed`` is the number of required targets
         that were observed at least once. ``unmet`` is a list of sentences that name the required targets that were
@@ -110,7 +110,8 @@ class Survey:
         ``dec``, ``in_collision``, ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the
         fibers of the instrument have types, ``kind`` if the catalog has kinds or if blank sky positions were added, and
         ``priority``, ``category`` and the further columns (``extra``) of the catalog, if the catalog has these columns.
-        In the columns from the catalog, the values for blank sky are NaN, empty text, False or -1.
+        In the columns from the catalog, blank sky has the value NaN, empty text, False or -1, depending on the type of
+        the column.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 

@@ -1,4 +1,4 @@
-"""The function that plans one tile; its result depends only on its arguments, and it can run on any machine."""
+"""The function `work`, which plans one tile from the data of a `Job`, and can run on any machine."""
 
 import pickle
 from functools import cached_property, lru_cache
@@ -99,7 +99,7 @@ def _unpack(packed: bytes) -> Model:
 
 
 class Job(NamedTuple):
-    """The input of the work on a tile."""
+    """All data that are required to plan one tile."""
 
     model: Model
     tile: int | str
@@ -109,11 +109,12 @@ class Job(NamedTuple):
     field: Field
     seed: np.random.SeedSequence
     as_file: bool
+    """Whether the visits are returned as the content of a FITS file instead of an array."""
     conditions: ObservingConditions | None = None
 
 
 class Done(NamedTuple):
-    """The result of the work on a tile."""
+    """The result of planning a tile."""
 
     part: bytes | None
     """The visits of the tile as the content of a FITS file; None if no file is requested."""

@@ -31,7 +31,7 @@ def when_of(table: QTable) -> str | None:
 
 
 def convert_when(table: QTable, tile: np.ndarray) -> None:
-    """Convert the times of a table to text (UTC), or its hour angles to degrees, for files of all formats."""
+    """Convert the times of a table to text (UTC), or its hour angles to degrees, which all file formats support."""
     name = when_of(table)
     if name is not None:
         values = _times(table["time"], tile) if name == "time" else _hour_angles(table["hour_angle"], tile)
@@ -55,7 +55,7 @@ def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
 
 
 def _times(column, tile) -> np.ndarray:
-    """Return the times in a column (of times or text) as text in UTC."""
+    """Return the times in a column, which contains `Time` objects or text, as text in UTC."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)  # times far in the future cause an error later
         if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):

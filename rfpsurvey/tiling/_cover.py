@@ -110,7 +110,7 @@ def _conservative(region, exclude, reach, radius):
 
 
 def _all_inside(regions, samples, margin):
-    """Return whether each sample, with eight points at the distance ``margin`` around it, is inside the regions."""
+    """Return, for each sample, whether it and eight points around it at the distance ``margin`` are in the regions."""
     helper = np.eye(3)[np.argmin(np.abs(samples), axis=1)]
     x = np.cross(helper, samples)
     x /= np.linalg.norm(x, axis=1)[:, None]
@@ -153,7 +153,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the chosen allowed centers (``chosen`` lists their rows), and others that cover further points."""
+    """Return the rows ``chosen`` of the allowed centers, and further allowed centers that cover more points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

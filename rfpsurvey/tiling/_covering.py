@@ -30,7 +30,7 @@ def basis_of(center: np.ndarray) -> np.ndarray:
 
 
 def dither(number: int) -> np.ndarray:
-    """Return the shift of a pass as fractions of the unit cell of the lattice; the first pass, 0, has no shift."""
+    """Return the shift of a pass as fractions of the unit cell of the lattice; pass 0 (the first) is not shifted."""
     return (number * np.array([1 / PLASTIC, 1 / PLASTIC**2])) % 1.0
 
 
@@ -50,7 +50,7 @@ def lattice(center: np.ndarray, reach: float, pitch: float, shift: np.ndarray) -
 
 
 def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
-    """Return the radius of the widest empty circle (without any of the vectors) that touches the given circle."""
+    """Return the radius of the widest circle that contains none of ``vectors`` and touches the given circle."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(vectors)

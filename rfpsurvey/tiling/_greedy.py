@@ -1,4 +1,4 @@
-"""The methods of LAMOST, which place tiles one after the other where targets are dense, until no target is left."""
+"""The methods of LAMOST, which place tiles one after the other where targets are dense."""
 
 from collections.abc import Callable
 
@@ -107,7 +107,10 @@ class _Candidates:
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the best candidate within half a tile radius of a direction, or the best of all if there is none."""
+        """Return the candidate with the largest sum within half a tile radius of a direction.
+
+        If no candidate there has a sum above 0, the candidate with the largest sum of all is returned.
+        """
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5 * self.state.unit:
             return self.best()
@@ -139,7 +142,7 @@ def _near_targets(problem, centers, margin):
 
 
 def ring(center: np.ndarray, step: float) -> np.ndarray:
-    """Return eight directions on a circle around a center."""
+    """Return eight directions at the distance ``step`` (radians) from a center."""
     helper = np.eye(3)[np.argmin(np.abs(center))]
     x = _cross(helper, center)
     x /= np.linalg.norm(x)

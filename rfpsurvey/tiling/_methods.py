@@ -1,4 +1,4 @@
-"""The table of the methods that place tiles."""
+"""The dict of the methods that place tiles."""
 
 from functools import partial
 

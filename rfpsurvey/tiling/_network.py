@@ -20,7 +20,7 @@ __all__ = ["sdss"]
 # distance OUTSIDE from its edge. CELL is the size of the cells.
 OUTSIDE = 0.2
 CELL = 0.15
-# The cost of a visit is almost 0 inside the field, and increases from 1 to 3 beyond its edge. The last value is the
+# The cost of a visit is almost 0 inside the field, and increases from 1 to 3 beyond its edge. UNASSIGNED is the
 # cost of a requested visit that is not made.
 INSIDE_COST, EDGE_COST, STEEP, UNASSIGNED = 0.01, 1.0, 2.0, 10.0
 MOST_ROUNDS = 20
@@ -37,7 +37,7 @@ def sdss(problem: TilingProblem) -> TilingState:
 
 
 def _fewest(problem: TilingProblem) -> TilingState:
-    """Find, by bisection, the smallest number of tiles that reaches the completeness, and return its tiles."""
+    """Return a state with the smallest number of tiles that reaches the completeness, found by bisection."""
     goal = problem.completeness
     most = problem.n_tiles or 10**6
     n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
@@ -68,7 +68,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
 
 
 def _attempt(problem: TilingProblem, n: int) -> TilingState:
-    """Place n tiles, and observe their targets."""
+    """Place ``n`` tiles by network flow, and observe their targets."""
     cells = _Cells(problem)
     centers = _relax(problem, cells, _uniform(problem, n))
     state = TilingState(problem)
@@ -145,7 +145,7 @@ def _cost(distance: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.ndarray:
-    """Alternately compute flows and move the centers until the cost no longer decreases."""
+    """Alternately compute flows and move the centers until the cost no longer decreases; return the centers."""
     radius, last = problem.radius, np.inf
     for _ in range(MOST_ROUNDS):
         cell, tile, amount, total = _flow(problem, cells, centers)

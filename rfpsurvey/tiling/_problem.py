@@ -67,7 +67,7 @@ class TilingState:
     chances: np.ndarray | None = None
     """Number of later tiles that cover each target; None if these numbers are unknown."""
     rows: list = field(default_factory=list)
-    """A tuple for each tile: center, pass, targets that require a visit, targets that it observes, completeness."""
+    """For each tile: center, pass, number of targets that require a visit, number of observed targets, completeness."""
 
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)
@@ -78,7 +78,7 @@ class TilingState:
 
     @property
     def weight(self) -> np.ndarray:
-        """Number of remaining visits of each target, weighted by its priority; 0 for targets that are given up.
+        """Number of remaining visits of each target, weighted by its priority; 0 where ``hopeless`` is true.
 
         Each visit of the highest remaining priority has the weight 1. The weights of all other visits sum to less than
         1.
@@ -107,7 +107,7 @@ class TilingState:
 
     @property
     def done(self) -> bool:
-        """Whether the goal is reached, no visits remain, or the number of tiles is reached."""
+        """Whether the required completeness is reached, no visits remain, or no more tiles are allowed."""
         problem = self.problem
         enough = problem.completeness is not None and self.completeness >= problem.completeness - 1e-12
         return enough or self._n_left == 0 or (problem.n_tiles is not None and len(self.rows) >= problem.n_tiles)

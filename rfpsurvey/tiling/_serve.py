@@ -20,7 +20,7 @@ __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 @check_keywords
 @dataclass(frozen=True)
 class Fibers:
-    """The largest number of targets that a tile observes, and conditions for the targets that it can observe.
+    """The largest number of targets that a tile observes, their minimum separation, and the effect of collisions.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class FocalPlaneFibers:
     index : SkyIndex
         Spatial index of the targets.
     fibers : Fibers
-        Largest number of observed targets, and whether a target is lost if the arm at this target collides.
+        Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
     angles : ndarray
         Position angles in radians: one value for each tile, or one value for all tiles.
     seed : int

@@ -117,7 +117,7 @@ class Tiling:
         return None if record is None else ObservingConditions.from_record(record)
 
     def with_conditions(self, conditions: ObservingConditions | None) -> "Tiling":
-        """Return the tiling with observing conditions, under which `plan_survey` plans the tiles.
+        """Return a copy of the tiling with observing conditions, which `plan_survey` takes into account.
 
         Parameters
         ----------
@@ -322,7 +322,7 @@ def place_of(ra, dec) -> np.ndarray:
 
 
 def _find(table, columns):
-    """Return a dict from role to column name."""
+    """Return a dict from the role of a column, such as ``ra``, to its name in the table."""
     columns = {} if columns is None else columns
     if not isinstance(columns, dict):
         raise refusal("columns must be a dict from role to column", columns, dict)

@@ -236,7 +236,7 @@ def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path
     lines = {folder: (folder / "index.csv").read_text().splitlines(keepends=True) for folder in (one, other)}
     (line,) = [line for line in lines[other] if line.startswith(name)]
     (one / "index.csv").write_text("".join(line if old.startswith(name) else old for old in lines[one]))
-    with pytest.warns(rs.RfpsurveyWarning, match="planned when other targets still required a visit"):
+    with pytest.warns(rs.RfpsurveyWarning, match="planned when a different set of targets still required a visit"):
         survey = plan(case, one, resume=True)
     visits = survey.targets
     times = np.bincount(visits["target_row"][visits["observed"]], minlength=len(survey.outcomes))
@@ -392,7 +392,7 @@ def test_progress_is_one_line_with_a_rate(case, tmp_path, capsys):
 def test_a_folder_of_version_0_1_is_not_continued(case, folder):
     request = json.loads((folder / "survey.json").read_text())
     (folder / "survey.json").write_text(json.dumps({**request, "method": "balanced"}))
-    with pytest.raises(rs.InputError, match=r"was begun by version 0\.1, which recorded other options"):
+    with pytest.raises(rs.InputError, match=r"was begun by version 0\.1 of rfpsurvey, which recorded other options"):
         plan(case, folder, resume=True)
 
 

@@ -15,8 +15,9 @@ class FixedTile(NamedTuple):
     """The plan of a tile that was already observed."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner; -1 if the positioner has no target."""
+    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target."""
     side: np.ndarray
+    """Handedness of each positioner: +1 is right, -1 is left."""
     counted: np.ndarray
     """Whether the visit of each positioner counts as an observation."""
 

@@ -1,7 +1,7 @@
 """All tiles of a survey as one problem: candidates of all positioners, and sets that limit the use of candidates.
 
-A *candidate* is a possible target of a positioner, with the elbow of the arm. The idle arm is also a candidate. A plan
-uses exactly one candidate of each positioner, and a limited number of candidates of each *set*.
+A *candidate* is a possible target of a positioner, with the handedness of the arm. The idle arm is also a candidate. A
+plan uses exactly one candidate of each positioner, and a limited number of candidates of each *set*.
 """
 
 from dataclasses import dataclass

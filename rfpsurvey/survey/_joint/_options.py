@@ -28,11 +28,12 @@ class JointOptions:
         The search ends when, for every priority, the relative difference between the number of visits and its upper
         bound is at most this value. The visits of a priority are all visits to targets with at least this priority.
     iterations : int, optional
-        Largest number of iterations. With 0, visits are only moved between tiles along augmenting paths, and the first
-        bounds are computed.
+        Largest number of iterations. If this number is 0, visits are only moved between tiles along augmenting paths,
+        and the first bounds are computed.
     time_limit : Quantity, optional
-        Time after which the search ends. It does not include the time for planning the tiles one after the other. By
-        default, the time is not limited. A plan whose search ends at the time limit may not be reproducible.
+        Time after which the search ends. The preceding step, in which the tiles are planned one after the other, is
+        not included in this time. By default, the time is not limited. A plan whose search ends at the time limit may
+        not be reproducible.
     fixed : Survey, str or path-like, optional
         An earlier survey, or its folder, whose tiles were already observed. A tile of the new survey that has the same
         identifier as a tile of the earlier survey keeps the plan of the earlier survey. Both surveys must have the same
@@ -44,9 +45,9 @@ class JointOptions:
         paths, and ``bound`` is the upper bound so far. Each value is a list with one number for each priority; the
         number for a priority includes the visits to targets of all higher priorities.
     patch_size : int, optional
-        Initial number of pairs of a positioner and a target in one integer program, 10 to 100000. The search increases
-        this number when the plan and the bounds hardly improve. Larger programs give better plans and bounds, but take
-        longer.
+        The search solves an integer program for each patch of the sky. This parameter is the initial number of pairs of
+        a positioner and a target in one patch, 10 to 100000. The search increases this number when the plan and the
+        bounds hardly improve. Larger patches give better plans and bounds, but take longer.
 
     Raises
     ------
@@ -80,7 +81,7 @@ class JointOptions:
 
     @property
     def seconds(self) -> float:
-        """The time limit in seconds; infinity if there is none."""
+        """The time limit in seconds; infinity if the time is not limited."""
         return float("inf") if self.time_limit is None else float(self.time_limit.to_value(u.s))
 
     @cached_property

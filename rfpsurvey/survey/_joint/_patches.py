@@ -1,4 +1,7 @@
-"""Patches of the sky, which are groups of nearby positioners of all tiles, and an integer program for each patch."""
+"""Patches of the sky, which are groups of nearby positioners of all tiles, and an integer program for each patch.
+
+The words *candidate* and *set* are explained in the module that defines `Network`.
+"""
 
 import numpy as np
 
@@ -7,8 +10,8 @@ from rfpsurvey.survey._joint._network import Network
 
 __all__ = ["Patches", "divide"]
 
-# Plans whose total weights differ by less than this value may be treated as equal. The weights of different classes
-# differ by at least 1.
+# Plans whose total weights differ by less than this value may be treated as equal. The weights of targets of
+# different priority classes differ by at least 1.
 PRECISION = 0.5
 
 
@@ -102,8 +105,8 @@ class Patches:
     def can_gain(self, patch: int, chosen: np.ndarray, unmet: np.ndarray) -> bool:
         """Return whether a better plan of a patch may exist.
 
-        A better plan requires a positioner that does not yet observe a target of the best class in its reach, and a
-        target with remaining visits (``unmet``) in reach of a positioner of the patch.
+        A better plan requires two conditions: a positioner of the patch does not yet observe a target of the highest
+        priority class in its reach, and a target with remaining visits (``unmet``) is in reach of the patch.
         """
         network, members = self.network, self._members[patch]
         rows, ends = self.candidates(patch)
@@ -113,9 +116,10 @@ class Patches:
         return bool(unmet[network.target[rows]].any())
 
     def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
-        """Return the candidates that a patch can use while all other arms remain fixed, and its integer program.
+        """Return the candidates of a patch that can be used while all arms outside the patch remain fixed.
 
-        ``load`` is the number of candidates of each set that the plan ``chosen`` uses.
+        Also return the integer program that selects the best of these candidates. ``load`` is the number of candidates
+        of each set that the plan ``chosen`` uses.
         """
         network, members = self.network, self._members[patch]
         rows, ends = self.candidates(patch)

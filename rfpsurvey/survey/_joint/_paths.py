@@ -12,7 +12,7 @@ __all__ = ["Paths"]
 # Depths, that is, largest numbers of positioners in a path. The search uses these depths one after the other, because
 # short paths are found much faster.
 DEPTHS = (4, 16, 64, 256)
-# Largest number of times that the search considers all targets of a class for each depth.
+# Largest number of times that the search considers all targets of a priority class for each depth.
 PASSES = 20
 
 

@@ -1,4 +1,4 @@
-"""Plan all tiles of a survey together, and make a request whose tiles have the plans that were found."""
+"""Plan all tiles of a survey together, and make a request that contains the plan of each tile."""
 
 import logging
 from dataclasses import dataclass, field, fields
@@ -56,10 +56,10 @@ class Together:
     def __init__(self, executor, progress):
         self._executor, self._progress = executor, progress
         self.rest = progress
-        """The parameter ``progress`` for the tiles that are written after the search."""
+        """The value of ``progress`` with which the tiles are written after the search."""
 
     def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
-        """Return a request with the plans of all tiles, and the table of iterations."""
+        """Return a request with the plans of all tiles, and a table with a row for each iteration and priority."""
         n, most = len(request.tiling), request.joint.iterations
         stored = None if folder is None else read_state(folder)
         fixed = fixed_tiles(request)
@@ -94,12 +94,12 @@ class Together:
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:
-    """Report the progress of one part of the work, which begins after ``before`` of ``total`` steps."""
+    """Report the progress of a stage of the computation; the stage begins after ``before`` of ``total`` steps."""
     progress(before + done, total)
 
 
 def _inform(inform, search: Search) -> None:
-    """Call the function ``inform`` with the visits and the bounds before the first iteration."""
+    """Call the function ``inform`` with the numbers of visits and their upper bounds before the first iteration."""
     if inform is not None:
         before = search.steps[0].visits.tolist()
         inform({"visits_before": before, "visits": search.visits.tolist(), "bound": search.bounds.tolist()})

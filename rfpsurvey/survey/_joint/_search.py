@@ -20,22 +20,23 @@ from rfpsurvey.survey._joint._paths import Paths
 
 __all__ = ["Search", "Step"]
 
-# Widths of the smooth maximum, and the number of sweeps over all prices for each width.
+# Widths of the smooth maximum with which prices are computed, and the number of sweeps over all prices per width.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 # Fraction of the time limit that is available for computing the prices before the first iteration.
 FOR_PRICES = 0.15
 # Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
-# Largest number of nodes of a search tree, for integer programs that improve a plan, and for those that give a bound.
+# Largest number of nodes of the search tree of an integer program: NODES if the program improves a plan, and
+# NODES_OF_BOUND if the program gives a bound.
 NODES, NODES_OF_BOUND = 300, 100
 # Allowed relative error of an integer program that gives a bound; the bound is valid whatever the error is.
 GAP = 2e-4
 # Largest number of reachable pairs for which the matching that ignores collisions is computed.
 MOST_EDGES = 4_000_000
-# Upper limit of the sum of all terms that decide between plans of equal value, as a fraction of the weight of the least
-# important class.
+# Upper limit of the sum of all terms that decide between plans of equal value, as a fraction of the weight of the
+# lowest priority class.
 TIE = 0.4
-# Largest ratio of the weights of the most and the least important class.
+# Largest ratio of the weights of the highest and the lowest priority class.
 STEEPEST = 1e6
 # The size of the patches grows by the factor GROWTH after an iteration that closes less than the fraction LITTLE of the
 # gap of every level. The largest size is LARGEST times the initial size.
@@ -216,7 +217,7 @@ class Search:
         return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
 
     def _improve(self, patches, executor):
-        """Improve the plan patch by patch; patches without a common set of candidates are solved at the same time."""
+        """Improve the plan patch by patch; patches that share no set of candidates are solved at the same time."""
         network = self.network
         load = network.matrix @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         price = self._prices[-1]

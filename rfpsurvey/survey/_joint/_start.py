@@ -21,13 +21,13 @@ class TilePlan(NamedTuple):
     """The plan of a tile."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner; -1 if the positioner has no target."""
+    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target."""
     side: np.ndarray
-    """Elbow of each positioner: +1 is right, -1 is left."""
+    """Handedness of each positioner: +1 is right, -1 is left."""
 
 
 def _plan(job: Job):
-    """Plan a tile, and return the target (an index of the targets of the field) and the elbow of each positioner."""
+    """Plan a tile; return the target (its index among the targets of the field) and handedness of each positioner."""
     plan = plan_field(
         job.model.instrument, projection_of(job), job.field.targets, job.model.options, np.random.default_rng(job.seed)
     )
@@ -46,7 +46,7 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
-    """Return the plans of all tiles, planned one after the other; ``fixed`` contains the plans of observed tiles."""
+    """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
     left, plans = request.open_state().left, [None] * len(request.tiling)
     done = 0
     for tile, known in fixed.items():
@@ -69,7 +69,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
 
 
 def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
-    """Return the network of all tiles, and the unit vectors of the centers of all positioners."""
+    """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners."""
     state = request.open_state()
     jobs, slots, n = [], [], len(request.tiling)
     for tile in range(n):
@@ -106,7 +106,7 @@ def class_names(request) -> list[str]:
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
-    """Return the planned candidate of each positioner, or its idle arm if its target is not among its candidates."""
+    """Return the planned candidate of each positioner, or its idle arm if the planned target is not a candidate."""
     slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
     place = np.searchsorted(network.slot, slot)
     target = np.where(slot >= 0, place, -2)
@@ -119,7 +119,7 @@ def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
 
 
 def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
-    """Return the plans of all tiles from the candidate of each positioner."""
+    """Return the plans of all tiles in which each positioner uses the candidate in ``chosen``."""
     target = network.target[chosen]
     slot = np.append(network.slot, -1)[target]
     side = network.side[chosen]
@@ -138,7 +138,7 @@ def _model(request, options) -> Model:
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return the index of each wanted slot among the slots of a field; a wanted slot of -1 gives -1."""
+    """Return the index of each slot of ``wanted`` in the array ``slots``; the index of slot -1 is -1."""
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
     return np.where(wanted >= 0, index, -1)

@@ -16,7 +16,7 @@ class State(NamedTuple):
     """The state of a search after an iteration."""
 
     plans: list
-    """For each tile, the slots of the targets and the elbows of all positioners."""
+    """For each tile, the slot of the target and the handedness of each positioner."""
     bounds: np.ndarray
     next_size: np.ndarray
     size: float
@@ -25,7 +25,7 @@ class State(NamedTuple):
     steps: np.ndarray
     """Iteration, seconds, visits and bounds of each step, one row per step."""
     prices: list
-    """Prices of each level; None for a level without prices."""
+    """For each level, the prices of all sets (see `Search.prices`); None for a level without prices."""
 
 
 def write_state(folder, plans: list, search) -> None:
