@@ -1,7 +1,8 @@
 """The pipeline that plans a field: project the targets, assign them, place the arms, and find the collisions.
 
-The pipeline works on arrays without units. `plan_tile` calls the pipeline once, and `plan_survey` and `place_tiles`
-call it for each tile. The calculation of collision probabilities uses the first steps of the pipeline.
+Positions and angles in the pipeline are arrays without units, in mm and radians. `plan_tile` calls the pipeline once,
+and `plan_survey` and `place_tiles` call it for each tile. The calculation of collision probabilities uses the first
+steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids

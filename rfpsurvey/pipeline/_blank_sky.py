@@ -10,8 +10,8 @@ from rfpsurvey.errors import InputError
 __all__ = ["BlankIds", "blank_ids"]
 
 PREFIX = "blank-sky-"
-# If the identifiers are text: largest number of digits after the prefix. If the identifiers are integers: number of
-# integers that are reserved for blank sky positions.
+# DIGITS is the largest number of digits after the prefix of identifiers that are text. ROOM is the number of integers
+# that are reserved for blank sky positions if identifiers are integers.
 DIGITS, ROOM = 6, 1_000_000
 
 

@@ -14,13 +14,14 @@ from rfpsurvey.projection import FieldProjection
 __all__ = ["are_among", "mark_required", "with_keep_out"]
 
 
-# Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. Between
-# two of the points, the image of the rim can be slightly farther from the center than at the points.
+# Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. The
+# factor is larger than 1 because the image of the rim can be slightly farther from the center between two of these
+# points.
 N_RIM, MARGIN = 360, 1 + 1e-4
 
 
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with additional obstacles: the circles of ``keep_out`` that its arms can touch."""
+    """Return the instrument with additional obstacles: the images of circles in ``options.keep_out`` near its arms."""
     if not options.keep_out:
         return instrument
     plane, circles = instrument.focal_plane, options.circles

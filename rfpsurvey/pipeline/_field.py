@@ -1,4 +1,4 @@
-"""Plan a field on arrays without units, from unit vectors of targets to assigned fibers and their collisions."""
+"""Plan a field: project unit vectors of targets, assign the targets to fibers, and find the colliding arms."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -40,7 +40,7 @@ class FieldTargets(NamedTuple):
     others: np.ndarray | None = None
     """Unit vectors of other targets, which are not assigned; blank sky positions must avoid these targets."""
     extra: dict | None = None
-    """Additional columns of the plan: the values of all targets, by the name of the column."""
+    """Additional columns of the plan; each key is the name of a column, and each value contains a value per target."""
 
 
 class FieldPlan(NamedTuple):
@@ -54,11 +54,11 @@ class FieldPlan(NamedTuple):
     positioner: np.ndarray
     """Row in the focal plane of each positioner that has a target."""
     target: np.ndarray
-    """Row of the target of each positioner in the `FieldTargets`; -1 for blank sky."""
+    """Row in the `FieldTargets` of the target of each of these positioners; -1 for blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
-    """Latitudes in ICRS, in radians; the longitudes (``lon_rad``) are from 0 to 2 pi."""
+    """Declination (ICRS) of each target in radians; ``lon_rad`` is its right ascension, from 0 to 2 pi."""
     kind: np.ndarray
     """Kind of each target: ``science``, ``standard`` or ``sky``."""
     carried: dict
@@ -77,7 +77,7 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
     radius = instrument.field_radius.to_value(u.rad) * (1 + 1e-9)
     if not isinstance(projection, ObservedField):
         return radius
-    # The ring is slightly inside the edge, so that all its points have an image under all conditions.
+    # The ring is slightly inside the edge, so that all its points have an image under all observing conditions.
     turn = np.linspace(0, 2 * np.pi, N_RING, endpoint=False)[:, None]
     x, y, center = projection.basis
     ring = np.cos(RING * radius) * center + np.sin(RING * radius) * (np.cos(turn) * x + np.sin(turn) * y)
@@ -98,7 +98,7 @@ def project_field(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the positions (mm) of targets on the focal plane, and the fiber types that the targets require or None."""
     if instrument.focal_plane.fiber_types == ("",):
-        fiber_type = None  # a single unnamed fiber type can observe all targets
+        fiber_type = None  # all fibers have the same unnamed type, and can observe all targets
     elif isinstance(instrument.distortion, dict):
         # Each fiber type has its own image of the sky. A target that requires no fiber type uses the first fiber type.
         first = next(iter(instrument.distortion))

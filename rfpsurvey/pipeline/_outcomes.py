@@ -1,4 +1,4 @@
-"""Outcomes of targets, and the classes for which completeness is computed."""
+"""Outcomes of targets, and the classes (by priority or by category) for which completeness is computed."""
 
 from enum import IntEnum
 
@@ -40,7 +40,7 @@ def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) 
 def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the priority class of each target, and the names of the classes, the most important class first.
 
-    The classes are defined by the priorities of the targets for which ``counts`` is true.
+    Each class is one priority or a range of priorities. Only targets for which ``counts`` is true define the classes.
     """
     if priority is None or not counts.any():
         return np.zeros(len(counts), dtype=np.uint8), [""]

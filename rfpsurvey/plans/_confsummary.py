@@ -48,9 +48,9 @@ NATIVE = {
     "ra_fiber": "ra",
     "dec_fiber": "dec",
 }
-"""Name of each column in a plan, and its name in a file.
+"""Name of each column in a plan, and its name in a confSummary file.
 
-The values are the same, except that missing numbers are represented differently.
+A plan and a file contain the same values, except that missing numbers are -999 in a file, and NaN or -1 in a plan.
 """
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
@@ -72,9 +72,10 @@ def recognizes(path: Path) -> bool:
 def read(path: Path) -> QTable:
     """Return the plan that a file contains.
 
-    ``x`` and ``y`` are coordinates on the wok, the plate that holds the positioners: ``xwok`` and ``ywok`` of the file.
-    For files of 2021 and 2022, they are ``xFocal`` and ``yFocal``, rotated by the position angle. ``ra`` and ``dec``
-    are the catalog position of the target; ``ra_fiber`` and ``dec_fiber`` are the position of the fiber on the sky.
+    ``x`` and ``y`` are coordinates on the wok, the plate that holds the positioners. They are read from ``xwok`` and
+    ``ywok``. Files of 2021 and 2022 lack these columns; for such files, ``x`` and ``y`` are ``xFocal`` and ``yFocal``,
+    rotated by the position angle. ``ra`` and ``dec`` are the catalog position of the target; ``ra_fiber`` and
+    ``dec_fiber`` are the position of the fiber on the sky.
     """
     rows, struct, header = _parse(path)
     for name in ("holeId", "fiberType", "assigned"):
@@ -149,7 +150,7 @@ def lost(plan: QTable) -> list[str]:
     names = {*_struct(plan), *NATIVE, "kind", "assigned", "x", "y"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if _is_nominal(plan):
-        found.append("the joint angles of an instrument with nominal arms")
+        found.append("the joint angles computed from nominal arm lengths")
     if plan.meta["format"] not in ("confsummary", "tile") and plan.meta["header"]:
         found.append("the keywords of the header")
     return found
@@ -234,8 +235,8 @@ def _is_nominal(plan: QTable) -> bool:
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the names and types of the columns of the file to write.
 
-    If the plan was read from a confSummary file, the file has the same columns; otherwise, it has the default columns
-    ``STRUCT``.
+    If the plan was read from a confSummary file, the new file has the columns of that file; otherwise, it has the
+    default columns ``STRUCT``.
     """
     if "struct" in plan.meta:
         return {name: kind for kind, name in (entry.split() for entry in plan.meta["struct"])}
@@ -306,7 +307,7 @@ def _given(plan: QTable, struct: dict) -> dict:
 
 
 def _joined(category, fibers):
-    """Return categories such as ``sky_boss``."""
+    """Return categories that contain the fiber type, such as ``sky_boss`` for ``sky`` and BOSS."""
     return np.array([f"{c}_{t.lower()}" for c, t in zip(category.tolist(), fibers, strict=True)])
 
 
@@ -324,7 +325,7 @@ def _check_text(values: np.ndarray, name: str, path: Path) -> None:
 
 
 def _native_header(plan: QTable, path: Path) -> dict[str, str]:
-    """Return the header of a confSummary file: the header of the file that was read, or a new one for other plans."""
+    """Return the header of a confSummary file; a plan that was read from such a file keeps the header of that file."""
     meta = plan.meta
     if meta["format"] == "confsummary":
         header = dict(meta["header"])

@@ -83,7 +83,7 @@ def recognizes(path: Path) -> bool:
 
 
 def read(path: Path) -> QTable:
-    """Return the plan in a file; ``meta["extensions"]`` of the plan contains the other tables of the file."""
+    """Return the plan in a fiberassign file; its ``meta["extensions"]`` contains the other tables of the file."""
     header, tables = read_tables(path)
     found = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
     if not found:
@@ -120,7 +120,10 @@ def read(path: Path) -> QTable:
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan; if it has another format, missing columns are filled with default values such as -1 or NaN."""
+    """Write a plan as a fiberassign file.
+
+    If the plan was read from another format, columns that it lacks are filled with default values such as -1 or NaN.
+    """
     from astropy.io import fits
 
     if suffix_of(path) != ".fits":
@@ -213,7 +216,7 @@ def _epoch(years):
 
 
 def _header(plan) -> dict:
-    """Return the keywords of the primary header; for a plan of another format, return only the required keywords."""
+    """Return the keywords of the primary header; if the plan has another format, return only the required keywords."""
     header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
@@ -228,7 +231,10 @@ def _is_own(plan) -> bool:
 
 
 def _columns(plan, header) -> dict:
-    """Return the columns of FIBERASSIGN in the order of the file that was read, or of ``TYPES`` for other plans."""
+    """Return the columns of FIBERASSIGN, by name.
+
+    The columns have the order of the file from which the plan was read or, for plans of other formats, of ``TYPES``.
+    """
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan)
     bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")

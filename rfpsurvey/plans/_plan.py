@@ -194,9 +194,9 @@ def native_format(path: str | os.PathLike) -> str | None:
 
 
 def plan_roles(table: Table) -> dict[str, str]:
-    """Return a dict that contains the name of the column with each role in a plan.
+    """Return a dict from each role of a column of a plan to the name of this column.
 
-    The roles are names such as ``id``, ``ra`` and ``x``. If the table is not a plan, the dict is empty.
+    Roles state what columns contain, such as ``id``, ``ra`` and ``x``. If the table is not a plan, the dict is empty.
     """
     if not is_plan(table):
         return {}

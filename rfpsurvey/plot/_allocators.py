@@ -18,7 +18,7 @@ __all__ = ["plot_allocators"]
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Plot the numbers of fibers that are usable, lost to collisions, or missing for requirements, for each allocator.
 
-    Missing fibers are the additional fibers, for example on sky positions, that the requirements demand.
+    Missing fibers are fibers, for example on sky positions, that the requirements demand but that the plan lacks.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     Returns
     -------
     matplotlib.axes.Axes
-        The axes, with a bar and the computing time of each allocator in the order of the table. The dashed line is
-        the number of science fibers of the best plan that ignores collisions.
+        The axes, with a bar and the computing time of each allocator in the order of the table. The dashed line
+        shows the number of science fibers of the best plan that ignores collisions.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CI
 __all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
-"""Marker and legend label for each status of positioners that is marked."""
+"""Marker and legend label for each status of a positioner that is marked on the plot."""
 
 
 def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool) -> Iterator:
@@ -87,7 +87,7 @@ def draw_marks(ax, scene: Scene) -> Iterator:
 
 
 def _shapes(scene: Scene, rows: np.ndarray, color: str) -> Iterator:
-    """Yield collections of the shapes that may not touch: capsules, or the outlines of both arms."""
+    """Yield collections of the shapes that must not touch: capsules, or the outlines of both arms."""
     from matplotlib.collections import PathCollection, PolyCollection
     from matplotlib.colors import to_rgba
 

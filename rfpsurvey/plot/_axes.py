@@ -108,7 +108,7 @@ def points_per_unit(ax: "Axes") -> float:
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
-    """Return the median distance between nearest centers or, for a single positioner, its patrol diameter."""
+    """Return the median distance between neighboring centers; for one positioner, return its patrol diameter."""
     from scipy.spatial import cKDTree
 
     if len(centers) <= 1:

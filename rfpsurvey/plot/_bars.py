@@ -1,4 +1,4 @@
-"""Stacked bars that show fractions of a total, with a bar for each class and numbers beside it."""
+"""Stacked bars that show fractions of a total, with one bar for each class and numbers beside each bar."""
 
 import numpy as np
 
@@ -21,11 +21,12 @@ def stacked_bars(
     *,
     columns: int = 2,
 ) -> None:
-    """Draw a stacked bar from 0 to 1 for each class, and write two numbers beside it.
+    """Draw a stacked bar from 0 to 1 for each class, and write two numbers beside each bar.
 
-    The numbers are how many targets (or visits) of the class are observed (``counted``), and how many there are
-    (``total``). ``pieces`` contains the parts of the bars from left to right. Each part is a tuple of the number of
-    targets (or visits) in each class, the label of the part, and its style.
+    The first number is the number of observed targets (or visits) of the class (``counted``). The second number is the
+    number of all targets (or requested visits) of the class (``total``). ``pieces`` contains the parts of the bars from
+    left to right. Each part is a tuple of the number of targets (or visits) in each class, the label of the part, and
+    its style.
     """
     left, handles = np.zeros(len(y)), []
     style = {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}

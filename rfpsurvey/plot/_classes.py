@@ -1,4 +1,4 @@
-"""Dots of targets by outcome or by class, with legend entries that contain the numbers of targets."""
+"""Functions that draw a dot for each target, colored by outcome or by class, and count the targets in the legend."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -49,7 +49,8 @@ def plot_collision_map(
         Result to plot. An array contains a probability (NaN if the positioner is not counted) or a boolean for each
         positioner.
     focal_plane : FocalPlane, Instrument or str, optional
-        The positioners; a str is the name of a preset. It must be None for a Tile, which has its own positioners.
+        The positioners; a str is the name of a preset. If ``collisions`` is a Tile, which contains its own positioners,
+        ``focal_plane`` must be None.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     region : Quantity, shape (2, 2), optional
@@ -161,7 +162,7 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
     """Color disks by value, from the smallest to the largest value, and draw a color bar."""
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
-    # slightly below the smallest value, which would otherwise have the color of the background
+    # the scale starts below the smallest value, which would otherwise have the color of the background
     limits = (max(low - 0.15 * (high - low), 0.0), high) if low < high else (0.0, high or 1.0)
     small = radius * points_per_unit(ax) < SMALL
     edges = {"edgecolors": "none"} if small else {"edgecolors": "0.6", "linewidths": 0.2}

@@ -61,7 +61,7 @@ def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> 
 
 
 def _corner(ax, avoid):
-    """Return the corner of the axes (as fractions) with the fewest points nearby; without points, the upper left."""
+    """Return the corner, such as (0, 1), with the fewest points nearby; if there are no points, the upper left one."""
     corners = [(0, 1), (1, 1), (0, 0), (1, 0)]
     if len(avoid) == 0:
         return corners[0]

@@ -20,7 +20,7 @@ __all__ = ["draw_survey", "plot_completeness"]
 
 
 def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the completeness of a survey against the number of tiles, with a mark for each priority after each pass.
+    """Plot the completeness of a survey against the number of tiles, with a marker for each priority after each pass.
 
     Parameters
     ----------

@@ -33,9 +33,10 @@ def plot_coverage(
 ) -> "Axes":
     """Plot the number of positioners that reach each point; darker colors show larger numbers.
 
-    The dashed line is the edge of the footprint. White points inside the footprint are points that no positioner
-    reaches. The legend shows the fraction of the footprint for each number of positioners, as computed by
-    `~rfpsurvey.FocalPlane.coverage`. The darkest blue shows the largest number.
+    The dashed line is the edge of the footprint, which is the convex hull of the centers of the positioners. White
+    points inside the footprint are points that no positioner reaches. The legend shows the fraction of the footprint
+    for each number of positioners, as computed by `~rfpsurvey.FocalPlane.coverage`. The darkest blue shows the largest
+    number.
 
     Parameters
     ----------
@@ -139,6 +140,6 @@ def _outline(ax, plane):
 
 
 def _percent(part):
-    """Return a fraction as text in percent, to two significant digits unless it is very small or close to 1."""
+    """Return a fraction as text in percent with two significant digits, or as ``< 0.1 %`` or ``100 %``."""
     percent = 100 * part
     return "0 %" if percent == 0 else "< 0.1 %" if percent < 0.1 else f"{percent:.2g} %" if percent < 99.5 else "100 %"

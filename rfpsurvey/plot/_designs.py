@@ -1,4 +1,4 @@
-"""Plot of two columns of many designs, such as coverage and loss, with the Pareto front."""
+"""Plot of two columns of a table of designs, such as coverage and fraction of fibers lost, with the Pareto front."""
 
 from typing import TYPE_CHECKING
 
@@ -39,11 +39,11 @@ def plot_designs(
     ax: "Axes | None" = None,
     **kwargs: object,
 ) -> "Axes":
-    """Plot two columns of all designs against each other, with the Pareto front.
+    """Plot two columns of a table of designs against each other, with the Pareto front.
 
-    Large points with black edges are on the Pareto front. If the color column has only a few values, each value has its
-    own marker. A star with a name is the design of the instrument that was passed to
-    `~rfpsurvey.design.explore_around`.
+    Large points with black edges are on the Pareto front: no other design is better in both objectives. If the color
+    column has only a few values, each value has its own marker. A star with a name is the design of the instrument that
+    was passed to `~rfpsurvey.design.explore_around`.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def plot_designs(
     Raises
     ------
     InputError
-        If a table was not returned by `~rfpsurvey.design.explore_designs`, if a column is missing, or if the loss is
-        defined differently in ``mark`` and in ``table``.
+        If a table was not returned by `~rfpsurvey.design.explore_designs`, if a column is missing, or if the
+        column ``loss`` is defined differently in ``mark`` and in ``table``.
 
     Examples
     --------
@@ -90,8 +90,8 @@ def plot_designs(
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
             raise InputError("table, and each table in mark, must be a table that explore_designs returned")
         if _question(one) != _question(table):
-            same = f"the same definition as the loss of table ({_question(table)})"
-            raise InputError(f"the loss of each table in mark must have {same}, got {_question(one)}")
+            same = f"the same definition as in the plotted table ({_question(table)})"
+            raise InputError(f"the column loss of each table in mark must have {same}, got {_question(one)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
@@ -161,7 +161,7 @@ def _instruments(table):
 
 
 def _question(table):
-    """Return the definition of the loss: its estimand and, if it is not ``independent``, the number of targets."""
+    """Return the definition of ``loss``: the estimand and, unless it is ``independent``, the number of targets."""
     asked = table.meta["request"]
     targets = f", {asked['targets']:g} targets per {'mm^2' if asked['by_area'] else 'positioner'}"
     return asked["estimand"] + ("" if asked["estimand"] == "independent" else targets)

@@ -166,7 +166,7 @@ def _draw_targets(ax, scene, targets):
 
 
 def _targets_of(thing, color):
-    """Return the positions (mm) of the targets that have a position, and their rows in the outcomes."""
+    """Return the positions (mm) of the targets that have a position, and the outcomes of these targets as a table."""
     check_choice(color, COLORINGS, "targets")
     if not isinstance(thing, Tile):
         raise InputTypeError(f"thing must be a Tile to draw its targets by {color}, got {type(thing).__name__}")

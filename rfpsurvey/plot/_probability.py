@@ -1,4 +1,4 @@
-"""Plots of probabilities and intervals against a parameter, and of differences as a function of two parameters."""
+"""Plots of collision probabilities against a parameter, and of differences as a function of two parameters."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -34,14 +34,14 @@ def plot_probability(
     Parameters
     ----------
     table : QTable
-        Table with a row for each design and with the columns ``x`` and ``values``, for example a table of estimates.
+        Table with a row for each design, for example a table of estimates.
     x : str, optional
-        Column along the axis, such as ``ratio`` or ``pitch``.
+        Column along the x axis, such as ``ratio`` or ``pitch``.
     values : str or list of str, optional
-        Columns to plot. The interval of the column ``value`` extends from ``low`` to ``high``. If the table lacks these
-        columns, the interval extends by 1.96 times ``standard_error`` to either side. The interval of another column,
-        such as ``formula``, is defined by the columns ``formula_low`` and ``formula_high``, or ``formula_error``. If
-        the table has none of these columns, only a line is drawn.
+        Columns to plot. The interval of the column ``value`` extends from the column ``low`` to the column ``high``. If
+        the table lacks these columns, the interval extends by 1.96 times ``standard_error`` to either side. The
+        interval of another column, such as ``formula``, is defined by the columns ``formula_low`` and ``formula_high``,
+        or ``formula_error``. If the table has none of these columns, only a line is drawn.
     by : str, optional
         Column that defines groups of rows: rows with the same value are one group, which has its own lines.
     ax : matplotlib.axes.Axes, optional
@@ -128,7 +128,7 @@ def plot_residuals(
     value, reference : str, optional
         Columns whose difference, ``value`` minus ``reference``, is plotted; rows whose difference is NaN are omitted.
     x, y : str, optional
-        Columns along the axes.
+        Columns along the x axis and along the y axis.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     **kwargs

@@ -65,7 +65,7 @@ def plot_quality(
         The third panel is a histogram of ``column`` for all science targets and for assigned science targets. The third
         panel is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that
         are in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
-        intervals.
+        confidence intervals.
 
         For a survey, the first panel has one bar for each class (a row of ``Survey.completeness``). The bar shows the
         fractions of the visits that were observed in each pass; the numbers of observed and requested visits are on the
@@ -152,7 +152,7 @@ def _column_of(table, name) -> str | None:
 
 
 def _shown(completeness):
-    """Return the rows with a bar in the plot: kinds, the largest categories, and the most important priorities."""
+    """Return the rows that are drawn as bars: kinds, the largest categories, and the most important priorities."""
     number = np.cumsum(np.asarray(completeness["category"]) != "all")
     rows = completeness[(np.asarray(completeness["category"]) == "all") | (number <= MOST_CATEGORIES)]
     return rows[:MOST_BARS]

@@ -26,7 +26,7 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
 
 
 def _small(tables):
-    """Plot the probability against arm ratio and pitch; in the lower panels, scale the curves to 0 to 1."""
+    """Plot the collision probability against arm ratio and pitch; the lower panels show it scaled to 0 to 1."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
@@ -53,7 +53,7 @@ def _scaled(values, like=None):
 
 
 def _large(tables):
-    """Plot the formula against the simulation, and the difference of both after scaling to the range from 0 to 1."""
+    """Plot probabilities of the formula against those of the simulation, and the difference of scaled probabilities."""
     table = tables["large"]
     figure, (axes,) = new_grid(1, 2, (10, 4.5))
     for k, way in enumerate(("range_200", "covered")):
@@ -70,7 +70,7 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Plot uniform minus Poisson targets as a function of ratio and pitch, for each interpretation of the paper."""
+    """Plot how much larger the probability is with uniform than with Poisson targets, for each interpretation."""
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
@@ -101,7 +101,7 @@ def _surrogate(tables):
 
 
 def _intervals(tables):
-    """Plot the fraction of runs in which each confidence interval contains the true value, with error bars."""
+    """Plot, with error bars, the fraction of runs in which the confidence interval contains the true value."""
     table = tables["intervals"]
     figure, ((ax,),) = new_grid(1, 1, (8, 4.5))
     labels = [f"{r['scene']}, {r['method']}\n{r['interval']}, {r['stop']}" for r in table]
@@ -120,7 +120,11 @@ def _within_one(table):
 
 
 def _one_sky(tables):
-    """Plot the fraction of skies whose interval contains the expectation, against the number of positioners."""
+    """Plot the fraction of skies whose interval contains the true value, against the number of positioners.
+
+    A sky is one random set of targets. The interval is the confidence interval that is computed from this sky. The true
+    value is the mean over all skies of the same kind.
+    """
     table = tables["one_sky"]
     figure, ((ax,),) = new_grid(1, 1, (7.5, 6))
     groups = list(dict.fromkeys(zip(*(np.asarray(table[c]).tolist() for c in GROUPS), strict=True)))
@@ -143,7 +147,7 @@ def _one_sky(tables):
 
 
 def _poisson_disc(tables):
-    """Plot the excess (percent) of collisions with uniform targets over Poisson-disc targets, against the arm ratio."""
+    """Plot by how many percent uniform targets cause more collisions than Poisson-disc targets, against arm ratio."""
     table, summary = tables["poisson"], tables["poisson_disc"]
     figure, ((ax,),) = new_grid(1, 1, (7, 4.8))
     for k, separation in enumerate(summary["min_separation"].to_value("mm")):
@@ -168,7 +172,7 @@ def _poisson_disc(tables):
 
 
 def _speed(tables):
-    """Plot the computing time of each method against its error."""
+    """Plot the errors of each method against its computing time."""
     figure, axes = new_grid(2, 1, (7.5, 7))
     plot_speed_accuracy(tables["speed"], axes=tuple(axes.flat))
     return figure

@@ -30,6 +30,7 @@ class Scene:
     bodies: np.ndarray
     """Segment of each arm that can collide, as a row (x0, y0, x1, y1)."""
     half: float
+    """Half the minimum separation of two arms."""
     outline: dict | None
     """Parts of the outline of the ``eccentric`` and of the ``central`` arm, with vertices and radius in mm."""
     status: np.ndarray
@@ -115,7 +116,7 @@ def _of_plane(thing):
 
 
 def visible_part(scene: Scene, ax) -> Scene:
-    """Return the part of a scene inside the axes, so that other parts are neither drawn nor in the legend."""
+    """Return the part of a scene inside the axes, so that other parts are not drawn and have no legend entries."""
     low, high = limits_of(ax)
 
     def near(points, margin):

@@ -124,7 +124,7 @@ def radius_of(tiles: Tiling | Survey) -> float:
 
 
 def _new_axes(sky_map, rims, *, scale, legend):
-    """Return the axes of a new figure, with a height that suits the tiles."""
+    """Return the axes of a new figure, with the aspect ratio of the tiled area."""
     if rims is None:
         return new_axes(8, 5.0 if legend else 4.6, projection="aitoff")
     beside = 1.9 if scale else 1.0

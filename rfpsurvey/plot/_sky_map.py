@@ -11,10 +11,10 @@ from rfpsurvey.region import Region, border_of, circle_around
 __all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
 
 CORNERS, MOST_CORNERS = 36, 7200
-"""Smallest number of points on the edge of a field, and number of points on all edges. If there are few fields, each
-edge has more points, so that large circles look round."""
-WIDE = 60.0  # deg; the map shows the whole sky if fields are farther from the mean direction
-POLAR = 75.0
+"""Smallest number of points on the edge of a field, and intended total number of points on the edges of all fields. If
+there are few fields, each edge has more points, so that large circles look round."""
+WIDE = 60.0  # deg; the map shows the whole sky if fields extend farther from the mean direction
+POLAR = 75.0  # deg; the axes are offsets if fields extend to a larger absolute declination
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
 
 

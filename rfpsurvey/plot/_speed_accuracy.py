@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
 
 SHORT_AXIS = 100.0
-"""If the ratio of the ends of a logarithmic axis is at least this number, only powers of ten are labeled."""
+"""If the upper limit of an axis is at least this number times the lower limit, only powers of ten are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}
 LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and free space around a label, in points."""
@@ -32,18 +32,17 @@ def plot_speed_accuracy(
     table : QTable
         Table returned by `~rfpsurvey.benchmark.benchmark_collisions`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Axes for the fraction of misclassified pairs, and for the largest error of a distance; by default, a new figure
-        is created.
+        Two axes, for the number of misclassified pairs per colliding pair and for the largest error of the distance
+        between two arms; by default, a new figure is created.
     **kwargs
         Passed to ``Axes.plot`` for each method, for example ``markersize``.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        Two axes. Bars show the standard error of the fraction of misclassified pairs, which is computed from the square
-        root of the number of misclassified pairs. If no pair is misclassified, an arrow points down from an upper
-        limit, which is one divided by the number of colliding pairs. Methods to the lower left are faster and
-        more accurate.
+        Two axes. Bars in the first axes show the standard error: the square root of the number of misclassified pairs,
+        divided by the number of colliding pairs. If no pair is misclassified, an arrow points down from an upper limit,
+        which is one divided by the number of colliding pairs. Methods to the lower left are faster and more accurate.
 
     Raises
     ------
@@ -127,7 +126,8 @@ def plot_probability_accuracy(
     table : QTable
         Table returned by `~rfpsurvey.benchmark.benchmark_probability`.
     axes : tuple of matplotlib.axes.Axes, optional
-        Axes to draw on, one for each estimand of the table in alphabetic order; by default, a new figure is created.
+        Axes to draw on, one for each value of the column ``estimand``, in alphabetic order; by default, a new figure is
+        created.
     **kwargs
         Passed to ``errorbar`` of each method, for example ``markersize``.
 
@@ -141,8 +141,8 @@ def plot_probability_accuracy(
     Raises
     ------
     InputError
-        If ``table`` lacks a column that the plot shows, or if the number of ``axes`` differs from the number of
-        estimands.
+        If ``table`` lacks a column that the plot shows, or if the number of ``axes`` differs from the number of values
+        of ``estimand``.
 
     Examples
     --------

@@ -35,16 +35,17 @@ def plot_targets(
 ) -> "Axes":
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
-    The legend contains the numbers of targets. In plots by class, assigned targets are larger dots, and other targets
-    are smaller dots of the same color. The axes of a tile are offsets from its center. The axes of a survey are
-    the same as in `plot_tiling`. Circles show the fields of the survey, except on a map of the whole sky.
+    The legend contains the numbers of targets. In plots by kind, category or priority, assigned targets are larger
+    dots, and other targets are smaller dots of the same color. The axes of a tile are offsets from its center. The axes
+    of a survey are the same as in `plot_tiling`. Circles show the fields of the survey, except on a map of the whole
+    sky.
 
     Parameters
     ----------
     result : Tile or Survey
         Tile or survey to plot. A tile must have `outcomes <rfpsurvey.Tile.outcomes>`.
     catalog : Catalog or PartitionedCatalog, optional
-        The catalog of the survey, which contains the positions of its targets. It must be None for a tile.
+        The catalog of the survey, which contains the positions of its targets. For a tile, ``catalog`` must be None.
     color : {"outcome", "kind", "category", "priority"}, optional
         Property of targets that determines the colors.
     ax : matplotlib.axes.Axes, optional

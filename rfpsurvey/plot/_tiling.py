@@ -25,7 +25,7 @@ WIDE = 1.6
 
 
 def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> "Figure":
-    """Plot the tiles of each pass in a separate panel, with the same map in all panels.
+    """Plot the tiles of each pass in a separate panel; all panels show the same part of the sky.
 
     Tilings with one pass or with more than eight passes are plotted in one panel, with `plot_tiling`.
 

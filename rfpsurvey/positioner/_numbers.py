@@ -26,14 +26,14 @@ class PositionerNumbers:
     Attributes
     ----------
     central_arm, eccentric_arm : float
-        Arm lengths, mm.
+        Lengths of the arms in mm.
     clearance : float
-        Half the minimum separation of two arms if the motor step is 0, mm.
+        Width in mm of the margin around each arm.
     separation : float
-        Distance below which two arms collide, mm.
+        Distance in mm below which two arms collide.
     arm_length : float or None
-        Length of the segment of the arm model ``capsule``, or ``length`` of the `~rfpsurvey.ArmOutline` for the arm
-        model ``outline``, mm; None for the other arm models.
+        Length in mm of the segment (arm model ``capsule``) or of the `~rfpsurvey.ArmOutline` (arm model ``outline``);
+        None for the other arm models.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner, in radians.
     joints_free : bool

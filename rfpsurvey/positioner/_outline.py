@@ -17,12 +17,13 @@ __all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
 MOST = 1e6
 """Largest coordinate and radius, mm."""
 SAME = 1e-9
-"""Tolerance (mm). Vertices at a smaller distance are merged, and edges that bend inward by less count as straight."""
+"""Tolerance (mm). Vertices that are closer to each other than this length are merged. If the outline of a polygon bends
+inward by less than about this length, the polygon counts as convex."""
 PERIMETER = 1e-9
 """Largest relative difference between the perimeters of a convex polygon and of its convex hull."""
 FAR = 1e30
-"""A very large length (mm). If an arm has no parts, half of each side of its bounding rectangle is minus this length.
-The distance between this rectangle and any other rectangle is then very large."""
+"""A very large length (mm). For an arm without parts, half of each side length of the bounding rectangle is set to
+minus this length. The computed distance from this rectangle to any other rectangle is then very large."""
 ROUNDED_UP = 1.0 + 1e-12
 """Factor that enlarges upper limits to allow for rounding errors."""
 
@@ -52,14 +53,15 @@ class ArmOutline:
     Attributes
     ----------
     parts : tuple of (ndarray of float, shape (k, 2), float)
-        Counter-clockwise vertices and radius of each part, in mm without units; eccentric parts are first.
+        Counter-clockwise vertices and radius of each part, as numbers in mm; eccentric parts are first.
     n_eccentric : int
         Number of eccentric parts.
 
     Raises
     ------
     InputError
-        If a part is not convex, if its numbers are out of range, or if no eccentric part reaches beyond the elbow.
+        If a part is not convex, if a coordinate or a radius is out of range, or if no eccentric part has a vertex on
+        the fiber's side of the elbow.
 
     Examples
     --------
@@ -114,7 +116,7 @@ class ArmOutline:
         Returns
         -------
         ArmOutline
-            The outline with the opposite sign of all y.
+            The outline with the opposite signs of all y coordinates.
         """
         parts = [((vertices * [1, -1]) * u.mm, radius * u.mm) for vertices, radius in self.parts]
         return ArmOutline(parts[: self.n_eccentric], parts[self.n_eccentric :])
@@ -158,7 +160,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     Parameters
     ----------
     outline : ArmOutline or None
-        Parts of both arms; None if the arms are capsules.
+        Shape of both arms; None if the arm model is not ``outline``.
     centers : ndarray of float, shape (n, 2)
         Centers of the positioners, mm.
     central_arm : ndarray of float, shape (n,)
@@ -167,7 +169,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     Returns
     -------
     Outline
-        Read-only arrays.
+        The outline, as read-only arrays.
     """
     parts = () if outline is None else outline.parts
     centers = locked(np.column_stack([np.asarray(centers, dtype=float), 1.0 / central_arm]))

@@ -24,8 +24,8 @@ class Positioner:
     """A theta-phi fiber positioner with two arms.
 
     The central arm rotates by theta around the center, counter-clockwise from +x. The eccentric arm rotates by phi
-    around the elbow, relative to the central arm: it is extended at phi = 0 and folded at phi = 180 deg. The fiber
-    reaches all points of the closed annulus between ``inner_radius`` and ``outer_radius``.
+    around the elbow, relative to the central arm. The arms are extended at phi = 0 and folded at phi = 180 deg. The
+    fiber reaches all points of the closed annulus between ``inner_radius`` and ``outer_radius``.
 
     Parameters
     ----------
@@ -34,33 +34,33 @@ class Positioner:
     eccentric_arm : Quantity
         Length l2 of the eccentric arm, from the elbow to the fiber.
     clearance : Quantity
-        Clearance d of the eccentric arm. The minimum separation of two arms is 2 d plus the largest displacement of the
-        arm within one step.
+        Width d of the margin around the eccentric arm. The minimum separation of two arms is 2 d plus the largest
+        displacement of the arm within one step.
     step : Quantity, optional
         Angle of one motor step. Within a step, the arm is displaced by at most (l1 + l2) sin(2 step).
     handedness : {"right", "left", "both"}, optional
-        ``right``: phi in [0, 180] deg; ``left``: the mirror image of ``right``; ``both``: right, or left if the joint
-        limits forbid right.
+        ``right``: phi in [0, 180] deg; ``left``: the mirror image of ``right``; ``both``: ``right``, except for targets
+        that the fiber can reach only with ``left`` because of the joint limits.
     theta_range, phi_range : Quantity, shape (2,), optional
         Lower and upper joint limits of theta and phi, modulo 360 deg; by default, there are no limits.
     home : Quantity, shape (2,), optional
         theta and phi of a parked positioner, within the joint limits. By default, theta = 0 and phi = 180 deg (folded),
         or the nearest angles that the joint limits allow.
     displacement : Quantity, optional
-        Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If
-        ``displacement`` is given, ``step`` is ignored.
+        Largest displacement of the arm within one step, in place of (l1 + l2) sin(2 step). If ``displacement`` is
+        given, ``step`` is ignored.
     arm_model : {"elbow_to_tip", "capsule", "fiber_tip", "outline"}, optional
         Part of the positioner that can collide. ``elbow_to_tip``: the segment from the elbow to the fiber. ``capsule``:
         a segment that starts at the elbow, with its own length and angle. ``fiber_tip``: only the fiber, so two
-        positioners collide only if their targets are closer than the minimum separation. ``outline``: the polygons of
-        ``outline``, which must remain at least the minimum separation apart.
+        positioners collide only if their targets are closer than the minimum separation. ``outline``: the shape of both
+        arms that the parameter ``outline`` contains.
     arm_length : Quantity, optional
         Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
         Angle of the axis of the eccentric arm, counter-clockwise from the direction of the fiber, for the arm models
         ``capsule`` and ``outline``. A dict contains an angle for each fiber type.
     outline : ArmOutline, optional
-        Polygons of both arms, for the arm model ``outline``.
+        Shape of both arms, for the arm model ``outline``.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class Positioner:
 
     @property
     def equal_arms(self) -> bool:
-        """Whether both arms have the same length (to 1e-9 mm); the fiber then reaches the center."""
+        """Whether both arms have the same length (within 1e-9 mm); the fiber then reaches the center."""
         return abs(self.numbers.central_arm - self.numbers.eccentric_arm) < arms.EQUAL_ARMS
 
     @property
@@ -184,7 +184,7 @@ class Positioner:
         Returns
         -------
         theta : Quantity, shape (n,)
-            Angle in deg, in [-180, 180]. For a point at the center, theta is the angle of the parked pose. For a point
+            Angle in deg, in [-180, 180]. For a point at the center, theta is that of the parked pose. For a point
             out of reach, theta is NaN.
         phi : Quantity, shape (n,)
             Angle in deg, in [0, 180] ("right") or [-180, 0] ("left"). For a point out of reach, phi is NaN.

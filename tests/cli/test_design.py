@@ -198,7 +198,7 @@ def test_what_cannot_be_drawn_is_refused(table):
         (lambda: rs.plot.plot_designs(table, x="method"), "unknown column of designs 'method'"),
         (
             lambda: rs.plot.plot_designs(table, mark={"other": other}),
-            "must have the same definition as the loss of table .independent., got allocated, 4 targets per positioner",
+            "must have the same definition as in the plotted table .independent., got allocated, 4 targets",
         ),
     ):
         with pytest.raises(rs.InputError, match=words):

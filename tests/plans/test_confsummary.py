@@ -116,7 +116,7 @@ def test_a_tile_survives_with_its_assignment_and_collisions(tmp_path, path, buil
 
 def test_joint_angles_of_nominal_arms_are_left_out(tmp_path, path):
     tile = rs.score_tile(plans.read_plan(path), "sdss_apo")
-    with pytest.warns(rs.RfpsurveyWarning, match="the joint angles of an instrument with nominal arms"):
+    with pytest.warns(rs.RfpsurveyWarning, match="the joint angles computed from nominal arm lengths"):
         tile.write(tmp_path / "tile.par", format="confsummary")
     assert np.isnan(plans.read_plan(tmp_path / "tile.par")["theta"]).all()
 

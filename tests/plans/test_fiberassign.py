@@ -121,7 +121,7 @@ def test_a_plan_can_be_scored(path, built):
 
 
 def test_scoring_requires_the_instrument_as_built(path, presets):
-    with pytest.raises(rs.errors.InputError, match="give the instrument as built, whose files have the ids"):
+    with pytest.raises(rs.errors.InputError, match="use the instrument as built, because its positioners have the ids"):
         rs.score_tile(plans.read_plan(path), presets["desi"])
 
 
