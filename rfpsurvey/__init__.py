@@ -1,8 +1,8 @@
 """Target allocation and static-collision scoring for theta-phi robotic fiber positioners.
 
-The names in ``__all__`` are the whole public interface. From a catalog, the package computes the positions of the
-targets on the focal plane, the targets in reach of each positioner, the allocation, the poses of the arms, the
-collisions, and the score of a tile, in this order.
+The public interface consists of the names in ``__all__`` and of the public names of the subpackages that ``dir`` lists.
+From a catalog, the package computes the positions of the targets on the focal plane, the targets in reach of each
+positioner, the allocation, the poses of the arms, the collisions, and the score of a tile, in this order.
 """
 
 from typing import TYPE_CHECKING

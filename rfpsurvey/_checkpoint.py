@@ -36,9 +36,16 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
 
 
 def warn_of_software(path: Path, before: object, now: object, parts: str) -> None:
-    """Issue a warning if unfinished work was begun with different versions of the software."""
+    """Issue a warning if unfinished work was begun with different versions of the software.
+
+    ``before`` and ``now`` contain the versions with which the work was begun, and the present versions. ``parts`` is
+    the word for the results in the warning, such as "tiles".
+    """
     if before != now:
-        text = f"{path} was begun with other versions of the software; its {parts} may differ by rounding errors"
+        text = (
+            f"{path} was begun with other versions of the software (rfpsurvey or the packages that it uses); its "
+            f"{parts} may differ by rounding errors"
+        )
         warn(text)
 
 

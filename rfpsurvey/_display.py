@@ -11,14 +11,14 @@ DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
 def to_html(result: object, facts: dict, table: object = None) -> str:
-    """Return the HTML of a result: the heading (its ``repr``), names and values, and the first rows of a table.
+    """Return HTML that shows a result: a heading, properties of the result, and the first rows of a table.
 
     Parameters
     ----------
     result : object
         The result; its ``repr`` is the heading.
     facts : dict
-        Names and values; values that are not numbers or short text are omitted.
+        Names and values of properties of the result. Values that are not numbers or short text are omitted.
     table : QTable, optional
         The table to show.
 
@@ -39,8 +39,8 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
 def show(result: object, **options: object) -> object:
     """Return the interactive view of a result for a notebook.
 
-    The package ``report`` imports the classes of results. To avoid a circular import, this function imports ``report``
-    by its name, and only when a view is requested.
+    The subpackage ``report`` imports the classes of results. To avoid a circular import, this function imports
+    ``report`` only when it is called.
 
     Parameters
     ----------

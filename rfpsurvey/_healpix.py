@@ -29,7 +29,7 @@ def centers(nside: int, pixels: np.ndarray) -> np.ndarray:
 
 
 def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
-    """Return the pixel that contains each direction."""
+    """Return the number of the pixel that contains each unit vector."""
     from astropy_healpix import healpy
 
     if len(vectors) == 0:
@@ -40,7 +40,7 @@ def pixels_of(nside: int, vectors: np.ndarray) -> np.ndarray:
 def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     """Return the pixels whose centers are at most ``margin`` away from an object on the sky.
 
-    The search begins with the twelve pixels of ``nside`` 1. If a pixel is too far away, the search also excludes all
+    The search begins with the twelve pixels of ``nside = 1``. If a pixel is too far away, the search also excludes all
     smaller pixels inside this pixel.
 
     Parameters
@@ -80,5 +80,5 @@ def pixel_radius(nside: int) -> float:
 
 
 def nside_for(radius_rad: float) -> int:
-    """Return the lowest ``nside`` for which pixels are no larger than a given radius (radians)."""
+    """Return the lowest ``nside`` for which pixels have about a given radius (radians) or a smaller radius."""
     return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

@@ -115,7 +115,7 @@ def check_fits_text(columns: dict, remedy: str) -> None:
         if bad:
             raise InputError(
                 f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain other "
-                f"characters, such as {bad[0]!r}; change them, or {remedy}"
+                f"characters (for example, {bad[0]!r}); change this text, or {remedy}"
             )
 
 
@@ -186,7 +186,7 @@ def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str |
 
 
 def _to_hdus(table, cards, name, others):
-    """Return the header-data units (HDUs) of one or more tables; the first table has a card with its ``meta``."""
+    """Return the header-data units (HDUs) of tables; the header of the first table has a card with its ``meta``."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
@@ -281,7 +281,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
 
 
 def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
-    """Return the primary HDU and the header of a table; their length does not depend on the values in ``cards``."""
+    """Return the primary HDU and the header of a table; their size does not depend on the values in ``cards``."""
     primary, header, places, _ = _fits_template(dtype, fixed)
     image = bytearray(header)
     for name, card in cards.items():

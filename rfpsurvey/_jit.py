@@ -2,9 +2,9 @@
 
 Numba identifies the cached code of a kernel by the modification time and size of the file that defines the kernel.
 Numba would therefore run old code in two cases. First, a function that the kernel calls may be edited in another file.
-Second, an upgrade of the package may change the code of a file, but neither its modification time nor its size. To
-prevent the use of old code, the version of the cache contains a digest of the source of all kernels. Numba compares the
-version before it reads the cached code, because old code may refer to classes that no longer exist.
+Second, an upgrade of rfpsurvey may change the code of a file, but neither its modification time nor its size. To
+prevent the use of old code, the version of the cache contains a digest of the source of all kernels. Numba checks this
+version before it reads the cached code. Numba therefore never reads old code that refers to removed classes.
 """
 
 import hashlib
@@ -31,8 +31,8 @@ def _source_digest() -> str:
 def kernel(function: Callable) -> Callable:
     """Compile ``function`` when it is first called, and store the machine code on disk; calls release the GIL.
 
-    No machine code is stored if the environment variable ``RFPSURVEY_CACHE`` is ``0`` or no folder is writable.
-    Division by zero gives infinity or NaN, as in NumPy.
+    No machine code is stored if the environment variable ``RFPSURVEY_CACHE`` is ``0``, or if there is no
+    writable folder for the cache. Division by zero gives infinity or NaN, as in NumPy.
     """
     if os.environ.get("RFPSURVEY_CACHE") != "0":
         try:

@@ -53,7 +53,10 @@ def plugin_names(group: str) -> set[str]:
 
 
 def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Plugin:
-    """Return the plugin with a given name; the error for an unknown name lists all valid names, including ``known``."""
+    """Return the plugin with a given name.
+
+    If the name is unknown, the error message lists the names of all plugins and the built-in names ``known``.
+    """
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
@@ -72,7 +75,7 @@ def find_function(group: str, given: object, known: Iterable[str], what: str) ->
 
 
 def name_of(given: str | Callable) -> str:
-    """Return a given name, or the name of a given function, in a form that results can record."""
+    """Return a given name, or the module and name of a given function as ASCII text, which results can record."""
     if not callable(given):
         return given
     thing = given if hasattr(given, "__qualname__") else type(given)

@@ -35,9 +35,10 @@ class Progress:
         self._new, self._seconds, self._last, self._line = 0.0, 0.0, monotonic(), None
 
     def __call__(self, done: float, *, new: bool = True, note: str = "") -> None:
-        """Update the amount of work done; with ``new=False``, the work since the last call is from an earlier run.
+        """Update the amount of work done.
 
-        The text ``note``, such as the stage of a run, is shown at the end of the line.
+        With ``new=False``, the work that was added since the last call was done by an earlier run. The text ``note``,
+        such as the stage of a run, is shown at the end of the line.
         """
         self._note = f", {note}" if note else ""
         now = monotonic()

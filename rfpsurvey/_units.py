@@ -177,7 +177,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
 
 
 def _plain_object(value: object, name: str, what: str) -> object:
-    """Return a number or text unchanged, or empty text for a missing value."""
+    """Return a number or text unchanged, bytes as text, and a missing value as empty text."""
     if value is None or value is np.ma.masked:
         return ""
     if isinstance(value, bytes):

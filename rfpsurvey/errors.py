@@ -68,7 +68,7 @@ class InputUnitsError(InputError, UnitsError):
 
 
 class RfpsurveyWarning(UserWarning):
-    """Warning that input was ignored, that a missing input was assumed, or that a goal was not reached."""
+    """Warning that input was ignored, that a value was assumed for missing input, or that a goal was not reached."""
 
 
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
@@ -80,7 +80,7 @@ def check_whole(value: object, name: str, low: int = 1, high: int | None = None)
 
 
 def warn(text: str) -> None:
-    """Issue an `RfpsurveyWarning` that points to the first caller outside the package."""
+    """Issue an `RfpsurveyWarning` that points to the first caller outside rfpsurvey."""
     level, frame = 2, inspect.currentframe().f_back
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "rfpsurvey":
         level, frame = level + 1, frame.f_back
@@ -118,7 +118,7 @@ def check_switch(value: object, name: str) -> bool:
 
 
 def refusal(text: str, value: object, *types: type) -> InputError:
-    """Return the error for a value: an InputError if the value has one of the types, otherwise an InputTypeError."""
+    """Return the error for an invalid value: an InputError if it has one of ``types``, otherwise an InputTypeError."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
 

@@ -18,7 +18,7 @@ BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
 META_KEY = "RFPSURVY"
-"""Keyword of the header card in which this package stores the ``meta`` of a table."""
+"""Keyword of the header card in which rfpsurvey stores the ``meta`` of a table."""
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
@@ -26,7 +26,7 @@ def read_fits(path: Path, number: int | None = None) -> QTable:
     """Return the table with the index ``number``, counted from 0, in a FITS file; by default, return the first table.
 
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
-    by this package.
+    by rfpsurvey.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)
@@ -157,8 +157,8 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
         n_bytes = _data_size(cards, path)
         if begin + n_bytes > size:
             raise InputError(
-                f"{path}: the file must have {begin + n_bytes} bytes, as its headers state, got {size}: it is cut "
-                "off, or the header is damaged"
+                f"{path}: the file must have {begin + n_bytes} bytes, as its headers state, got {size}: the "
+                "file is cut off, or a header is damaged"
             )
         end = begin + n_bytes + -n_bytes % BLOCK
         if is_table:

@@ -10,7 +10,7 @@ __all__ = ["find_names", "is_number"]
 
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
 DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
-# The names must be within this number of bytes from the beginning of the file.
+# The names of the columns must be within this number of bytes from the beginning of the file.
 MOST_BYTES = 2**22
 QUOTED = re.compile(rb'"[^"]*"')
 

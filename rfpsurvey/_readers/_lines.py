@@ -91,7 +91,10 @@ class _Lines:
         return self.block[self.start[k] : self.end[k]]
 
     def are_whole(self, n_fields: int) -> bool:
-        """Return whether all quoted values certainly end, and all rows have ``n_fields`` fields (0: any number)."""
+        """Return whether the lines are certainly complete rows with ``n_fields`` fields (0: any number of fields).
+
+        In a complete row, each quoted value ends in the line in which it begins.
+        """
         text, delimiter = self.bytes, self.delimiter[0]
         if self.comments:
             text = text.copy()

@@ -1,7 +1,7 @@
 """Read VOTables; the files and web addresses to which a VOTable refers are not read.
 
-The module first parses the XML to count the rows and columns. The table that astropy returns must have the same numbers
-of rows and columns.
+The module first parses the XML to count the rows and to check the sizes of the columns. The table that astropy returns
+must have the same number of rows.
 """
 
 import binascii

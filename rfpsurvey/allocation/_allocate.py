@@ -172,7 +172,9 @@ def assign(
         classes, rank = _squeeze(classes, rank, columns.kind == "science")
     for one in options.requirements:
         if one.fiber_type and focal_plane.fiber_types == ("",):
-            raise InputError(f"the positioners have no fiber types, got the requirement {str(one)!r}")
+            raise InputError(
+                f"the requirement {str(one)!r} contains a fiber type, but the positioners have no fiber types"
+            )
         if one.fiber_type:
             check_choice(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     problem = AllocationProblem(
@@ -232,7 +234,7 @@ def _classes(priority, n):
 
 
 def _squeeze(classes, rank, science):
-    """Renumber only the classes that contain science targets; all other targets form one class, which is the last."""
+    """Renumber the classes of science targets without gaps; all other targets form one class, which is the last."""
     used, new = np.unique(rank[science], return_inverse=True)
     squeezed = np.full(len(rank), len(used), dtype=np.int64)
     squeezed[science] = new.reshape(-1)

@@ -104,9 +104,12 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """Upper bound of `objective` for plans with the same values of all proven objectives; NaN if it is unknown."""
-        # The bound of an unproven class includes all earlier classes. The largest difference between a bound and its
-        # value is therefore used, not the sum of the differences.
+        """Upper bound of `objective`; NaN if it is unknown.
+
+        The bound is valid for all plans with the same values of the objectives in ``levels`` whose optimum is proven.
+        """
+        # The bound of a class whose optimum is not proven also includes all earlier classes. The largest difference
+        # between a bound and its value is therefore used, not the sum of the differences.
         return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
 
     @property

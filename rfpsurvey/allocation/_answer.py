@@ -47,7 +47,7 @@ class AllocationAnswer(NamedTuple):
         If the targets were drawn from queues: two arrays ``indptr`` and ``targets``. The queue of positioner ``i`` is
         ``targets[indptr[i]:indptr[i + 1]]``.
     levels : list of Level, optional
-        Value and bound of each objective. With None, the package computes the values, and the bounds are NaN.
+        Value and bound of each objective. With None, rfpsurvey computes the values, and the bounds are NaN.
     meta : dict, optional
         Information about the search for the answer.
 

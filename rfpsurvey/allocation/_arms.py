@@ -14,8 +14,8 @@ def place_segments(
     """Return the segments, shape (4, n), that represent the arms of positioners in tests for collisions.
 
     Each fiber is at its target. ``own``, ``target`` and ``side`` contain the row of the positioner, the row of the
-    target, and the elbow for each segment. ``idle`` contains the indices of the segments of idle arms, one for each
-    positioner of the focal plane; the targets of these segments are ignored.
+    target, and the elbow (+1: right, -1: left) for each segment. ``idle`` contains the indices of the segments of idle
+    arms, one for each positioner of the focal plane; the targets of these segments are ignored.
     """
     columns = problem.focal_plane.arrays
     points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))

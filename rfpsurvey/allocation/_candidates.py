@@ -29,7 +29,10 @@ class Candidates:
     pairs: np.ndarray
     """Pairs of candidates that collide, shape (2, m)."""
     held: np.ndarray
-    """Whether each candidate counts toward each requirement, shape (n_groups, n)."""
+    """Whether each candidate counts toward each requirement, shape (n_groups, n).
+
+    A requirement per spectrograph has one row for each spectrograph.
+    """
     preselection: Preselection
     """Reachable pairs from which the candidates were made; some pairs may have been omitted."""
     idle_pairs: np.ndarray | None = None
@@ -47,10 +50,10 @@ class Candidates:
         return _assemble(self.problem, self.preselection, *columns)
 
     def relaxed(self) -> "Candidates":
-        """Return a copy in which some collisions are omitted, so that its best plan gives an upper bound for all plans.
+        """Return a copy without some of the collisions, so that its best plan gives an upper bound for all plans.
 
-        The copy contains no collisions of candidates that can replace omitted candidates (`replaceable`). The bound is
-        therefore also valid for plans that use omitted candidates.
+        The preselection omits some candidates. The copy contains no collisions of the candidates that can replace these
+        omitted candidates (`replaceable`). The bound is therefore also valid for plans that use omitted candidates.
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
@@ -183,7 +186,7 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
 def _keys(problem, target, held):
     """Return the key of each candidate, and a matrix that states which keys are at least as good as other keys.
 
-    Candidates that count toward the same requirements have the same key.
+    A key is a whole number. Candidates that count toward the same requirements have the same key.
     """
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]

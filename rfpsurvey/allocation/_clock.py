@@ -29,7 +29,7 @@ def share(deadline: float, fraction: float) -> float:
 
 @contextmanager
 def searching() -> Iterator[None]:
-    """Context manager for the part of a search that an interrupt (Ctrl-C) may end early."""
+    """Return a context manager for the part of a search that an interrupt (Ctrl-C) may end early."""
     _active.set()
     try:
         yield

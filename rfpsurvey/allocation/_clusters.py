@@ -22,16 +22,17 @@ SIZE, SMALLEST, LARGEST = 2000, 100, 8000
 GAP = 2e-4
 # Fraction of the remaining time that the integer program of one cluster may take.
 FOR_ONE = 0.25
-# Successive partitions are rotated by this angle, the golden angle, in radians.
+# Each division of the positioners into clusters is rotated by this angle (the golden angle, in radians) relative to the
+# previous division.
 ANGLE = 2.399963
 
 
 def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarray, deadline: float):
     """Return an upper bound of the total weight of a plan, and a plan in which arms of different clusters may collide.
 
-    The constraints of cliques with members in several clusters are replaced by the prices of these cliques. Each
-    cluster is then an independent integer program. If a program is not solved before the deadline, the bound from the
-    prices is used for its cluster.
+    The constraints of cliques with members in several clusters are replaced by the prices (Lagrange multipliers) of
+    these cliques. Each cluster is then an independent integer program. If a program is not solved before the deadline,
+    the bound from the prices is used for its cluster.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     Returns
     -------
     bound : float
-        Upper bound.
+        Upper bound of the total weight.
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner, or -1 if its cluster was not solved.
     """
@@ -85,7 +86,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
 
 
 def _solve_cluster(matrix, rows, start, value, deadline):
-    """Return the upper bound and the variables of the program of one cluster."""
+    """Solve the integer program of one cluster; return an upper bound of its total weight, and the variables."""
     if left(deadline) == 0:
         return np.inf, None
     size = np.diff(start)

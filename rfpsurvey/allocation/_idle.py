@@ -22,8 +22,8 @@ FOR_ONE = 0.25
 def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: float) -> np.ndarray:
     """Return a plan with the same values of all objectives and as few collisions between idle arms as possible.
 
-    The number of these collisions is minimal if there are at most ``SIZE`` candidates. Otherwise, only the positioners
-    around each collision are changed.
+    The number of these collisions is minimal if there are at most ``SIZE`` candidates. Otherwise, the
+    number may not be minimal, because the positioners around each collision are optimized separately.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ __all__ = ["Solution", "pursue"]
 LARGEST = 1e6
 # Ratio of successive weights, and number of proven objectives that are added to the goal of the next objective.
 STEEP, N_STEEP = 8.0, 4
-# In programs with more variables than this, some proven objectives are part of the goal.
+# In programs with more than this number of variables, some proven objectives are part of the goal.
 LARGE = 500
 # Settings for objectives whose optimum cannot be proven in time: fraction of the time that is reserved for them,
 # smallest weight, and allowed gap.

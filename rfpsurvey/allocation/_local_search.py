@@ -66,7 +66,7 @@ def repair_collisions(
 
     A positioner in a collision is moved to a new candidate that is at least as good as its previous candidate. If there
     is no such candidate, the positioner can lose its target. The last candidate of each positioner must be its idle
-    arm. A positioner with the value -1 in ``chosen`` receives this candidate.
+    arm. A positioner with the value -1 in ``chosen`` begins with its idle arm.
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups

@@ -114,7 +114,7 @@ def _with_cost(problem):
     """
     if problem.subpriority is None:
         return problem
-    order = np.arange(len(problem.rank))  # rows make the costs of equal subpriorities differ
+    order = np.arange(len(problem.rank))  # the rows make the costs different if subpriorities are equal
     cost = problem.subpriority.max(initial=0.0) - problem.subpriority
     cost = np.round(cost / max(cost.max(initial=0.0), 1e-300), 6) + order * (1e-7 / max(len(order), 1))
     return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))

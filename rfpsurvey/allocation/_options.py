@@ -76,8 +76,9 @@ class AllocationOptions:
         requirements, but report requirements that are not met.
     sky_separation : Quantity, optional
         Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is known,
-        an angle. If this distance is given and a requirement counts ``sky``, the package adds sky positions that are at
-        least this far from all targets. The added positions include positions that stuck positioners observe.
+        an angle. If this distance is given and a requirement counts ``sky``, rfpsurvey adds sky positions that are at
+        least this far from all targets. The position at which a stuck positioner points is also added if it is at least
+        this far from all targets.
     objective : {"priority", "count"}, optional
         ``priority``: maximize the number of targets, one class after the other. ``count``: first maximize the number of
         all science targets, then the number of targets of one class after the other. Only ``sdss`` and ``optimal`` use
@@ -93,9 +94,9 @@ class AllocationOptions:
     required : array_like of int or str, optional
         Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
         assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
-        possible; ``repair`` assigns the required targets for which its moves find a positioner; ``balanced`` ignores
-        this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name, with
-        rows in place of identifiers.
+        possible; ``repair`` assigns the required targets for which its local moves find a positioner; ``balanced``
+        ignores this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name,
+        with rows in place of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as circles around bright stars. In each
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
@@ -104,15 +105,15 @@ class AllocationOptions:
     subpriority : int or str, optional
         Order of the targets within each class; targets with larger subpriorities are served first. An integer is the
         seed of random subpriorities, which depend only on the identifiers of targets
-        (`~rfpsurvey.allocation.subpriorities`). Text is the name of a further column of the catalog, such as
+        (`~rfpsurvey.allocation.subpriorities`). Text is the name of an additional column of the catalog, such as
         ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns the targets of a class in this order, each to its
         closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost``,
         every positioner nominates its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize
         the sum of the subpriorities after all other objectives (``sdss`` then does not minimize squared distances).
         Differences between subpriorities are ignored if they are below one millionth of the range of the subpriorities.
-        In large fields, and after the time limit, ``optimal`` only finds an approximate maximum of this sum. ``repair``
-        tests the targets in this order. With subpriorities and unique identifiers, the plan does not depend on the
-        order of targets in the catalog.
+        In large fields, or if the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum.
+        ``repair`` tests the targets in the order of subpriority. With subpriorities and unique identifiers, the plan
+        does not depend on the order of targets in the catalog.
 
     Raises
     ------
@@ -193,7 +194,7 @@ class AllocationOptions:
         """
         if not isinstance(self.start, str):
             raise InputError(
-                f"start must be the name of an allocator for {what}, got an allocation, which is valid for one "
+                f"for {what}, start must be the name of an allocator, got an allocation, which is valid for one "
                 "field only"
             )
 
@@ -258,7 +259,7 @@ class AllocationOptions:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
             text = (
-                "sky_separation has no effect: no requirement counts sky positions; add one, such as "
+                "sky_separation has no effect: no requirement counts sky positions; add a requirement such as "
                 "'sky=20/spectrograph'"
             )
             warn(text)

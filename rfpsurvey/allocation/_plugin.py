@@ -36,7 +36,7 @@ def packages(options: AllocationOptions) -> dict[str, str]:
 
 
 def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
-    """Call an allocator that is not built in to solve a problem, and check its return value."""
+    """Call an allocator of a user or of another package, and check its return value."""
     with plugin.answering():
         answer = plugin.value(problem)
         if not isinstance(answer, AllocationAnswer):
@@ -135,7 +135,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
 
 
 def _plain(given: object) -> np.ndarray:
-    """Convert a value that an allocator returned to an array; return an array of shape (0, 0) if this is impossible."""
+    """Convert the return value of an allocator to an array; if this is impossible, return an array of shape (0, 0)."""
     try:
         return to_plain(given)
     except (TypeError, ValueError):

@@ -33,8 +33,9 @@ class Preselection(NamedTuple):
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
     """Return a subset of the reachable pairs (positioner, target) that is sufficient for an optimal plan.
 
-    If k other positioners reach targets of a positioner, they can observe at most k of its targets. At least one of the
-    positioner's best k + 1 targets of each code is therefore always free. The preselection is exact if arms may
+    Targets that count toward the same requirements have the same code. If k other positioners reach targets of a
+    positioner, they can observe at most k of its targets. At least one of the positioner's best k + 1 targets of each
+    code is therefore always free. The preselection is exact if arms may
     collide. If arms must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs;
     `replaceable` is used to find an upper limit of the difference.
 

@@ -1,4 +1,7 @@
-"""Upper bounds from prices (Lagrange multipliers) of cliques, valid even if the search for better prices ends early."""
+"""Upper bounds from prices (Lagrange multipliers) of cliques, valid even if the search for better prices ends early.
+
+A clique is a set of candidates; a plan uses at most one candidate of each clique.
+"""
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,7 +14,9 @@ from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["Prices", "weights_of"]
 
-# Widths of the smooth maximum, and number of sweeps for each width. A sweep adjusts the prices of all cliques once.
+# To adjust the prices, the largest value of each positioner is replaced by a smooth maximum of a given width:
+# width * log(sum(exp(value / width))). These are the widths, and the number of sweeps for each width. A sweep adjusts
+# the prices of all cliques once.
 WIDTHS, N_SWEEPS = (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005), 30
 # The search continues with the next width if the bound decreases by less than this fraction in one sweep.
 SLOW = 2e-5
@@ -22,7 +27,7 @@ ROUNDING = 1e-9
 
 
 class Prices:
-    """Cliques that cover the collisions and shared targets of candidates, and their prices for one objective."""
+    """Cliques that cover collisions and shared targets of candidates, and prices of these cliques for one objective."""
 
     def __init__(self, candidates: Candidates, deadline: float):
         options = candidates.options

@@ -35,7 +35,7 @@ def _no_start() -> AllocationAnswer:
 
 @dataclass(frozen=True, eq=False)
 class AllocationProblem:
-    """Targets on a focal plane with their priorities and the options of the plan, as read-only arrays in mm.
+    """Targets on a focal plane, their priorities, and the options of the plan, as read-only arrays; lengths are in mm.
 
     Every allocator, built in or from another package, is a function that takes an `AllocationProblem` and returns an
     `~rfpsurvey.allocation.AllocationAnswer`. Instead, the function may return an array with the target of each
@@ -75,8 +75,8 @@ class AllocationProblem:
     tell : callable, optional
         Function that an allocator may call during a long search, with the completed fraction and the name of the stage.
     subpriority : ndarray of float, shape (n_targets,), optional
-        Subpriority of each target, if the options have a ``subpriority``. The rows of the problem are then sorted such
-        that the target with the largest subpriority is the first; blank positions follow.
+        Subpriority of each target, if the options have a ``subpriority``. The rows of the targets are then in order of
+        decreasing subpriority; the rows of blank positions follow.
 
     Examples
     --------
@@ -162,7 +162,7 @@ class AllocationProblem:
 
     @property
     def several_fiber_types(self) -> bool:
-        """Whether the targets state which fiber types they require."""
+        """Whether the fiber types that the targets require are given."""
         return self.fiber_type.strides != (0,)
 
     @cached_property
@@ -207,7 +207,7 @@ class AllocationProblem:
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires (-1: any type), and a last element for "no target"."""
+        """Index of the fiber type that each target requires (-1: any type); the last element stands for "no target"."""
         index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)

@@ -107,7 +107,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     Raises
     ------
     InputError
-        If the plan or the arms belong to a focal plane with another number of positioners.
+        If the plan or the arms belong to a focal plane with a different number of positioners.
 
     Examples
     --------

@@ -176,7 +176,7 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
         places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
         why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
         found.append(
-            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} of them "
+            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} spectrographs "
             f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
         )
     return found

@@ -26,10 +26,10 @@ __all__ = ["decide"]
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
-# Parts with more variables than this are not solved as one integer program, but divided into clusters.
+# Parts with more than this number of variables are not solved as one integer program, but divided into clusters.
 LARGEST = 20_000
-# Fractions of the time that are reserved for the bound on plans that use omitted candidates, and for the programs of
-# clusters.
+# Fractions of the time that are reserved for the bound on plans that use omitted candidates, and for the integer
+# programs of clusters.
 FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # Fractions of the remaining time: for finding the candidates and their collisions, for adjusting the prices of one
 # objective, and for the integer programs that give the bound of the first objective that is not proven.

@@ -98,7 +98,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     ids : ndarray of int or str, shape (n,)
         Identifiers of the targets.
     extra : dict or None
-        Values of further columns of the catalog, by name.
+        Additional columns of the catalog: a dictionary of column names to values.
 
     Returns
     -------
@@ -115,8 +115,8 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     if given not in (extra or {}):
         known = ", ".join(extra) if extra else "none"
         raise InputError(
-            f"subpriority must be a seed or the name of a further column of the catalog (keep= or --keep), got "
-            f"{given!r}; further columns: {known}"
+            f"subpriority must be a seed or the name of an additional column that was read from the catalog by keep= "
+            f"or --keep, got {given!r}; additional columns: {known}"
         )
     return check_values(extra[given], len(ids), f"the subpriorities (column {given!r})")
 

@@ -1,4 +1,4 @@
-"""Weighted problems: candidates of one tile as arrays, integer programs with weights, and bounds from prices."""
+"""Functions for planning tiles together: lists of candidates, integer programs with weights, and bounds from prices."""
 
 from time import perf_counter, time
 from typing import NamedTuple
@@ -117,7 +117,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     chosen : ndarray of int, shape (n_positioners,), or None
         Candidate of each positioner in the best plan that was found.
     bound : float
-        Upper bound, including an allowance for the rounding errors of HiGHS.
+        Upper bound of the sum of the weights, including an allowance for the rounding errors of HiGHS.
     """
     size, n = np.diff(problem.start), len(problem.weight)
     m = len(size)
@@ -152,7 +152,9 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
 
 
 class RowPrices(Prices):
-    """Prices of sets of candidates; a plan may use at most a given number of the candidates of each set.
+    """Prices (Lagrange multipliers) of sets of candidates.
+
+    A plan may use at most a given number of the candidates of each set.
 
     Parameters
     ----------
@@ -184,7 +186,7 @@ class RowPrices(Prices):
         Returns
         -------
         float
-            Upper bound.
+            Upper bound of the total weight.
         """
         total = float(self.price @ self.most)
         best = np.maximum.reduceat(self.values(weights), self.start[:-1])
@@ -199,14 +201,15 @@ class RowPrices(Prices):
         weights : ndarray of float, shape (n_candidates,)
             Weight of each candidate, 0 to 1.
         sweeps : tuple of (float, int)
-            Width of the smooth maximum and number of sweeps, for each stage of the adjustment.
+            Width of the smooth maximum that replaces the largest value of each positioner, and number of sweeps, for
+            each stage of the adjustment. A sweep adjusts all prices once.
         is_over : callable
             Function that returns whether the time limit has passed.
 
         Returns
         -------
         float
-            Upper bound.
+            Upper bound of the total weight.
         """
         n = len(self.price)
         best, best_price = self.bound(weights), self.price.copy()

@@ -134,7 +134,7 @@ def explore_designs(
     rfpsurvey.design.explore_around : Scan designs around the design of an instrument.
     rfpsurvey.design.design_sensitivities : Compute how much the values depend on each parameter.
     rfpsurvey.plot.plot_designs : Plot the designs and the Pareto front.
-    rfpsurvey.collision_probability : Estimate the collision probability of a focal plane with its edges.
+    rfpsurvey.collision_probability : Estimate the collision probability of a finite focal plane.
 
     Examples
     --------

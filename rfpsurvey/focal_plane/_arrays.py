@@ -285,7 +285,7 @@ class FocalPlaneArrays:
     def bounds_of(
         self, own: np.ndarray | None, fiber: np.ndarray | None = None, side: np.ndarray | None = None
     ) -> arms.Bounds:
-        """Return `bounds` for the positioners ``own``, their fiber types, and their handedness (1: right, -1: left)."""
+        """Return `bounds` for the positioners ``own`` with given fiber types and handedness (1: right, -1: left)."""
         inner, outer = patrol_radii(self, own, fiber, side)
         low = np.maximum(inner - self.reach_slack, 0.0) ** 2
         return arms.Bounds(low, (outer + self.reach_slack) ** 2, self.usable[self.rows_of(own, None)[0]])
@@ -309,7 +309,7 @@ class FocalPlaneArrays:
     def longest(self) -> float:
         """Upper limit (mm) of the length of a segment that can collide."""
         length = {arms.ELBOW_TO_TIP: self.longest_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[self.model]
-        # almost equal arms are treated as equal, which displaces their elbow
+        # arms of almost equal lengths are treated as arms of equal lengths, which displaces their elbow
         return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property

@@ -104,7 +104,7 @@ def _check_fibers(plane, n):
     if not isinstance(places, dict):
         if len(plane.fiber_types) > 1:
             raise InputError(
-                f"fiber_xy must be a dict with the fiber types {', '.join(plane.fiber_types)}, got one column"
+                f"fiber_xy must be a dict with the fiber types {', '.join(plane.fiber_types)}, got one array"
             )
         places = {plane.fiber_types[0]: places}
     places = dict(places)
@@ -145,4 +145,4 @@ def _check_joints(plane, n):
             what = "(low, high) with low < high, or (NaN, NaN),"
         if bad.any():
             k = np.flatnonzero(bad)[0]
-            raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for {plane.id[k]}")
+            raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for positioner {plane.id[k]}")

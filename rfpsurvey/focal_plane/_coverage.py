@@ -10,7 +10,7 @@ __all__ = ["find_coverage", "footprint_of", "on_footprint"]
 
 
 def footprint_of(plane) -> "scipy.spatial.ConvexHull":
-    """Return the convex hull of the centers of the positioners in mm."""
+    """Return the footprint of a focal plane in mm, the convex hull of the centers of the positioners."""
     try:
         return scipy.spatial.ConvexHull(plane.arrays.xy)
     except (scipy.spatial.QhullError, ValueError):

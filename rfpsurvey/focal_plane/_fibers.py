@@ -100,7 +100,7 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Return joint angles between the lower joint limit (-180 deg if there is no limit) and 360 deg above it."""
+        """Convert kernel angles to joint angles from the lower limit (-180 deg without a limit) to 360 deg above it."""
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -121,7 +121,7 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance from fiber to center; return which limits were replaced.
+        """Replace limits of phi by limits of the distance from fiber to center; return where this is possible.
 
         The replacement is possible if theta has no limits and if the allowed values of phi form one interval. The
         points in reach then form a ring, because the distance between fiber and center depends only on phi.
@@ -130,7 +130,7 @@ class Joints:
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)
         start = -np.pi if side < 0 else 0.0
         with np.errstate(invalid="ignore"):
-            # phi relative to the start of the range of this handedness, which is now [0, pi]; intervals may exceed 2 pi
+            # phi from the start of the range for this handedness, which becomes [0, pi]; ``last`` may exceed 2 pi
             first = np.mod(phi_low + offset - start, 2 * np.pi)
             last = first + (phi_high - phi_low)
         before, after = first <= np.pi, last >= 2 * np.pi

@@ -68,8 +68,8 @@ class FocalPlane:
     Raises
     ------
     InputError
-        If the length of a column differs from that of ``xy``, if an identifier occurs twice or contains blanks, if two
-        positioners have the same center, or if ``fiber_xy`` lacks the position of a fiber that a positioner has.
+        If the length of a column differs from the length of ``xy``, if an identifier occurs twice or contains blanks,
+        if two positioners have the same center, or if ``fiber_xy`` lacks the position of a fiber of a positioner.
 
     Notes
     -----
@@ -119,7 +119,7 @@ class FocalPlane:
         return f"<FocalPlane of {len(self)} positioners, {n_obstacles} obstacles>"
 
     def __getstate__(self):
-        # the plain arrays are not copied to other processes, which compute them again
+        # the attribute ``arrays`` is not copied to other processes; each process computes it again
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @cached_property
@@ -129,12 +129,12 @@ class FocalPlane:
 
     @cached_property
     def arrays(self) -> FocalPlaneArrays:
-        """The columns as read-only numbers without units, in mm and radians (``FocalPlaneArrays``)."""
+        """The columns as read-only arrays without units, in mm and radians (``FocalPlaneArrays``)."""
         return FocalPlaneArrays(self)
 
     @cached_property
     def collision_type(self) -> int:
-        """Collision type: 1 if no arms can touch, 2 if only arms of first neighbors can touch, 3 otherwise."""
+        """Collision type: 1 if no arms can touch, 2 if only arms of adjacent positioners can touch, 3 otherwise."""
         pairs = self.neighbor_pairs()
         if len(pairs) == 0:
             return 1
@@ -233,7 +233,7 @@ class FocalPlane:
             above it. An angle is NaN if the point is NaN, out of reach or beyond the joint limits, or if the positioner
             lacks the fiber.
         phi : Quantity, shape (n,)
-            Angles of the eccentric arms in deg, in the corresponding range, with NaN for the same positioners.
+            Angles of the eccentric arms in deg, in the corresponding range for phi; NaN where ``theta`` is NaN.
 
         Raises
         ------
@@ -276,7 +276,7 @@ class FocalPlane:
         ----------
         n_points : int, optional
             Number of points in the rectangle around the footprint; one random point lies in each cell of a square grid.
-            With 2**20 points the standard error is below 0.0005.
+            With 2**20 points, the standard error of each fraction is below 0.0005.
         rng : int or Generator, optional
             Seed or generator of the points.
 
@@ -327,8 +327,8 @@ class FocalPlane:
         rings : int, optional
             Number of rings around the central cell. The lattice has 3 rings (rings + 1) + 1 cells.
         count : int, optional
-            Number of cells; the cells nearest the origin are used. Ties are decided by the angle from +x,
-            counter-clockwise.
+            Number of cells; the cells nearest the origin are used. Cells at the same distance are used in the order of
+            their angle from +x, counter-clockwise.
         radius : Quantity, optional
             Keep centers at most this far from the origin.
         inner_radius : Quantity, optional
@@ -371,8 +371,8 @@ class FocalPlane:
         table : Table or QTable
             Table with a row for each positioner, columns ``x`` and ``y`` (with units) and, optionally, ``id``,
             ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``stuck_theta`` and
-            ``stuck_phi`` (pose of a stuck positioner, NaN for others). Rows with a finite ``obstacle_radius`` are
-            circular obstacles, not positioners.
+            ``stuck_phi`` (pose of a stuck positioner; NaN for other positioners). Rows with a finite
+            ``obstacle_radius`` are circular obstacles, not positioners.
         positioner : Positioner, optional
             Geometry common to all positioners. Without it, ``table.meta["positioner"]`` must contain the arguments of
             a `Positioner`, with quantities as text, such as ``{"central_arm": "8.25 mm", ...}``.

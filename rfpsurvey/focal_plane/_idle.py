@@ -11,14 +11,14 @@ __all__ = ["Idle", "find_idle"]
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Poses of arms without a target; NaN for arms that are no obstacles, because they avoid all other arms."""
+    """Poses of arms without a target; NaN for arms that avoid all other arms and thus are not obstacles."""
 
     theta: np.ndarray
     phi: np.ndarray
     segments: np.ndarray
     """Positions of elbows and fiber tips in mm, shape (4, n): x and y of the elbow, x and y of the tip."""
     parked: np.ndarray
-    """Whether each positioner is usable and parked as an obstacle."""
+    """Whether each positioner is usable and parked, and is thus an obstacle."""
 
 
 NEARLY_EQUAL = 0.05

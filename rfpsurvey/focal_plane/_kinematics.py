@@ -13,7 +13,7 @@ MODELS = {
     "elbow_to_tip": arms.ELBOW_TO_TIP,
     "capsule": arms.CAPSULE,
     "fiber_tip": arms.FIBER_TIP,
-    "outline": arms.CAPSULE,  # the core of an outline is a segment along the arm
+    "outline": arms.CAPSULE,  # the core of an outline is a segment along the eccentric arm
 }
 """Number by which the kernels identify each arm model."""
 
@@ -73,7 +73,7 @@ def joints_allow(columns, own, points, side, fiber=None) -> np.ndarray:
 
 
 def _fibers(plane, fiber_type):
-    """Return the index of a fiber of each positioner, and whether the positioner lacks this fiber."""
+    """Return the index of the requested fiber of each positioner, and whether the positioner lacks this fiber."""
     n, columns = len(plane), plane.arrays
     fibers = columns.fibers
     names = plane.fiber_types if fibers is None else fibers.names

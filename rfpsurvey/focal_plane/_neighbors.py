@@ -20,7 +20,7 @@ def pairs_within(xy: np.ndarray, limit: float) -> np.ndarray:
 
 
 def nearest_within(xy: np.ndarray, limit: float) -> np.ndarray:
-    """Return the distance from each center to the nearest other center, or infinity if it is larger than ``limit``."""
+    """Return the distance from each center to the nearest other center; infinity if no center is within ``limit``."""
     pairs = pairs_within(xy, limit)
     distance = np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
     nearest = np.full(len(xy), np.inf)

@@ -134,7 +134,7 @@ def find_reach(plane, points, accepts) -> Reach:
     kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
     parts = []
     for kind in kinds.tolist():
-        # without a fiber type, a target is observed with the first fiber of the positioner
+        # a target that requires no fiber type is observed with the first fiber of the positioner
         fiber = None if kind == -1 else np.full(len(plane), kind.bit_length() - 1)
         rows = np.flatnonzero(accepts == kind) if len(kinds) > 1 else slice(None)
         parts.append((rows, _find_pairs(plane.arrays.using(fiber), points[rows], accepts[rows])))

@@ -22,7 +22,7 @@ class ArmModels:
 
     @property
     def arm_models(self) -> tuple[str, ...]:
-        """Arm models that `with_arm_model` accepts; the first one is the model of the instrument."""
+        """Arm models that `with_arm_model` accepts; the first one is the present arm model of the instrument."""
         own = self.focal_plane.positioner.arm_model
         simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(own, ())
         return (own, *simpler, *(("outline",) if FULL_OUTLINE in self.values else ()))

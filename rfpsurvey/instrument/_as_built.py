@@ -41,7 +41,7 @@ class AsBuilt:
 
         The files contain neither the optics nor the requirements on sky fibers and standard stars; both are taken from
         the preset ``desi``. If the files do not contain the clearance, it is also taken from the preset. The x axis is
-        reversed, because +x is west in the files and east in this package.
+        reversed, because +x is west in the files and east in rfpsurvey.
 
         Parameters
         ----------
@@ -125,8 +125,8 @@ class AsBuilt:
         """Read SDSS-V as built: the calibration of the focal plane system at Apache Point or Las Campanas.
 
         The ids of the positioners are the names of their holes, such as R-1C14. The joint angles theta and phi are
-        alpha and beta of the robots, and positions are wok coordinates. Values that the files do not contain are taken
-        from the preset of the site, ``sdss_apo`` or ``sdss_lco``.
+        alpha and beta of the robots. Positions are coordinates of the wok, the plate that carries the robots. Values
+        that the files do not contain are taken from the preset of the site, ``sdss_apo`` or ``sdss_lco``.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class AsBuilt:
         site : {"APO", "LCO"}, optional
             Site of the rows to use; it is required if ``positionerTable.csv`` has rows of several sites.
         disabled : sequence of str, optional
-            Holes of the robots to disable; these robots take no target and are parked.
+            Names of the holes of robots to disable; these robots take no target and are parked.
 
         Returns
         -------

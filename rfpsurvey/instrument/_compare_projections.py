@@ -108,10 +108,10 @@ def compare_projections(
 ) -> ProjectionComparison:
     """Compare models of the projection of a field, and name the cheapest model that is accurate enough.
 
-    From the cheapest to the most complete, the models are ``tangent`` (tangent plane), ``radial`` (radial map),
-    ``refraction`` (adds refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion`` (adds the
-    wavelength of each fiber type) and ``full`` (adds the mean over the exposure). A model is accurate enough if the
-    position of each target differs by at most the tolerance from its position in the model ``full``.
+    From the cheapest (fastest) to the most complete, the models are ``tangent`` (tangent plane), ``radial`` (radial
+    map), ``refraction`` (adds refraction at the midpoint of the exposure, at the guide wavelength), ``dispersion``
+    (adds the wavelength of each fiber type) and ``full`` (adds the mean over the exposure). A model is accurate enough
+    if the position of each target differs by at most the tolerance from its position in the model ``full``.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def choose_projection(
         elif compared.sufficient is None:
             raise InputError(
                 "the projection 'auto' must have a tolerance, but the diameter of the instrument's fibers is unknown; "
-                "give the tolerance of the conditions"
+                "set the parameter tolerance of the conditions"
             )
         else:
             model = compared.sufficient

@@ -149,7 +149,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
 
 
 def _hole_names(cells, rings):
-    """Return names such as R+10C1 and R0C3, made of a signed row number and a column number counted from the left."""
+    """Return names of cells such as R+10C1, made of a signed row number and a column number counted from the left."""
     names = []
     for q, k in cells.tolist():
         row = f"{k:+d}" if k else "0"
@@ -158,7 +158,11 @@ def _hole_names(cells, rings):
 
 
 def _groups(xy, n_groups, shape):
-    """Return the spectrograph of each positioner; groups of equal size are wedges, or blocks (by repeated halving)."""
+    """Return the spectrograph of each positioner; the positioners of a spectrograph form a wedge or a block.
+
+    All spectrographs have almost the same number of positioners. Blocks are made by repeated division of the
+    positioners into two groups.
+    """
     check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")

@@ -1,8 +1,8 @@
 """DESI as built: positions from the metrology of desimeter, or the focal plane of desimodel with its state.
 
 The files of desimeter and desimodel use the coordinate system CS5, in which +x is west and +y is north at a field
-rotation of 0. In the focal plane of this package, +x is east. The conversion reverses the sign of x; this reflection
-also reverses the handedness and the signs of the joint angles.
+rotation of 0. In rfpsurvey, +x is east. The conversion reverses the sign of x; this reflection also reverses the
+handedness and the signs of the joint angles.
 """
 
 import gzip
@@ -30,7 +30,7 @@ LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
-    "x is the negative x of CS5, because +x is east in this package and west in CS5. A segment with a clearance "
+    "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. A segment with a clearance "
     "replaces the polygons of each positioner. The segment omits the wider elbow and the central bodies of the "
     "positioners, which with_arm_model('outline') includes. Guide cameras, fiducials and petal edges are not treated "
     "as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal surface. The radial "
@@ -151,7 +151,7 @@ def _plane(path, **columns) -> FocalPlane:
 
 
 def _built(preset, plane, entries, notes, dropped=()):
-    """Return the preset with a new focal plane; ``entries`` replace the values that describe its layout."""
+    """Return the preset with a new focal plane; ``entries`` replace the values that describe the layout."""
     gone = {*dropped, *(name for name in preset.values if name.startswith("layout."))}
     values = {name: entry for name, entry in preset.values.items() if name not in gone} | entries
     values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}

@@ -11,9 +11,10 @@ __all__ = ["find_outline"]
 def find_outline(polygons: dict) -> ArmOutline:
     """Return the outline of a positioner from its exclusion polygons in CS5.
 
-    The polygons ``phi`` are in the frame of the eccentric arm, and ``theta`` in the frame of the central arm. Circles
-    become discs. The lines of the polygons need not be closed, because the program fiberassign tests only whether
-    lines intersect. Here, all lines that are not closed are connected at their nearest ends to one closed polygon.
+    The polygons ``phi`` are in the frame of the eccentric arm, and the polygons ``theta`` are in the frame of the
+    central arm. Circles become discs. The lines of the polygons need not be closed, because the program fiberassign
+    tests only whether lines intersect. Here, all lines that are not closed are connected at their nearest ends to form
+    one closed polygon.
     """
     return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
 

@@ -1,4 +1,4 @@
-"""Check the entries of an instrument's description, such as ``central_arm``; each requires a certain kind of value."""
+"""Check the entries of an instrument's description; for example, the entry ``central_arm`` must be a length."""
 
 import re
 from collections.abc import Callable
@@ -97,8 +97,8 @@ CELLS = Kind(
     lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
 )
 OUTLINE = Kind(
-    "a table with the list eccentric (and, optionally, central) of parts, each of which has vertices (and, optionally, "
-    "a radius of at least 0)",
+    "a table with the key eccentric (and, optionally, central); each key has a list of parts, and each part has "
+    "vertices (and, optionally, a radius of at least 0)",
     _is_outline,
     u.mm,
 )
@@ -169,7 +169,7 @@ SECTIONS = ("positioner", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {
-    "schema": Kind("1, the only schema that this version reads", lambda value: _is_whole(value, 1, 1)),
+    "schema": Kind("1, the only schema that this version of rfpsurvey reads", lambda value: _is_whole(value, 1, 1)),
     "name": TEXT,
     "title": WORDS,
     "layout_is": WORDS,

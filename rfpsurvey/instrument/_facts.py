@@ -15,12 +15,12 @@ N_POINTS = 2**18
 """Number of points at which coverage and multiplicity are computed; their standard errors are then below 0.001."""
 N_DIRECTIONS = 1440
 N_PIECES = 8
-"""Number of pieces into which each edge of the field is divided. Straight edges on the focal plane are curved on the
-sky."""
+"""Number of pieces into which each edge of the field is divided, because straight edges on the focal plane are curved
+on the sky."""
 SHAPES = {"circle": 0, "hexagon": 6, "square": 4, "triangle": 3}
 SIMILAR = 0.03
-"""A field is named after a shape if, on average over all directions, the radii of their outlines differ by less than
-this fraction of the mean radius."""
+"""A field has the name of a shape if the mean difference between the radii of the field and of the shape is less than
+this fraction of the mean radius. The mean is taken over all directions."""
 FORMATS = {
     "field_radius": "{:.4g}",
     "focal_plane_radius": "{:.1f}",
@@ -176,7 +176,10 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
-    """Return the mean difference between radii (of mean 1) and the radii of a regular shape in its best orientation."""
+    """Return the mean difference between the radii of a field and of a regular shape in the best orientation.
+
+    The radii of both are relative to their mean. A circle has 0 corners.
+    """
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())
     period = N_DIRECTIONS // n_corners

@@ -132,7 +132,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """Requirements on sky fibers and standards for `allocate`, such as ``sky=20/spectrograph``."""
+        """Requirements on sky fibers and standard stars for `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
             match = NEED.fullmatch(name)
@@ -220,8 +220,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
             - ``positioners`` and ``usable_positioners``: numbers of all positioners, and of positioners that are
               neither disabled nor stuck.
-            - ``fibers``: dict of fiber type to the number of positioners that have it. The type is ``""`` if fiber
-              types are not distinguished.
+            - ``fibers``: dict of each fiber type to the number of positioners with a fiber of this type. The type is
+              ``""`` if fiber types are not distinguished.
             - ``spectrographs`` and ``obstacles``: numbers of spectrographs and of obstacles.
             - ``field_shape``: shape of the convex hull of the centers (circle, hexagon, square, triangle or irregular).
             - ``field_radius`` and ``focal_plane_radius``: distance from the center to the outermost point in reach, as
@@ -233,8 +233,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
             - ``central_arm``, ``eccentric_arm``, ``inner_patrol_radius`` and ``patrol_radius``: medians over all
               positioners.
             - ``min_separation``: minimum separation of two arms.
-            - ``collision_type``: 1 if no arms can touch, 2 if only arms of first neighbors can touch, 3 if arms of
-              more distant positioners can also touch.
+            - ``collision_type``: 1 if no arms can touch, 2 if only arms of adjacent positioners can touch, 3 if arms
+              of positioners that are not adjacent can also touch.
             - ``coverage``: fraction of the footprint that at least one positioner reaches.
             - ``multiplicity`` and ``max_multiplicity``: mean and largest number of positioners that reach a point of
               the footprint.
@@ -326,10 +326,10 @@ def as_focal_plane(instrument: Instrument | FocalPlane | str) -> FocalPlane:
 
 
 def available_instruments() -> list[str]:
-    """Return the names of all presets of this package and of other installed packages.
+    """Return the names of all presets of rfpsurvey and of other installed packages.
 
     Other packages add instruments through the entry-point group ``rfpsurvey.instruments``. Each entry point refers to
-    an `Instrument`, a function that returns one, or the path of a TOML file.
+    an `Instrument`, a function that returns an `Instrument`, or the path of a TOML file.
 
     Returns
     -------

@@ -161,7 +161,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     folded = np.full(len(rows), -FOLDED) if arms is None else arms["phi_low"][rows] - 180
     zero = np.zeros(len(rows)) if arms is None else arms["theta_low"][rows]
     span = np.full(len(rows), 360.0) if arms is None else columns["theta_range"][rows, 1].to_value(u.deg)
-    extended = folded + most  # the limit, measured from the extended arm
+    extended = folded + most  # the limit of phi, measured from the extended arm
     lengths = (1.0, 1.0) if arms is None else (columns[f"{name}_arm"][rows].value for name in ("central", "eccentric"))
     width = (end - begin) % 360 + _largest_lag(extended, *lengths)
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)

@@ -53,7 +53,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
     xy = np.column_stack([table["x_mm"], table["y_mm"]])
     seen = np.isfinite(xy).all(axis=1)
     if (seen != np.isfinite(xy).any(axis=1)).any():
-        raise InputError(f"{path}: x_mm and y_mm must be given together, got only one for a fiducial")
+        raise InputError(f"{path}: x_mm and y_mm must be given together, got only one of them for a fiducial")
     extent = np.hypot(*xy[seen].T).max(initial=0.0)
     if not 150 < extent < 300:
         raise InputError(f"{path}: the outermost fiducial must be 150 to 300 mm from the center, got {extent:.4g}")
@@ -67,7 +67,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
 
 
 def read_interference(path: Path) -> np.ndarray:
-    """Return the interference limits of each cobra (deg): start and end of a window of directions, and a phi limit."""
+    """Return the interference limits of each cobra (deg): start and end of a window of directions, and limit of phi."""
     names = ("theta_limit_1", "theta_limit_2", "max_phi_angle")
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
@@ -154,7 +154,7 @@ def to_paths(paths) -> list[Path]:
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Return columns of numbers, with NaN for missing values."""
+    """Return columns of a table as numbers, with NaN for missing values."""
     table, columns = read_table(path), {}
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")

@@ -10,7 +10,7 @@ from rfpsurvey.errors import InputError
 
 __all__ = ["N_COBRAS", "N", "cobra_ids", "nominal_centers", "pfs_engineering_fibers", "pfs_fibers"]
 
-N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # fields, modules of a field, cobras of a module
+N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # numbers of fields, of modules per field and of cobras per module
 N = N_FIELDS * N_MODULES * N_COBRAS
 PITCH = 8.0
 # Boards of cobras in the order of their fibers along the slit of each spectrograph. A name consists of the number of a
@@ -25,7 +25,7 @@ EMPTY_IN_FIRST_TWO = (280, 309, 359)
 
 
 def nominal_centers() -> np.ndarray:
-    """Return the nominal centers of cobras 1 to 2394 on the PFI (mm), shape (2394, 2)."""
+    """Return the nominal centers of cobras 1 to 2394 on the Prime Focus Instrument (mm), shape (2394, 2)."""
     cobra, module = np.arange(N_COBRAS), np.arange(N_MODULES)
     step = PITCH * np.exp(1j * np.deg2rad(150))
     row = -PITCH * np.sin(np.pi / 3) * (1 + cobra % 2) + 1j * PITCH / 2 * (1 - cobra)

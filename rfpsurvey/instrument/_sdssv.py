@@ -2,9 +2,9 @@
 
 The angle alpha of the tables is theta, and beta is phi. Let a = alpha + alphaOffset and b = beta + betaOffset, and let
 (fx, fy) be the position of a fiber on the beta arm. The position of the fiber relative to the base of its robot is then
-tx = alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). In wok
-coordinates, the position of the fiber is (xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are
-(0, -1) and (1, 0).
+tx = alphaArmLen cos(a) + fx cos(a + b) - fy sin(a + b), ty = alphaArmLen sin(a) + fx sin(a + b) + fy cos(a + b). The
+wok is the plate that carries the robots. In coordinates of the wok, the position of the fiber is
+(xWok, yWok) + (tx + dx) i + (ty + dy) j, where the unit vectors i and j are (0, -1) and (1, 0).
 """
 
 import re
@@ -132,7 +132,7 @@ class _Rows:
         self.table = self.table[mask]
 
     def order_as(self, ids: np.ndarray) -> None:
-        """Sort rows by the order of holes in the preset; rows of other holes follow."""
+        """Sort the rows in the order of the holes in the preset; rows of other holes follow."""
         place = {name: k for k, name in enumerate(ids.tolist())}
         order = [place.get(hole, len(place)) for hole in self.text("holeID").tolist()]
         self.table = self.table[np.argsort(order, kind="stable")]
@@ -208,7 +208,7 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     if extra:
         text = f"fiberAssignments.csv has {number_of(extra, 'positioner')} without a row in {TABLE}"
         notes.append(f"{text}; these positioners are not used.")
-        warn(f"{folder}: {text}, which may be truncated")
+        warn(f"{folder}: {text}; {TABLE} may be truncated")
     fibers = np.column_stack([rows.text(name) != "" for name in ("BOSSFiber", "APOGEEFiber")])
     return fibers[index] & (index >= 0)[:, None]
 
@@ -284,8 +284,8 @@ def _maps(folder, site, nominal, notes):
         found = np.flatnonzero(kinds == name)
         if len(found) != 1:
             raise InputError(
-                f"{rows.path}: there must be one row with direction focal, site {site} and waveCat {name.title()}, "
-                f"got {len(found)}"
+                f"{rows.path}: there must be one row with direction = focal, site = {site} and "
+                f"waveCat = {name.title()}, got {len(found)}"
             )
         radius, *terms = (float(rows.numbers(c, finite=True)[found[0]]) for c in ("R", *COEFFICIENTS))
         maps[name] = replace(old, coefficients=tuple(terms), radius=radius * u.mm)
@@ -293,7 +293,7 @@ def _maps(folder, site, nominal, notes):
 
 
 def _check_orientation(folder, site, notes) -> None:
-    """Warn if the wok is shifted or tilted on the focal plane, because projections of the sky neglect both."""
+    """Warn if the wok is shifted or tilted, because projections of the sky neglect the shift and the tilt."""
     names = ("x", "y", "xTilt", "yTilt")
     rows = _optional(folder, "wokOrientation.csv", site, names, notes)
     if rows is None:

@@ -24,9 +24,9 @@ class Instant:
     Parameters
     ----------
     conditions : ObservingConditions
-        The conditions.
+        The observing conditions.
     ra_rad : float
-        Right ascension of the field center (rad), which is used for conditions with an hour angle.
+        Right ascension of the field center (rad); it is used only if the conditions have an hour angle.
     seconds : float
         Time since the midpoint of the exposure.
     """
@@ -87,14 +87,14 @@ def _tables():
 
 
 def _earth_rotation(utc: Time) -> tuple[float, float, float]:
-    """Return UT1 - UTC (s) and the position of the pole (rad); nothing is downloaded."""
+    """Return UT1 - UTC (s) and the position of the pole (rad); no file is downloaded."""
     table = _tables()
     x, y = table.pm_xy(utc)
     return table.ut1_utc(utc).to_value(u.s), x.to_value(u.rad), y.to_value(u.rad)
 
 
 def _check_covered(time: Time) -> None:
-    """Raise an error unless the installed tables cover a time and half a day around it."""
+    """Raise an error unless the installed tables cover a time, with a margin of one day before and after it."""
     days = _tables()["MJD"].value
     if not days[0] + 1 <= time.mjd <= days[-1] - 1:
         first, last = (Time(day, format="mjd").isot[:10] for day in (days[0] + 1, days[-1] - 1))

@@ -41,7 +41,8 @@ class ObservingConditions:
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
         are treated as apparent places.
     wavelength : Quantity or dict of str to Quantity, optional
-        Wavelength in vacuum for which the positions of fibers are computed, or a dict with one for each fiber type.
+        Wavelength in vacuum for which the positions of fibers are computed, or a dict with one wavelength for each
+        fiber type.
     guide_wavelength : Quantity, optional
         Wavelength at which the telescope follows the field. By default, ``wavelength`` or, if it is a dict, the
         wavelength of the first fiber type in the dict.
@@ -124,7 +125,9 @@ class ObservingConditions:
         try:
             celsius = self.temperature.to(u.deg_C, u.temperature())
         except (AttributeError, u.UnitConversionError):
-            raise InputTypeError(f"temperature must be a temperature, got {short(self.temperature)}") from None
+            raise InputTypeError(
+                f"temperature must have a unit of temperature, got {short(self.temperature)}"
+            ) from None
         to_scalar(celsius, u.deg_C, "temperature", low=-150, high=200)
         object.__setattr__(self, "temperature", celsius)
         try:

@@ -29,9 +29,9 @@ class ObservedField:
     focal_length : float
         Plate scale at the center, mm per radian, for a projection without a radial map.
     distortion : RadialMap, dict of str to RadialMap, or None
-        Radial map, or one for each fiber type.
+        Radial map, or a dict with one radial map for each fiber type.
     conditions : ObservingConditions
-        The conditions.
+        The observing conditions.
     radius : float, optional
         Radius of the field (rad); the whole field must be above the horizon.
 

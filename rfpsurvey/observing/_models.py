@@ -28,14 +28,14 @@ def model_of(model: str | None, conditions: ObservingConditions | None) -> str:
         return "radial" if conditions is None else "full"
     check_choice(model, MODELS, "projection")
     if conditions is None and model not in STATIC:
-        raise InputError(f"the projection {model!r} must have conditions, got none; give conditions=")
+        raise InputError(f"the projection {model!r} must have conditions, got none; give the argument conditions")
     return model
 
 
 def field_of_model(
     model: str, basis: np.ndarray, focal_length: float, distortion: object, conditions=None, radius: float = 0.0
 ) -> FieldProjection | ObservedField:
-    """Return the projection of a field by a model; the parameters are the same as in `ObservedField`."""
+    """Return the projection of a field by a model; the other parameters are the same as in `ObservedField`."""
     if model in STATIC:
         return FieldProjection(basis, focal_length, None if model == "tangent" else distortion)
     if model != "full":
@@ -48,7 +48,7 @@ def field_of_model(
 def displacements(
     points: np.ndarray, fiber_types: Iterable[str], *field: object, names: Iterable[str] = MODELS
 ) -> dict[str, np.ndarray]:
-    """Return, for each model, the distances (mm) of the images of targets from their images by the model ``full``.
+    """Return, for each model, the distances (mm) between the images of targets in this model and in the model ``full``.
 
     ``points`` (n, 2) are positions of fibers (mm); ``field`` contains the parameters of `field_of_model` that follow
     the name of the model.

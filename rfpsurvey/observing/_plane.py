@@ -32,7 +32,7 @@ class ObservedPlane(TangentPlane):
     plate_scale, rotation, distortion : optional
         Optics and orientation, as in `~rfpsurvey.TangentPlane`.
     conditions : ObservingConditions
-        The conditions.
+        The observing conditions.
     field_radius : Quantity, optional
         Radius of the field; the whole field must be above the horizon.
 
@@ -85,7 +85,7 @@ class ObservedPlane(TangentPlane):
 
     @property
     def parallactic_angle(self) -> Angle:
-        """Position angle of the zenith at the field center at the midpoint of the exposure."""
+        """Position angle of the zenith, seen from the field center, at the midpoint of the exposure."""
         return Angle(self._zenith_angles()[len(self.plain.frames) // 2], u.rad).wrap_at(180 * u.deg).to(u.deg)
 
     @property
@@ -104,5 +104,5 @@ class ObservedPlane(TangentPlane):
         """Return the position angle of the zenith at each instant, in radians."""
         x, y, center = self.plain.basis
         east = np.array([-center[1], center[0], 0.0])
-        of_y = np.arctan2(y @ east, x @ east)  # at a pole, both are 0
+        of_y = np.arctan2(y @ east, x @ east)  # at a pole, both arguments are 0
         return np.array([of_y + np.arctan2(frame[0, 2], frame[1, 2]) for frame in self.plain.frames])

@@ -1,4 +1,4 @@
-"""The components of a page."""
+"""The components of a report page."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -56,8 +56,8 @@ class Picture:
 class View:
     """An interactive view.
 
-    The script ``scripts/KIND.js`` draws the ``data``, which must be valid JSON. The blocks in ``still`` replace the
-    view on paper, and in browsers that run no scripts.
+    The script ``scripts/KIND.js``, where KIND is the value of ``kind``, draws the ``data``, which must be valid JSON.
+    The blocks in ``still`` replace the view on paper, and in browsers that run no scripts.
     """
 
     kind: str

@@ -24,8 +24,8 @@ WORDS = (
 ABOUT = (
     "The calculator evaluates the surrogate, a cubic spline through the collision probabilities of 3969 designs. These "
     "probabilities apply to positioners on a hexagonal lattice without an edge, and to independent targets that are "
-    "uniform over each patrol area. The segment of each arm from the elbow to the fiber can collide. A click on a "
-    "design sets the sliders to that design."
+    "uniform over each patrol area. The part of an arm that can collide is the segment from the elbow to the fiber. "
+    "A click on a design sets the sliders to that design."
 )
 LARGEST_ERROR = 0.0016
 """Largest error of the surrogate for designs that were not used to make the surrogate (see docs/probability.rst)."""

@@ -30,11 +30,11 @@ PLAN_COLUMNS = {
     "category": None,
     "priority": None,
 }
-"""Columns of the table of a tile, with their numbers of decimals."""
+"""Columns of the table of a tile that the view shows, with their numbers of decimals."""
 
 
 def focal_plane_view(plans: Mapping[str, Tile], still: list, max_rows: int | None = None) -> View:
-    """Return the interactive view of one or several plans of a tile, given by name."""
+    """Return the interactive view of one or several plans of a tile; the keys of ``plans`` are their names."""
     return View("focal_plane", "Focal plane", {**view_data(plans), "max_rows": max_rows}, still)
 
 

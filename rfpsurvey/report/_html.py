@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 __all__ = ["html_of"]
 
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
-MOST_ITEMS = 30  # largest number of values of a list in the provenance
+MOST_ITEMS = 30  # largest number of values that the page shows of a list in the provenance
 NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts that a view requires
-MAX_ROWS = 1000  # largest number of rows of a table, by default
+MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
 
 
 def html_of(page: Page, max_rows: int | None) -> str:
@@ -83,7 +83,7 @@ def _template() -> "Template":
 
 @cache
 def _script(kinds: tuple[str, ...]) -> str:
-    """Return the script of a page with the given kinds of views; without views, the script is only for tables."""
+    """Return the script of a page with the given kinds of views; without views, the script only controls tables."""
     parts = [part for kind in kinds for part in (*NEEDS.get(kind, ()), kind)]
     names = ["page.js", *(f"scripts/{part}.js" for part in (["shared", *parts] if kinds else []))]
     return "\n" + "\n".join(_asset(name) for name in names)
@@ -125,7 +125,7 @@ def _plain(value: object, number: Callable = number_text) -> str:
 
 
 def _groups(values: dict, name: str) -> dict[str, dict]:
-    """Return the values of nested dicts as text with all digits, in one dict for each group, by title of the group."""
+    """Return a dict of groups by title; each group contains the values of one nested dict, as text with all digits."""
     groups = {name: {str(k): _plain(v, _exactly) for k, v in values.items() if not (isinstance(v, dict) and v)}}
     for key, value in values.items():
         if isinstance(value, dict):

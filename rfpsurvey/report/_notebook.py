@@ -51,7 +51,7 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     result : Tile, Survey or Tiling
         Result to show.
     plans : dict of str to Tile, optional
-        Other plans of the same tile, by name; only for a Tile.
+        Other plans of the same tile; the keys are the names of the plans. Only allowed if ``result`` is a Tile.
     height : int, optional
         Height of the frame in pixels.
 

@@ -1,4 +1,4 @@
-"""Conversion of numbers to text with four significant digits, or of columns to text with equally many decimals."""
+"""Conversion of single numbers (four significant digits) and of columns (the same number of decimals) to text."""
 
 import math
 
@@ -23,7 +23,7 @@ def number_text(value: object) -> str:
 
 
 def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
-    """Return the numbers of a column as text; all have equally many decimals unless their sizes differ too much."""
+    """Return the numbers of a column as text; all have the same number of decimals unless they differ too much."""
     values = np.asarray(values)
     if values.dtype.kind != "f":
         return [number_text(v) for v in values.tolist()]

@@ -28,7 +28,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),
         Picture("The completeness of the survey after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
-    model = {"model": s["model"]} if "model" in s else {}  # surveys of older versions do not contain it
+    model = {"model": s["model"]} if "model" in s else {}  # summaries of older versions have no model
     after = "The table lists the completeness after each pass, for each priority class and for all targets."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),

@@ -136,7 +136,7 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
 
 
 def _with_palette(image: str) -> str:
-    """Return a PNG image with only 256 colors, which suffice for line drawings, and with a third of the file size."""
+    """Reduce a PNG image to 256 colors, which suffice for line drawings; this divides the file size by about three."""
     from PIL import Image
 
     file = io.BytesIO()

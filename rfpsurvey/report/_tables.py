@@ -21,7 +21,7 @@ __all__ = ["page_of_allocators", "page_of_claims", "page_of_estimate", "page_of_
 VERDICTS = {"reproduced": "good", "not reproduced": "bad", "cannot be decided from the text": "open"}
 FIGURES = {
     "small": (
-        "Collision probability against arm ratio and pitch.",
+        "Collision probability as a function of arm ratio and pitch.",
         "Solid lines are simulations with shaded 95 % intervals, and dashed lines are the formula. The lower panels "
         "show the same values scaled to the range from 0 to 1, as in the paper.",
     ),
@@ -40,29 +40,30 @@ FIGURES = {
         "Comparison of uniform targets with Poisson-disc targets.",
         "The points show by how many percent the collision probability is larger with uniform targets than with "
         "Poisson-disc targets, for each minimum distance between Poisson-disc targets; bars are standard errors. The "
-        "dashed line is the value of the paper, 2.6 %. The gray line is 0.",
+        "dashed line is the value of the paper, 2.6 %. The gray line marks 0 %.",
     ),
     "surrogate": (
         "The error of the surrogate.",
-        "The points are designs that were not used to make the surrogate. The error is the difference between the "
-        "surrogate and a quadrature; bars are the standard errors of the quadrature. The gray line marks an error of "
-        "0.",
+        "The surrogate is a spline that approximates the collision probability. The points are designs that were not "
+        "used to make the surrogate. The error is the difference between the surrogate and a numerical quadrature; "
+        "bars are the standard errors of the quadrature. The gray line marks an error of 0.",
     ),
     "intervals": (
-        "How often each interval contains the true value.",
+        "How often each confidence interval contains the true collision probability.",
         "Bars extend two standard errors to each side. The gray line is the nominal fraction of 95 %, and the gray "
         "band extends from 93.5 to 96.5 %.",
     ),
     "one_sky": (
-        "How often the interval for given targets contains the mean probability over all skies.",
-        "Each combination of arms, number of targets per positioner and kind of sky has its own line. Bars extend "
-        "two standard errors to each side. The gray line is the nominal fraction of 95 %. Points with the same number "
-        "of positioners are shifted sideways, so that they do not overlap.",
+        "How often the confidence interval from one sky contains the mean collision probability of all skies.",
+        "A sky is one random set of targets. Each combination of arms, number of targets per positioner and "
+        "distribution of targets has its own line. Bars extend two standard errors to each side. The gray line is the "
+        "nominal fraction of 95 %. Points with the same number of positioners are shifted sideways, so that they do "
+        "not overlap.",
     ),
     "speed": (
         "Time and errors of each method.",
-        "An arrow that points down marks an upper limit of the error: the method misclassified no pair. The labels "
-        "state the number of sample points per arm. Methods to the lower left are faster and more accurate.",
+        "An arrow that points down marks an upper limit of the error: the method misclassified no pair of arms. The "
+        "labels state the number of sample points per arm. Methods to the lower left are faster and more accurate.",
     ),
 }
 """Captions and descriptions of figures, by the names of the figures."""
@@ -137,7 +138,10 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
 def page_of_instruments(table: Table, where: str) -> Page:
     """Return a page on a comparison of instruments."""
     meta, names = table.meta, dict.fromkeys(np.asarray(table["instrument"]).tolist())
-    lead = f"{', '.join(names)}. Number of fields of each instrument: {meta['n_fields']}. Basis: {meta['way']}."
+    lead = (
+        f"{', '.join(names)}. Number of fields of each instrument: {meta['n_fields']}. Basis of the comparison: "
+        f"{meta['way']}."
+    )
     seen = (
         "Left: fractions of the footprint that are in reach of no, one, two, and at least three positioners. Middle: "
         "fractions of the positioners that have a science target and no collision, that have a science target but "
@@ -169,7 +173,7 @@ def page_of_claims(table: Table, where: str) -> Page:
         if table.meta.get("quick")
         else ""
     )
-    lead = f"This page compares {len(table)} claims of the paper on collision probabilities with new results.{quick}"
+    lead = f"This page compares {len(table)} claims of a paper, Chen et al. (2024), with new results.{quick}"
     title = "Repetition of the experiments of the paper"
     return Page("Reproduction", title, lead, highlights, sections, _without_private(table.meta))
 

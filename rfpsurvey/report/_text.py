@@ -1,4 +1,4 @@
-"""Removal of characters that a page cannot contain."""
+"""Replacement of characters that a page cannot contain."""
 
 import unicodedata
 

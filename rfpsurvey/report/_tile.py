@@ -31,9 +31,9 @@ COLUMNS = (
     "phi",
 )
 NARROW = 25
-MARGIN = 4  # half width of the enlarged region around a point, in outer radii of the largest patrol area
+MARGIN = 4  # half width of the enlarged square, divided by the outer radius of the largest patrol area
 MOST_OBJECTIVES = 12
-TITLE = 0.35  # inches, height of the title that a caption replaces
+TITLE = 0.35  # height (inches) of the title of a figure; the page shows a caption instead of the title
 LITTLE = 60  # if there are more positioners than this, a second figure enlarges a part of the focal plane
 
 
@@ -46,7 +46,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     summary, parameters = tile.summary, tile.provenance["parameters"]
     name = tile.provenance["instrument"]["name"]
     counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
-    arms = f"{summary['n_colliding'] or 'none'} of their arms {'is' if summary['n_colliding'] == 1 else 'are'}"
+    arms = f"{summary['n_colliding'] or 'none'} of the arms {'is' if summary['n_colliding'] == 1 else 'are'}"
     highlights = {
         f"of {summary['n_positioners']} positioners assigned": summary["n_assigned"],
         "in collision": summary["n_colliding"],
@@ -152,7 +152,7 @@ def _pictures(tile) -> list:
             "each arm is half the minimum separation wide on each side: two arms collide if their shadings overlap."
         )
     if "position_angle_deg" in tile.provenance["parameters"]:
-        words += " East is to the left of north, as on the sky; arrows show both directions."
+        words += " East is to the left of north, as on the sky; arrows point to north and east."
     pictures = [Picture("The whole focal plane.", whole, words)]
     if len(tile.table) > LITTLE:
         corner = _crowded(tile)
@@ -160,7 +160,7 @@ def _pictures(tile) -> list:
         if tile.summary["n_colliding"]:
             words = (
                 "This part of the focal plane has the most collisions. Arms collide if their shadings overlap; the "
-                "shadings of these arms are hatched."
+                "shadings of colliding arms are hatched."
             )
         pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
     return pictures

@@ -38,13 +38,16 @@ PAGES: dict[type, Callable[..., Page]] = {
     Estimate: page_of_estimate,
     Table: page_of_table,
 }
-"""For each type of result, the function that makes a page from the result and the name of the file with all rows."""
+"""For each type of result, the function that makes its page.
+
+The arguments of the function are the result, and the name of the file that contains all rows.
+"""
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
     "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
-"""For each value of ``meta["made_by"]``, the function that makes the page of such a table, and the required columns."""
+"""For each value of ``meta["made_by"]`` of a table, the function that makes its page, and the required columns."""
 WITH_PLANS = (page_of_tile, page_of_allocators)
 """Functions that make pages with an interactive focal plane."""
 ENDINGS = (".html", ".htm")
@@ -90,16 +93,18 @@ def write_report(
         Path of the file that contains the whole result. If the page does not show all rows of a table, the page states
         the name of this file, without its folder.
     max_rows : int, optional
-        Largest number of rows that the page shows of each table. If a table has more rows, the page states how many.
-        By default, the list of the assignments of a tile is complete, and all other tables show at most 1000 rows.
+        Largest number of rows that the page shows of each table. If a table has more rows, the page states the number
+        of shown rows and the number of all rows. By default, the page shows all assignments of a tile, and at most 1000
+        rows of each other table.
     plans : dict of str to Tile, optional
-        For a report on a `Tile`, other plans of the same tile by name; for a table of `compare_allocators`, all plans
-        of the comparison by name. The view of the focal plane shows the differences between any two plans.
+        For a report on a `Tile`, other plans of the same tile; for a table of `compare_allocators`, all plans of the
+        comparison. The keys are the names of the plans. The view of the focal plane shows the differences between any
+        two plans.
 
     Raises
     ------
     InputError
-        If there is no page for this type of result, if the path has a different ending, if the file exists and
+        If there is no page for this type of result, if the path has another ending, if the file exists and
         ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, or if ``plans`` are
         given for another type of result.
 
@@ -134,7 +139,7 @@ def write_report(
 
 
 def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None) -> Page:
-    """Return the page on a result."""
+    """Return the page that describes a result; ``where`` is the name of the file that contains all rows."""
     for kind, build in PAGES.items():
         if isinstance(result, kind):
             made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None

@@ -5,7 +5,7 @@ import numpy as np
 __all__ = ["PER_WORD", "count_bits", "n_words", "pack_bits", "unpack_bits"]
 
 PER_WORD = 64
-"""Number of realizations in one integer."""
+"""Number of realizations whose bits one integer contains."""
 
 
 def n_words(n_realizations: int) -> int:
@@ -16,8 +16,8 @@ def n_words(n_realizations: int) -> int:
 def pack_bits(observed: np.ndarray) -> np.ndarray:
     """Return the packed bits of a boolean array.
 
-    Realization r is bit ``r % 64`` of the integer ``r // 64``, where bit 0 is the least significant bit. Bits without a
-    realization are 0.
+    Realization r is bit ``r % 64`` of the integer ``r // 64``, where bit 0 is the least significant bit. The unused
+    bits of the last integer are 0.
 
     Parameters
     ----------
@@ -43,5 +43,5 @@ def unpack_bits(bits: np.ndarray, n_realizations: int) -> np.ndarray:
 
 
 def count_bits(bits: np.ndarray) -> np.ndarray:
-    """Return the number of bits that are 1 for each target, shape (n_targets,)."""
+    """Return, for each target, the number of bits that are 1, shape (n_targets,)."""
     return np.bitwise_count(bits).sum(axis=1, dtype=np.int64)

@@ -56,7 +56,7 @@ class SelectionFolder(RequestFolder):
             np.savez(temporary, **arrays)
 
     def save_state(self, number: int, state: State) -> None:
-        """Write the state of an unfinished block, if at least ``EVERY`` seconds have passed since the last one."""
+        """Write the state of an unfinished block, if the last checkpoint is at least ``EVERY`` seconds old."""
         if monotonic() - self._last >= EVERY:
             self.save(_state(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
             self._last = monotonic()
@@ -66,7 +66,7 @@ class SelectionFolder(RequestFolder):
         found = self.load(_state(number))
         if found is not None:
             if found["left"].shape != state.left.shape or found["counts"].shape != state.counts.shape:
-                raise InputError(f"{self.path} is damaged: the state of block {number} has a different size")
+                raise InputError(f"{self.path} is damaged: the state of block {number} has the wrong size")
             state.restore(found["left"], found["counts"], int(found["n_rounds"]))
 
     def save_block(self, number: int, state: State) -> None:

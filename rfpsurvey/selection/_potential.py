@@ -129,7 +129,7 @@ def potential_assignments(
 
 @dataclass(frozen=True, eq=False)
 class PotentialAssignments:
-    """The tiles and positioners that can reach each point; they are computed tile by tile when they are read.
+    """The tiles and positioners that can reach each point, which are computed tile by tile when they are read.
 
     Iteration yields a table for each tile. Each iteration, and each call of a method, computes all tiles again.
 
@@ -142,7 +142,7 @@ class PotentialAssignments:
     executor : concurrent.futures.Executor or None
         Executor that processes several tiles in parallel.
     progress : bool or callable
-        Whether to show the progress.
+        Whether to show the progress, or a function that is called with the progress.
 
     Examples
     --------
@@ -180,7 +180,7 @@ class PotentialAssignments:
     def table(self) -> QTable:
         """All potential assignments: ``tile``, ``positioner``, and ``point`` (row in the catalog of points).
 
-        For many points, iterate over the tables of tiles, or use `write`.
+        If there are many points, use `write`, or iterate over this object, which yields a table for each tile.
         """
         return vstack(list(self), metadata_conflicts="silent")
 

@@ -38,7 +38,7 @@ class SelectionProbabilities:
         Number of tiles in which at least one positioner reaches the target.
     bits : ndarray of uint64, shape (n_targets, n_words)
         Realization r observed a target if bit ``r % 64`` of the integer ``r // 64`` is 1, where bit 0 is the least
-        significant bit. Bits without a realization are 0.
+        significant bit. The unused bits of the last integer are 0.
     realizations : QTable
         Table with a row for each realization. Columns: ``realization``, ``seed``, ``n_assigned`` (number of positioners
         with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and ``n_observed``
@@ -83,7 +83,10 @@ class SelectionProbabilities:
 
     @property
     def probability_error(self) -> np.ndarray:
-        """Standard error of `probability`: standard deviation of its posterior (uniform prior), shape (n_targets,)."""
+        """Standard error of `probability`, shape (n_targets,).
+
+        This is the standard deviation of the posterior distribution of the probability for a uniform prior.
+        """
         return probability_error(self.n_observed, self.n_realizations)
 
     @property
@@ -163,8 +166,8 @@ class SelectionProbabilities:
         """Numbers of realizations, tiles, fibers, visits and targets.
 
         ``n_targets`` is the number of targets with requested visits. Of these targets, ``n_unreachable`` are reached in
-        no tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` in all realizations, and
-        ``n_sometimes_observed`` in some, but not all, realizations.
+        no tile, ``n_never_observed`` are observed in no realization, ``n_always_observed`` are observed in all
+        realizations, and ``n_sometimes_observed`` are observed in some, but not all, realizations.
         """
         asked = self.requested > 0
         never, always = self.never_observed & asked, (self.n_observed == self.n_realizations) & asked
@@ -183,7 +186,7 @@ class SelectionProbabilities:
 
     @property
     def provenance(self) -> dict:
-        """Versions of the software, instrument, catalog and parameters."""
+        """Instrument, catalog and parameters, and the versions of the software."""
         return self.realizations.meta["provenance"]
 
     @property

@@ -12,7 +12,7 @@ __all__ = ["Block", "blocks_of", "in_batch", "request_of", "seeds_of"]
 
 
 def seeds_of(seed: int, n: int) -> list[int]:
-    """Return the seeds of n realizations; the first seeds do not depend on n."""
+    """Return the seeds of n realizations; if n is increased, the first seeds remain the same."""
     return [int(word) >> 1 for word in np.random.SeedSequence(seed).generate_state(n, np.uint64)]
 
 
@@ -48,6 +48,6 @@ class Block:
 
 
 def blocks_of(n: int, *, together: bool) -> list[Block]:
-    """Return the blocks of n realizations."""
+    """Divide n realizations into blocks, and return the blocks."""
     size = MOST if together else 1
     return [Block(k, first, min(first + size, n)) for k, first in enumerate(range(0, n, size))]

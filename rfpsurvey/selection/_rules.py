@@ -26,12 +26,12 @@ class Field(NamedTuple):
     number: np.ndarray
     """Integer that represents the identifier of each target, and from which its subpriority is computed."""
     left: np.ndarray
-    """Remaining visits, shape (n_targets, n_realizations)."""
+    """Remaining visits of each target in each realization, shape (n_targets, n_realizations)."""
     seeds: np.ndarray
     tile: int
 
     n_sharing: np.ndarray
-    """For each positioner, an upper limit of the number of other positioners that can reach one of its targets."""
+    """For each positioner, an upper limit of the number of other positioners that can reach any of its targets."""
 
     @classmethod
     def of(cls, plane: FocalPlaneArrays, pairs: Reach, targets: FieldTargets, given) -> "Field":
@@ -90,4 +90,4 @@ def nearest(field: Field, chosen: np.ndarray) -> None:
 
 
 RULES = {"balanced": balanced, "lamost": lamost, "nearest": nearest}
-"""Rules by the name of the allocator."""
+"""The rule of each allocator, by the name of the allocator."""

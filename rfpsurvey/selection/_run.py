@@ -30,7 +30,7 @@ IN_FLIGHT = 32
 def run(
     request: Request, n: int, path: object, executor: Executor | None, progress, *, resume: bool
 ) -> SelectionProbabilities:
-    """Plan all realizations of a survey, and write the result if a path is given."""
+    """Plan all realizations of a survey, and return the result; if ``path`` is not None, also write the result."""
     where = nullcontext()
     if path is not None:
         request.check_text()
@@ -78,7 +78,7 @@ def run(
 
 
 def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
-    """Return the number of tiles in which at least one positioner reaches each target, in the order of slots."""
+    """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     found = None if folder is None else folder.load("reach")
     if found is not None:
         tell(len(request.tiling), new=False)
@@ -90,7 +90,7 @@ def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
 
 
 def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
-    """Return the number of tiles in which at least one positioner reaches each target, in the order of slots."""
+    """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))

@@ -45,12 +45,12 @@ def selection_probabilities(
 ) -> SelectionProbabilities:
     """Plan a survey many times with different subpriorities, and return which realizations observed each target.
 
-    Realization r is the survey that `plan_survey` plans with ``subpriority=seed`` of `AllocationOptions` and
-    ``rng=seed``, where ``seed`` is the r-th seed of the table ``realizations``. The seeds are drawn from ``rng``, and
-    the first seeds do not depend on the number of realizations. For the allocators ``nearest``, ``lamost`` and
-    ``balanced``, the targets of a field, their positions on the focal plane, the pairs in reach and the poses of arms
-    are computed once for 32 realizations. With all other allocators, and with ``lamost`` if there are requirements,
-    each realization takes as long as a complete survey.
+    Realization r is the survey that `plan_survey` plans with ``rng=seed`` and with the option ``subpriority=seed`` of
+    `AllocationOptions`, where ``seed`` is the r-th seed of the table ``realizations``. The seeds are drawn from
+    ``rng``; if ``n_realizations`` is increased, the first seeds remain the same. For the allocators
+    ``nearest``, ``lamost`` and ``balanced``, the targets of a field, their positions on the focal plane, the pairs in
+    reach and the poses of arms are computed once for 32 realizations. With all other allocators, and with ``lamost`` if
+    there are requirements, each realization takes as long as a complete survey.
 
     Parameters
     ----------
@@ -63,8 +63,7 @@ def selection_probabilities(
     n_realizations : int, optional
         Number of realizations, at least 1.
     allocator : AllocationOptions or str or callable, optional
-        The allocator with its options for every tile, or only the allocator. The option ``subpriority`` must not be
-        given.
+        The allocator for all tiles, with or without its options. The option ``subpriority`` must not be given.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
@@ -75,9 +74,9 @@ def selection_probabilities(
     order : {"color", "given"}, optional
         Order of the tiles, as in `plan_survey`.
     folder : str or path-like, optional
-        Folder for checkpoints of unfinished work, and for the result as ``selection.fits``.
+        Folder for the checkpoints of an unfinished computation, and for its result, the file ``selection.fits``.
     resume : bool, optional
-        Whether to continue unfinished work in the folder.
+        Whether to continue an unfinished computation from the checkpoints in ``folder``.
     executor : concurrent.futures.Executor, optional
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``. Threads need
         the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
@@ -91,13 +90,15 @@ def selection_probabilities(
     Returns
     -------
     SelectionProbabilities
-        The bits and probabilities, which do not depend on the number of workers or on interruptions.
+        For each target, the realizations that observed it (as bits), and the resulting probability. The result does
+        not depend on the number of workers or on interruptions.
 
     Raises
     ------
     InputError
         If the catalog or the tiling is empty, if a name or a required identifier is unknown, if a number is out of
-        range, if a subpriority is given, or if the folder is in use, contains other work, or is not writable.
+        range, if a subpriority is given, or if the folder is in use, contains another computation, or is not
+        writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
@@ -132,7 +133,7 @@ def selection_probabilities(
     begin = perf_counter()
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume requires the folder of the work to continue")
+        raise InputError("resume requires the folder of an unfinished computation, got no folder")
     check_choice(order, ("color", "given"), "order")
     if getattr(allocator, "subpriority", None) is not None:
         raise InputError(

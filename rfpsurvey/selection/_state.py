@@ -1,4 +1,4 @@
-"""The state of all targets in a block of realizations: one byte per target and realization."""
+"""The remaining visits of all targets in a block of realizations: one byte per target and realization."""
 
 import numpy as np
 
@@ -9,6 +9,8 @@ __all__ = ["State"]
 
 class State:
     """The remaining visits of each target in each realization of a block.
+
+    A block is a group of realizations that are planned together.
 
     Parameters
     ----------
@@ -28,9 +30,9 @@ class State:
         self.left = np.repeat(available[:, None], n_realizations, axis=1)
         self.is_open = (available > 0).astype(np.uint8)
         self.n_rounds = 0
-        """Number of rounds that are finished."""
+        """Number of finished rounds; a round is a group of tiles that share no targets."""
         self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
-        """Per realization: numbers of positioners with a target, of lost targets, and of visits to science targets."""
+        """For each realization: numbers of assigned positioners, of lost targets, and of visits to science targets."""
 
     def take(self, slot: np.ndarray) -> np.ndarray:
         """Return the remaining visits of the targets with the given slots, shape (k, n_realizations)."""
@@ -41,8 +43,8 @@ class State:
     def enter(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
         """Record the visits of a tile.
 
-        Bit r of ``mask`` is 1 if realization r visits the target. ``counts`` contains, for each realization, the number
-        of positioners with a target and the number of targets lost to a collision.
+        For each target in ``slot``, bit r of ``mask`` is 1 if realization r visits the target. For each realization,
+        ``counts`` contains the number of positioners with a target and the number of targets lost to a collision.
         """
         self.counts[:, :2] += counts
         observed = np.zeros(len(self.counts), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The work on one tile: the visits of all realizations of a block."""
+"""Plan one tile for all realizations of a block, which is a group of realizations that are planned together."""
 
 from typing import NamedTuple
 
@@ -17,12 +17,12 @@ __all__ = ["BlockDone", "BlockJob", "Poses", "find_reach", "plan_alone", "plan_t
 
 
 class BlockJob(NamedTuple):
-    """The input of the work on a tile for all realizations of a block."""
+    """The input of `plan_together` and `plan_alone`: one tile, and the realizations for which it is planned."""
 
     job: Job
-    """The field, which contains the targets with remaining visits in at least one realization."""
+    """The tile and its field, which contains the targets with remaining visits in at least one realization."""
     tile: int
-    """Row of the tile."""
+    """Row of the tile in the tiling."""
     left: np.ndarray
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
@@ -30,7 +30,7 @@ class BlockJob(NamedTuple):
 
 
 class BlockDone(NamedTuple):
-    """The result of the work on a tile."""
+    """The result of `plan_together` and `plan_alone`: the visits of a tile in each realization."""
 
     mask: np.ndarray
     """For each target of the field, a mask whose bit r is 1 if realization r visits the target."""
@@ -39,7 +39,7 @@ class BlockDone(NamedTuple):
 
 
 def plan_together(given: BlockJob) -> BlockDone:
-    """Plan a tile for all realizations of a block; fields, reach and the poses of arms are computed once."""
+    """Plan a tile for all realizations of a block; the pairs in reach and the poses of arms are computed once."""
     job, n = given.job, len(given.seeds)
     instrument, columns, pairs, xy, fiber_type = find_reach(job)
     plane = instrument.focal_plane
@@ -85,7 +85,7 @@ def plan_alone(given: BlockJob) -> BlockDone:
 
 
 class Poses:
-    """The poses of the arms for all pairs in reach, from which the collisions of each realization are found.
+    """The poses of arms at all targets in reach, from which the collisions of each realization are found.
 
     Parameters
     ----------

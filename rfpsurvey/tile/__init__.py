@@ -1,4 +1,4 @@
-"""Plan a single tile from a catalog, or find the collisions in the assignments of another planner."""
+"""Plan a single tile from a catalog, or find the collisions in assignments that another program planned."""
 
 from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit

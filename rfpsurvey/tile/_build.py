@@ -92,7 +92,7 @@ def _one_or_all(values):
 
 @cache
 def versions() -> dict:
-    """Return the versions of the packages on which results depend."""
+    """Return the versions of Python and of the packages on which results depend."""
     found = {"python": sys.version.split()[0]}
     for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
         try:

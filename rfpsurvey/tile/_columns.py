@@ -65,7 +65,10 @@ COMPLETENESS = {
 
 
 def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
-    """Set the description of each column to its text in ``about``, or to ``others`` without one; return the table."""
+    """Set the description of each column to its text in ``about`` or, without such a text, to ``others``.
+
+    The function changes the table, and returns it.
+    """
     for name in table.colnames:
         if name in about or others:
             table[name].info.description = about.get(name, others)
@@ -73,7 +76,7 @@ def describe(table: QTable, about: dict, others: str | None = None) -> QTable:
 
 
 def only_with_target(values: np.ndarray, has_target: np.ndarray) -> np.ndarray | MaskedColumn:
-    """Return values in which NaN, empty text, False or a mask stands for each positioner without a target."""
+    """Return a column in which the values of positioners without a target are NaN, empty text, False, or masked."""
     kind = values.dtype.kind
     if kind == "i":
         # the fill value differs from all values of targets, so that files preserve the values of targets

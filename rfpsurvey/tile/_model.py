@@ -28,7 +28,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     instrument : Instrument
         The instrument.
     posed : Arms, optional
-        The arms of the tile; without them, the text describes all tiles of a survey.
+        The arms of the tile. If None, the text describes all tiles of a survey.
     projection : str, optional
         Model of the projection, a key of ``rfpsurvey.observing.MODELS``.
 
@@ -44,7 +44,9 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     else:
         n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms that are {ARMS[plane.positioner.arm_model]}"
         if posed is None:
-            looked = f"Each tile tests the {n_pairs} pairs of arms that can touch; the distances of close pairs are"
+            looked = (
+                f"All {n_pairs} pairs of arms that can touch are tested in each tile; the distances of close pairs are"
+            )
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])

@@ -64,9 +64,9 @@ def plan_tile(
 ) -> Tile:
     """Assign the targets of a field to fibers, and find the arms that collide.
 
-    Without requirements, only science targets and required targets are assigned; all other sky positions and standard
-    stars are counted, but not assigned. If each fiber type has its own radial map, targets without a fiber type are
-    projected with the map of the first fiber type.
+    If there are no requirements, such as a minimum number of sky fibers, only science targets and required targets are
+    assigned; all other sky positions and standard stars are only counted. If each fiber type has its own radial map
+    from the sky to the focal plane, targets without a fiber type are projected with the map of the first fiber type.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def plan_tile(
         measured from north at that equinox. Text such as ``"06h20m00s +23d00m00s"`` or ``"95.0 23.0"`` (degrees) is
         in ICRS. By default, the field center is the mean direction of the catalog.
     position_angle : Quantity, optional
-        Position angle of +y of the focal plane, measured from north toward east.
+        Position angle of the +y axis of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions (a number is a Julian year). With None, the targets
         are not moved.
@@ -88,14 +88,14 @@ def plan_tile(
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
     conditions : ObservingConditions, optional
         Site, time or hour angle, wavelengths and weather, from which refraction is computed. The entry ``projection``
-        of the summary then states the displacements of targets that each simpler model of the projection neglects, and
-        which model suffices.
+        of the summary then states which model of the projection suffices, and the displacements of targets that each
+        simpler model neglects.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
         Model of the projection, as in `compare_projections`; ``auto`` is the fastest model that suffices. By default,
         the model is ``full`` if conditions are given, and ``radial`` otherwise.
     progress : bool or callable, optional
-        Show the progress of the searches of ``sdss`` and ``optimal`` on the standard error, or call a function with
-        two numbers: the finished fraction of the search, and 1.
+        Show the progress of the search by the allocator ``sdss`` or ``optimal`` on the standard error, or call a
+        function with two numbers: the finished fraction of the search, and 1.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers. With the default seed, all calls give
         the same tile.
@@ -261,8 +261,8 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
     for one in options.requirements:
         if one.minimum and one.what not in KINDS and not (category == one.what).any():
             there = [] if catalog.category is None else np.unique(category).tolist()
-            hint = hint_of_name(one.what, there) or f"its categories are: {', '.join(there[:8]) or 'none'}"
-            warn(f"no target of the catalog is {one.what!r}, as the requirement '{one}' asks for; {hint}")
+            hint = hint_of_name(one.what, there) or f"the catalog's categories are: {', '.join(there[:8]) or 'none'}"
+            warn(f"no target of the catalog is {one.what!r}, but the requirement '{one}' needs such targets; {hint}")
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
@@ -271,7 +271,7 @@ def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
     remedy = "give their unit (units={'ra': 'hourangle'}, --unit ra=hourangle)"
-    return f"; {n} would be in the field if right ascensions are in hours: {remedy}" if n else ""
+    return f"; {n} of the targets would be in the field if right ascensions were in hours: {remedy}" if n else ""
 
 
 def _known(value):

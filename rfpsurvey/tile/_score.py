@@ -1,4 +1,4 @@
-"""The function that finds the collisions in the assignments of other planners."""
+"""The function that finds the collisions in assignments that another program planned."""
 
 from time import perf_counter
 
@@ -44,7 +44,7 @@ def score_tile(
     units: dict | None = None,
     parked_obstacles: bool = True,
 ) -> Tile:
-    """Find the collisions in the assignments of another planner.
+    """Find the collisions in assignments that another program planned.
 
     If a target is out of reach, the arm of its positioner is stretched toward the target as far as possible, and is
     counted in the collision rate.
@@ -60,20 +60,21 @@ def score_tile(
         Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`; by default it is read from the columns or meta entries ``racen`` and
-        ``deccen``.
+        ``deccen`` of the table.
     position_angle : Quantity, optional
-        Position angle of +y, measured from north in the frame of the center; by default it is read from the column or
-        meta entry ``position_angle`` or ``field_pa``.
+        Position angle of the +y axis of the focal plane, measured from north in the frame of the center; by default it
+        is read from the column or meta entry ``position_angle`` or ``field_pa`` of the table.
     equinox : str, optional
         Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
     positions : {"focal_plane", "sky"}, optional
-        Positions to use; by default, the positions on the focal plane if the table contains them, otherwise the
-        positions on the sky.
+        Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
+        plane are used if the table contains them.
     conditions : ObservingConditions, optional
-        Conditions under which positions on the sky are projected; without them, refraction is neglected.
+        Observing conditions, from which the refraction of positions on the sky is computed. By default, refraction is
+        neglected.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; ``columns`` can also contain the keys ``positioner``,
         ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
@@ -84,9 +85,9 @@ def score_tile(
     Returns
     -------
     Tile
-        The tile, as returned by `plan_tile`. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber`` (number
-        of positioners without the requested fiber type) and ``n_unusable`` (number of rows for disabled or stuck
-        positioners, which are not scored).
+        The tile, which has no table of outcomes. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber``
+        (number of positioners without the requested fiber type) and ``n_unusable`` (number of rows for disabled or
+        stuck positioners, which are not scored).
 
     Raises
     ------
@@ -229,7 +230,7 @@ def _positioners(find: Finder, instrument: Instrument):
     unknown = [v for v in names if v not in index]
     if unknown:
         nominal = is_plan(find.table) and instrument.layout == "nominal"
-        hint = "; give the instrument as built, whose files have the ids of this plan" if nominal else ""
+        hint = "; use the instrument as built, because its positioners have the ids of this plan" if nominal else ""
         raise InputError(
             f"column {name!r} names positioners that the instrument does not have: "
             f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "

@@ -34,7 +34,7 @@ class TableOfTile:
     meta: dict = field(default_factory=dict)
 
     def make(self) -> QTable:
-        """Return the table."""
+        """Return the table of the tile, with a row for each positioner."""
         instrument, posed, report, fiber_type = self.instrument, self.posed, self.report, self.fiber_type
         plane, has_target, ids, sky_deg = instrument.focal_plane, posed.assigned, self.ids, self.sky_deg
         if len(ids) == 0:  # there are no targets

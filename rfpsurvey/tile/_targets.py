@@ -28,9 +28,9 @@ class TargetsOfField:
 
     catalog: Catalog
     rows: np.ndarray
-    """Rows of the targets of the field in the catalog."""
+    """Rows, in the catalog, of all targets of the field."""
     allocated: np.ndarray
-    """Rows in the catalog of the targets that the allocator received."""
+    """Rows, in the catalog, of the targets that the allocator received."""
     plan: FieldPlan
 
     @cached_property
@@ -67,7 +67,7 @@ class TargetsOfField:
 
     @cached_property
     def outcome(self) -> np.ndarray:
-        """Outcome of each target, as an index of ``OUTCOMES``."""
+        """Outcome of each target, as an index into ``OUTCOMES``."""
         plan, n = self.plan, len(self.given)
         of_catalog, colliding = plan.target >= 0, plan.report.in_collision[plan.positioner]
         outcome = np.full(len(self.rows), Outcome.NOT_REQUESTED, dtype=np.uint8)
@@ -91,12 +91,12 @@ class TargetsOfField:
         return TargetsOfField, (part, np.arange(len(self.rows)), self.given, self.plan)
 
     def idle(self, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
-        """Return a table with a row for each positioner without a target, and a table of its free targets in reach."""
+        """Return a table of the positioners without a target, and a table of the free targets that they can reach."""
         found = find_idle_reasons(self.plan.instrument.focal_plane, self.plan.allocation, self.plan.arms)
         return idle_tables(found, self, positioner_id)
 
     def table(self, positioner_id: np.ndarray) -> QTable:
-        """Return a table with a row for each target, with units."""
+        """Return a table with a row for each target; its columns have units."""
         lon, lat = to_lonlat(self.vectors)
         table = QTable({"target_id": self.id})
         table["ra"], table["dec"] = np.rad2deg(lon % (2 * np.pi)) * u.deg, np.rad2deg(lat) * u.deg
@@ -109,7 +109,11 @@ class TargetsOfField:
 
 
 def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
-    """Return the numbers of targets of each kind: in the field (``rows``), assigned, and assigned without collision."""
+    """Return, for each kind, the numbers of targets in the field, of assigned targets, and of observed targets.
+
+    ``rows`` contains the rows, in the catalog, of the targets in the field. A target is observed if it is assigned and
+    not lost to a collision.
+    """
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:
@@ -124,7 +128,7 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
 def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
     """Return columns of the catalog, with the values of the target of each positioner.
 
-    ``row_of`` contains the row of each positioner in the plan, or -1.
+    ``row_of`` contains, for each positioner, its row in the plan, or -1 if the plan has no row for the positioner.
     """
     if len(plan.target) == 0:
         return {}

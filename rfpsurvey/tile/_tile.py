@@ -36,7 +36,7 @@ MUST_HAVE = (
 
 
 class Tile:
-    """A planned or scored tile: the position of each fiber, and the arms that collide.
+    """The result of `plan_tile` or `score_tile`: the position of each fiber, and the arms that collide.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ class Tile:
         (ICRS), ``fiber_type`` (if there are several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``,
         ``tip_y``, ``in_collision``, ``colliding_with`` (identifiers of the positioners and obstacles with which the
         arm collides, separated by spaces, such as ``12 obstacle-3``), ``clearance`` (distance to the nearest other arm
-        minus the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the arm that can collide).
-        Planned tiles also have ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners can also
-        observe sky), and ``category``, ``priority`` and the further columns of the catalog, if the catalog has them.
-        Numbers that do not apply to a positioner are NaN, or masked if they are integers. The ``meta`` contains
-        ``summary``, ``provenance`` and ``geometry``.
+        minus the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can
+        collide). The tables of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty;
+        stuck positioners can also observe sky), and the columns ``category`` and ``priority`` and all further columns
+        of the catalog, if the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they
+        are integers. The ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -74,7 +74,7 @@ class Tile:
     """
 
     OUTCOMES = OUTCOMES
-    """The outcomes of targets."""
+    """All possible outcomes of a target, such as ``observed``."""
 
     def __init__(self, table: QTable | TableOfTile, field_targets: QTable | TargetsOfField | None = None):
         self._made_from, self._field_targets = table, field_targets
@@ -114,7 +114,7 @@ class Tile:
 
     @property
     def summary(self) -> dict:
-        """Counts and rates of the tile, a description of the model, and the computing time of each stage in seconds.
+        """Counts and rates, the model of collisions and positions, and the computing time of each stage in seconds.
 
         For planned tiles, ``n_required`` is the number of required targets, and ``n_required_observed`` is the number
         of required targets that are assigned and not in collision.
@@ -123,7 +123,7 @@ class Tile:
 
     @property
     def provenance(self) -> dict:
-        """Versions of the software, instrument, catalog and parameters of the tile."""
+        """Instrument, catalog and parameters of the tile, and the versions of the software that made it."""
         return self._made_from.meta["provenance"]
 
     @property
@@ -141,7 +141,7 @@ class Tile:
 
     @property
     def position_angle(self) -> u.Quantity | None:
-        """Position angle of +y of the focal plane, from north toward east; None if it is unknown."""
+        """Position angle of the +y axis of the focal plane, from north toward east; None if it is unknown."""
         angle = self.provenance["parameters"].get("position_angle_deg")
         return None if angle is None else angle * u.deg
 
@@ -155,9 +155,10 @@ class Tile:
     def outcomes(self) -> QTable | None:
         """Table of the outcome of each target of the field; None for scored tiles, and for tiles read from ECSV.
 
-        Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (on the focal plane; NaN for targets that are not
-        requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (masked or empty if there is no positioner), and
-        ``kind``, ``category``, ``priority`` and the further columns of the catalog, if it has them.
+        Columns: ``target_id``, ``ra``, ``dec``, ``x``, ``y`` (position on the focal plane; NaN for targets that are not
+        requested), ``outcome`` (one of `OUTCOMES`), ``positioner`` (identifier of the positioner to which the target is
+        assigned; masked or empty if the target is not assigned), and ``kind``, ``category``, ``priority`` and the
+        further columns of the catalog, if the catalog has them.
         """
         made = self.field_targets
         return made.table(self._positioner_ids) if hasattr(made, "table") else made
@@ -167,9 +168,9 @@ class Tile:
         """Table of the completeness of the field, with a row for each kind, category, and priority of science targets.
 
         Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
-        ``n_reachable`` (only requested targets), ``n_assigned``, ``n_observed`` (assigned, and not in
-        collision) and ``completeness``, which is ``n_observed`` divided by ``n_in_field``. The table is None if there
-        are no `outcomes`.
+        ``n_reachable`` (number of requested targets that a positioner can reach), ``n_assigned``, ``n_observed``
+        (number of assigned targets that are not lost to a collision) and ``completeness``, which is ``n_observed``
+        divided by ``n_in_field``. The table is None if there are no `outcomes`.
         """
         return None if self.outcomes is None else completeness_table(self.outcomes)
 
@@ -182,10 +183,10 @@ class Tile:
         """Table of the positioners without a target, and the reasons; None for scored tiles, and tiles read from files.
 
         Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
-        given to the allocator that the positioner can observe, regardless of all other positioners), ``n_free`` (number
-        of these targets that no positioner observes), ``n_possible`` (number of free targets at which its arm would not
-        collide, if all other arms remain as they are); ``colliding_with`` (all arms and obstacles with which the arm
-        would collide at free targets, in the same format as in the table of the tile).
+        of the allocator that the positioner could observe if there were no other positioners); ``n_free`` (number of
+        these targets that no positioner observes, which are called free targets); ``n_possible`` (number of free
+        targets at which the arm would not collide if no other arm moves); ``colliding_with`` (all arms and obstacles
+        with which the arm would collide at free targets, in the same format as in the table of the tile).
         """
         return None if self._idle is None else self._idle[0]
 
@@ -193,9 +194,10 @@ class Tile:
     def idle_targets(self) -> QTable | None:
         """Table of the free targets in reach of positioners without a target; None if `idle` is None.
 
-        Columns: ``id`` (of the positioner), ``target_id``, ``x``, ``y``, ``kind`` (if the catalog has it), ``possible``
-        (whether the arm can observe the target without a collision, bent to the right or to the left) and
-        ``colliding_with`` (all arms and obstacles with which the arm would collide if it is bent to either side).
+        A target is free if no positioner observes it. Columns: ``id`` (of the positioner), ``target_id``, ``x``, ``y``,
+        ``kind`` (if the catalog has it), ``possible`` (whether the arm, bent to the right or to the left, can observe
+        the target without a collision) and ``colliding_with`` (all arms and obstacles with which the arm would collide
+        if it is bent to the right, or if it is bent to the left).
         """
         return None if self._idle is None else self._idle[1]
 
@@ -289,7 +291,8 @@ class Tile:
         Parameters
         ----------
         plans : dict of str to Tile, optional
-            Other plans of the same tile by name; the view shows the differences between any two plans.
+            Other plans of the same tile; the keys are the names of the plans. The view shows the differences between
+            any two plans.
         height : int, optional
             Height of the frame in pixels.
 
@@ -362,7 +365,7 @@ def _plain(table: QTable) -> QTable:
 
 
 def _same_table(a, b) -> bool:
-    """Return whether two tables are equal; a missing table, such as that of a tile from ECSV, is equal to any table."""
+    """Return whether two tables are equal; a table that is None is equal to any table."""
     return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
 
 

@@ -268,9 +268,9 @@ def test_what_holds_for_one_field_is_refused_for_several():
     plane = PLANES["equal"]
     start = rs.allocate(plane, [[0, 0]] * u.mm)
     sky = SkyCoord([0, 0.1] * u.deg, [0, 0] * u.deg)
-    with pytest.raises(rs.InputError, match="start must be the name of an allocator for a survey"):
+    with pytest.raises(rs.InputError, match="for a survey, start must be the name of an allocator"):
         rs.plan_survey(sky, "moons", sky, allocator=rs.AllocationOptions("repair", start=start))
-    with pytest.raises(rs.InputError, match="start must be the name of an allocator for place_tiles"):
+    with pytest.raises(rs.InputError, match="for place_tiles, start must be the name of an allocator"):
         rs.place_tiles(sky, "moons", allocator=rs.AllocationOptions("repair", start=start))
     with pytest.raises(rs.InputError, match="requirements"):
         rs.collision_probability(plane, method="quadrature", allocator=rs.AllocationOptions(requirements="sky=2"))

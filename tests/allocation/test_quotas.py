@@ -95,13 +95,13 @@ def test_bad_options_are_named(options, message):
         (["sky=1/spectrograph"], ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]),
         (
             ["sky=2/spectrograph"],
-            ["sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there"],
+            ["sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there"],
         ),
         (["sky=2", "sky=-1"], ["sky targets: 1 of 2, 1 missing"]),
         (
             ["sky=-1", "sky=2/spectrograph", "sky_boss=1"],
             [
-                "sky targets, 2 in each spectrograph: 3 missing in 2 of them (7, 9); only 3 are in reach there",
+                "sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there",
                 "sky_boss targets: 0 of 1, 1 missing; none is in reach",
             ],
         ),
@@ -129,7 +129,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
     why = "all requirements together need 11 fibers, but only 3 fibers are usable"
     assert sentences(found.unmet) == [
         f"sky targets: 3 of 5, 2 missing; {why}",
-        f"sky targets, 3 in each spectrograph: 3 missing in 2 of them (7, 9); {why}",
+        f"sky targets, 3 in each spectrograph: 3 missing in 2 spectrographs (7, 9); {why}",
     ]
     assert [(s.spectrograph, s.requested, s.found, s.possible) for s in found.unmet] == [
         (None, 5, 3, 12),
@@ -334,7 +334,7 @@ def test_a_requirement_given_twice_is_one():
 
 
 def test_an_unknown_fiber_type_is_named():
-    with pytest.raises(rs.InputError, match="the positioners have no fiber types, got the requirement 'sky@BOSS=2'"):
+    with pytest.raises(rs.InputError, match="'sky@BOSS=2' contains a fiber type, but the positioners have no fiber"):
         said("lamost", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
         rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))

@@ -138,13 +138,13 @@ def test_sentences_put_spectrographs_together():
     rows = [short(place=k, per="spectrograph") for k in range(16)]
     numbers = ", ".join(map(str, range(16)))
     head = "sky targets, 5 in each spectrograph:"
-    assert sentences(rows) == [f"{head} 48 missing in 16 of them ({numbers})"]
+    assert sentences(rows) == [f"{head} 48 missing in 16 spectrographs ({numbers})"]
     rows.append(short(place=16, per="spectrograph"))
-    assert sentences(rows) == [f"{head} 51 missing in 17 of them ({numbers}, ...)"]
+    assert sentences(rows) == [f"{head} 51 missing in 17 spectrographs ({numbers}, ...)"]
     few = [short(place=k, possible=2, per="spectrograph") for k in (4, 8)]
-    assert sentences(few) == [f"{head} 6 missing in 2 of them (4, 8); only 4 are in reach there"]
+    assert sentences(few) == [f"{head} 6 missing in 2 spectrographs (4, 8); only 4 are in reach there"]
     none = [short(place=k, possible=0, found=0, per="spectrograph") for k in (4, 8)]
-    assert sentences(none) == [f"{head} 10 missing in 2 of them (4, 8); none is in reach there"]
+    assert sentences(none) == [f"{head} 10 missing in 2 spectrographs (4, 8); none is in reach there"]
     mixed = [short("standard"), *few, short(None)]
     assert sentences(mixed) == [str(mixed[0]), *sentences(few), str(mixed[-1])]
     much = [short(place=k, found=6, per="spectrograph") for k in (1, 2)]

@@ -257,5 +257,5 @@ def test_wrong_subpriorities_are_refused(call, message):
 
 def test_a_column_that_does_not_exist_is_refused(field):
     catalog, center = field
-    with pytest.raises(rs.InputError, match="got 'SUB'; further columns: none"):
+    with pytest.raises(rs.InputError, match="got 'SUB'; additional columns: none"):
         rs.plan_tile(catalog, "sdss_apo", center, allocator=rs.AllocationOptions(subpriority="SUB"))

@@ -222,7 +222,7 @@ def test_right_ascensions_in_hours_by_the_unit_of_the_column():
 def test_hours_are_suspected_only_where_they_explain_an_empty_field(frame):
     hours = frame.assign(RA=frame["RA"] / 15)
     with pytest.raises(
-        rs.InputError, match="; 300 would be in the field if right ascensions are in hours: give their unit"
+        rs.InputError, match="; 300 of the targets would be in the field if right ascensions were in hours: give"
     ):
         rs.plan_tile(hours, "sdss_apo", "95 23")
     with pytest.raises(rs.InputError, match="deg away$"):

@@ -59,7 +59,7 @@ def test_visits_and_passes(run, files, tmp_path):
     ("words", "message"),
     [
         (("--output", "selection.csv"), "selection.csv: the name of this output file must end in .fits"),
-        (("--resume",), "resume requires the folder of the work to continue"),
+        (("--resume",), "resume requires the folder of an unfinished computation"),
         (("--visits", 300), "--visits must be whole numbers from 0 to 255"),
         (("--allocator", "nearer"), "unknown allocator 'nearer'"),
     ],

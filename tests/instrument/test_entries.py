@@ -105,7 +105,7 @@ def test_the_base_is_good(tmp_path):
         (".sourse", '"s"', "Did you mean 'source'?"),
         (".status", '"rumored"', "status must be one of published, derived, assumed, got 'rumored'"),
         ("observing.skies", figure("2"), "unknown entry of [observing] 'skies'"),
-        (".schema", "true", "schema must be 1, the only schema that this version reads, got True"),
+        (".schema", "true", "schema must be 1, the only schema that this version of rfpsurvey reads, got True"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefs = [1] } }'), "optics.radial_map must be"),
         (
             "layout.spectrographs",

@@ -248,7 +248,7 @@ def test_what_tiles_of_each_preset_must_hold(presets):
 def test_descriptions_of_a_later_form_are_refused(tmp_path):
     text = (Path(rs.__file__).parent / "presets" / "lamost.toml").read_text()
     (tmp_path / "later.toml").write_text(text.replace("schema = 1", "schema = 2"))
-    with pytest.raises(rs.InputError, match="schema must be 1, the only schema that this version reads, got 2"):
+    with pytest.raises(rs.InputError, match="schema must be 1, the only schema .* reads, got 2"):
         rs.Instrument.read(tmp_path / "later.toml")
 
 

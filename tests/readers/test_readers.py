@@ -316,7 +316,7 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
         ("TFIELDS", 1, "must have NAXIS1 = 16 bytes in all, got 8 bytes"),
         ("NAXIS2", 100, "NAXIS2 may be wrong"),
         ("NAXIS2", 180, "must begin with XTENSION, got other bytes"),
-        ("NAXIS2", 10**12, "it is cut off"),
+        ("NAXIS2", 10**12, "the file is cut off"),
         ("NAXIS2", -1, "NAXIS2 must be a whole number of at least 0, got -1"),
         ("NAXIS1", 8, "must have NAXIS1 = 8 bytes in all, got 16 bytes"),
         ("NAXIS", 3, "NAXIS3 must be a whole number"),
@@ -327,7 +327,7 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
         path.write_bytes(changed(good, card, value))
         assert message in refusal(path)
     path.write_bytes(good[:-2880])
-    assert "it is cut off" in refusal(path)
+    assert "the file is cut off" in refusal(path)
     path.write_bytes(good + bytes(2880 * 3))
     assert len(rs.Catalog.read(path)) == 200
     path.write_bytes(good + bytes(2880) + b"rest".ljust(2880))

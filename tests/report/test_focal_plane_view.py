@@ -171,7 +171,7 @@ def test_filters_count_the_positioners_of_the_tile(page, tiles):
         assert (value in shown) == (number > 0)
         if number:
             page.evaluate(f"(value) => {{ {VIEW}.filterBox.value = value; {VIEW}.filter(); }}", value)
-            assert page.locator(".count").first.text_content() == f"{number} of 500 positioners."
+            assert page.locator(".count").first.text_content() == f"Shown: {number} of 500 positioners."
     assert min(expected["collision"], expected["idle"], expected["category a"]) > 0
 
 

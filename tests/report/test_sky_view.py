@@ -50,7 +50,7 @@ def test_the_slider_shows_the_tiles_of_the_passes(page, survey):
         only.set_checked(alone)
         last = np.unique(passes)[value]
         n = (passes == last).sum() if alone else (passes <= last).sum()
-        assert page.locator(".count").inner_text() == f"{n} of {len(passes)} tiles."
+        assert page.locator(".count").inner_text() == f"Shown: {n} of {len(passes)} tiles."
     only.set_checked(False)
     slider.fill("1")
 

@@ -204,7 +204,7 @@ def test_damaged_checkpoints_are_computed_again(case, tmp_path, monkeypatch, und
 
 def test_refused_folders(case, tmp_path):
     folder = tmp_path / "selection"
-    with pytest.raises(rs.InputError, match="resume requires the folder of the work to continue"):
+    with pytest.raises(rs.InputError, match="resume requires the folder of an unfinished computation"):
         compute(case, None, resume=True)
     compute(case, folder, 2)
     same(compute(case, folder, 2, resume=True), rs.SelectionProbabilities.read(folder))

@@ -66,11 +66,11 @@ def test_a_requirement_on_an_unknown_category_is_told(run, tmp_path):
     for what, hint in (
         ("skies", "did you mean 'sky'?"),
         ("qasar", "did you mean 'quasar'?"),
-        ("zz", "its categories are: galaxy, quasar."),
+        ("zz", "the catalog's categories are: galaxy, quasar."),
     ):
         options = rs.AllocationOptions(requirements=f"{what}=2")
         with pytest.warns(
-            rs.RfpsurveyWarning, match=f"no target of the catalog is '{what}', as the .* asks for; {hint[:-1]}"
+            rs.RfpsurveyWarning, match=f"no target of the catalog is '{what}', but the .* needs such .*; {hint[:-1]}"
         ):
             tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=options)
         assert (hint in tile.summary["unmet"][0]) == ("did you mean" in hint)

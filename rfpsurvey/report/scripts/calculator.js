@@ -1,6 +1,6 @@
 // A calculator with sliders for the collision probability of a design: the surrogate of rfpsurvey/probability/_surrogate.py.
 
-// The index of the first cubic B-spline that is not 0 at x, and the values of the four such splines (de Boor's recurrence).
+// The index of the first cubic B-spline that is not 0 at x, and the values of this spline and of the next three (de Boor's recurrence).
 function basis(knots, x) {
   let last = knots.length - 5;
   while (last > 3 && x < knots[last]) last -= 1;

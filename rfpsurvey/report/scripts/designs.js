@@ -17,7 +17,7 @@ class Scatter {
 
   update() {
     this.points = this.owner.rows.map((k) => this.place(k));
-    this.stage.canvas.setAttribute("aria-label", `${this.owner.words(this.y)} against ${this.owner.words(this.owner.x)} of ` +
+    this.stage.canvas.setAttribute("aria-label", `${this.owner.words(this.y)} as a function of ${this.owner.words(this.owner.x)} for ` +
       `${plural(this.owner.rows.length, "design")}. Arrow keys select designs.`);
     this.stage.draw();
   }

@@ -119,7 +119,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const test = this.tests.get(this.filterBox.value);
     this.visible = this.id.map((_, k) => Boolean(test(k)));
     const n = this.visible.filter(Boolean).length;
-    this.count.textContent = `${n} of ${plural(this.n, "positioner")}${this.compared ? `; ${this.plan.name} compared with ${this.compared.name}` : ""}.`;
+    this.count.textContent = `Shown: ${n} of ${plural(this.n, "positioner")}${this.compared ? `; ${this.plan.name} compared with ${this.compared.name}` : ""}.`;
     this.fillLegend();
     if (this.details.open) this.fillTable();
     this.table = this.details.open ? this.table : null;

@@ -93,7 +93,7 @@ class SkyMapView {
 
   update() {
     const n = this.name.reduce((sum, _, k) => sum + (this.shown(k) ? 1 : 0), 0);
-    this.count.textContent = `${n} of ${plural(this.n, "tile")}.`;
+    this.count.textContent = `Shown: ${n} of ${plural(this.n, "tile")}.`;
     if (this.passText) {
       const last = this.passes[+this.slider.value];
       this.passText.textContent = this.only.checked || last === this.passes[0] ? `Pass ${last}` : `Passes ${this.passes[0]} to ${last}`;
