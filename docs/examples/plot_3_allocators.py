@@ -2,7 +2,8 @@
 Comparison of allocators
 ========================
 
-This example compares the numbers of usable and of colliding science fibers of six allocators on a crowded MOONS field.
+This example plans a crowded MOONS field with six allocators. For each allocator, it compares the number of usable
+science fibers with the number of fibers that are lost to collisions.
 """
 
 import astropy.units as u

@@ -3,8 +3,8 @@
 import matplotlib.pyplot as plt
 
 # tests/benchmarks/clustering_figures.py prints these numbers. For each method: the time (s) to plan the surveys and to
-# count the pairs of one mock, and the errors for 1, 2 and 3 passes, in units of the standard deviation of the complete
-# sample.
+# count the pairs of one mock catalog, and the errors of the correlation function for 1, 2 and 3 passes. The unit of the
+# errors is the standard deviation of the correlation function of the complete sample over the mock catalogs.
 METHODS = {
     "observed": (0.63, (9.34, 5.69, 4.05)),
     "nearest neighbor": (0.58, (9.10, 5.08, 3.10)),
@@ -23,7 +23,7 @@ for k, color in enumerate(COLORS):
 for name, marker in MARKERS.items():
     ax.plot([], [], marker, color="0.4", label=name)
 ax.axhline(1, color="0.6", ls=":", lw=1)
-ax.set(xscale="log", yscale="log", xlabel="seconds per mock", ylabel="error / scatter of the complete sample")
+ax.set(xscale="log", yscale="log", xlabel="time per mock catalog (s)", ylabel="error / scatter of the complete sample")
 ax.set_xticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
 ax.set_yticks([1, 2, 5, 10], ["1", "2", "5", "10"])
 ax.minorticks_off()

@@ -1,4 +1,4 @@
-"""Plot the results of simulations with two stopping rules: a convergence criterion, and the width of the interval."""
+"""Plot the results of simulations that end at a convergence criterion, or when the confidence interval is short."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

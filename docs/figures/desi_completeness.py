@@ -1,10 +1,13 @@
-"""Plot the completeness of a survey with the tiles of DESI after each pass; survey_figures.py prints the numbers."""
+"""Plot the completeness of a survey with the tiles of DESI after each pass.
+
+``tests/benchmarks/survey_figures.py`` prints the numbers.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 N_WANTED, N_TARGETS = 49_903_061, 19_959_605
-# after each pass: total number of tiles, total number of visits, number of targets with all requested visits
+# Each row contains three numbers after a pass: tiles so far, visits so far, and targets with all requested visits.
 PASSES = np.array(
     [
         [3629, 12_822_664, 3_609_931],

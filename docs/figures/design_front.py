@@ -1,4 +1,4 @@
-"""Plot coverage against losses to collisions for many designs, and mark the Pareto front and three instruments."""
+"""Plot coverage and losses to collisions of many designs, and mark the Pareto front and three instruments."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

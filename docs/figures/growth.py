@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-# sizes and times (s)
+# For each call: the sizes of the problem, and the times (s) of the call.
 TARGETS = {
     "plan_tile, lamost": (
         [1000, 3000, 10000, 30000, 100000, 300000, 1000000],

@@ -1,10 +1,14 @@
-"""Plot the additional visits of joint plans and their upper bounds; joint_figures.py prints the numbers."""
+"""Plot the additional visits of joint plans, and upper bounds of these numbers of visits.
+
+``tests/benchmarks/joint_figures.py`` prints the numbers.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-# distance between tiles / diameter of the field, targets per fiber, whether the targets are clustered (1) or not (0);
-# number of visits if the tiles are planned one after the other, of the joint plan, and its upper bound
+# Columns: distance between tiles / diameter of the field; targets per fiber; 1 if the targets are clustered, 0 if not;
+# number of visits if the tiles are planned one after the other; number of visits of the joint plan; upper bound of the
+# number of visits of any plan
 ROWS = np.array(
     [
         [0.2, 1, 0, 2347, 2411, 2418],

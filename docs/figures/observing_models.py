@@ -39,7 +39,8 @@ for ax, (name, (site, wavelength, milliseconds)) in zip(axes.flat, CASES.items()
         moved.append([*result.table["max"].to_value(u.um)[:4], result.drift.to_value(u.um)])
     for model, values in zip(LABELS, np.transpose(moved), strict=True):
         values = np.where(values > 1e-3, values, np.nan)
-        # without a radial map, tangent and radial are equal; without dispersion, refraction and dispersion are equal
+        # Without a radial map, the curves of tangent and radial coincide. Without dispersion, the curves of refraction
+        # and dispersion coincide.
         style = "--" if model in ("tangent", "dispersion") else ":" if model == "drift" else "-"
         ax.semilogy(ALTITUDES, values, style, color=COLORS[model], lw=2, label=LABELS[model])
     ax.axhline(result.tolerance.to_value(u.um), color="0.3", lw=0.8, label="tolerance")

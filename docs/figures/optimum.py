@@ -1,9 +1,13 @@
-"""Plot time and gap of ``optimal`` against the number of positioners, and its plans against the time limit."""
+"""Plot the performance of the allocator ``optimal``.
+
+The left panel shows the time and the gap against the number of positioners. The right panel shows the number of
+assigned targets and its upper bound against the time limit.
+"""
 
 import matplotlib.pyplot as plt
 
-# Numbers of tests/benchmarks/optimum_figures.py on two shared cores: positioners, seconds and gap for SDSS-V arms
-# with one target per positioner and a time limit of 60 s.
+# tests/benchmarks/optimum_figures.py printed these numbers on two shared cores: the number of positioners, the time (s)
+# and the gap, for SDSS-V arms with one target per positioner and a time limit of 60 s.
 SIZES = [
     (1027, 0.27, 0),
     (2107, 0.60, 0),
@@ -13,8 +17,9 @@ SIZES = [
     (40_021, 60.1, 0.00034),
     (99_919, 60.2, 0.00136),
 ]
-# Plans of ``optimal`` for 9919 positioners: the time limits (s), and, for each case, the numbers of targets and their
-# bounds. For two other allocators: the time (s), and the number of targets whose arms do not collide.
+# Plans for 9919 positioners. LIMITS contains the time limits (s) of ``optimal``. Each entry of PLANS contains, for each
+# time limit, the number of targets that ``optimal`` assigns and the upper bound of this number, and, for two other
+# allocators, the time (s) and the number of targets whose arms do not collide.
 LIMITS = (0.5, 1, 2, 4, 8, 16, 32)
 PLANS = {
     "SDSS-V, 1 per positioner": (

@@ -1,4 +1,7 @@
-"""Plot the plans of the README with two allocators, for the first page (``python docs/figures/overview.py FILE``)."""
+"""Plot the plans of two allocators for the example of the README.
+
+``python docs/figures/overview.py FILE`` writes the figure of the first page to FILE.
+"""
 
 import sys
 

@@ -1,4 +1,7 @@
-"""Plot the motion of the elbow against a small motion of the tip, inside and at the limits of the patrol area."""
+"""Plot the displacement of the elbow as a function of the displacement of the fiber tip.
+
+The three curves are for a tip inside the patrol area and for tips at the two limits of the patrol area.
+"""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

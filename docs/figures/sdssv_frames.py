@@ -10,7 +10,7 @@ wok = rs.Instrument.preset("sdss_apo").focal_plane.xy.value
 c, s = np.cos(angle), np.sin(angle)
 focal = wok @ np.array([[c, -s], [s, c]])  # rotated clockwise
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.2), layout="constrained", sharey=True)
-labels = (("x wok, mm", "y wok, mm"), ("x focal (east), mm", "y focal (north), mm"))
+labels = (("x wok [mm]", "y wok [mm]"), ("x focal (east) [mm]", "y focal (north) [mm]"))
 for ax, xy, turn, names in zip(axes, (wok, focal), (0, angle), labels, strict=True):
     first = np.hypot(*(wok - [0, 232.8]).T) < 120
     ax.plot(*xy.T, ".", ms=3, color="0.75")

@@ -26,7 +26,7 @@ class CatalogArrays:
     Attributes
     ----------
     vectors : ndarray of float, shape (n, 3)
-        ICRS unit vectors.
+        Unit vectors in the directions of the targets, in the frame ICRS.
     repeated_ids : bool
         Whether any two targets have the same identifier.
     extra : dict
@@ -67,15 +67,18 @@ class CatalogArrays:
         return len(np.unique(ids)) < len(ids)
 
     def rows_within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
-        """Return the rows of the targets inside a circle."""
+        """Return the row numbers of the targets inside a circle on the sky."""
         mask = np.empty(len(self._id), dtype=bool)
         center = to_vectors(center, "center", one=True)[0]
         sky.within(self.vectors, center, half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)
 
     def rows_near(self, center: SkyCoord, radius_rad: float, time: object) -> np.ndarray:
-        """Return the rows of all targets that can be inside a circle at another epoch, given their proper motions."""
-        # The radius is slightly enlarged to allow for rounding.
+        """Return the row numbers of all targets that could be inside a circle on the sky at another epoch.
+
+        The radius of the circle is increased by the largest angle by which any target moves until this epoch.
+        """
+        # A small additional margin allows for rounding errors.
         return self.rows_within(center, radius_rad + self.farthest_rad(time) * (1 + 1e-9) + 1e-12)
 
     def farthest_rad(self, time: object) -> float:

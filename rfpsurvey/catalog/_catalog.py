@@ -33,21 +33,21 @@ class Catalog:
     """Targets on the sky, one per row, with priorities and other columns that allocators use.
 
     Rows whose coordinates are masked or not finite are removed with a warning; ``n_dropped`` is the number of removed
-    rows. Columns that are not given are None and use no memory. Distances and radial velocities in ``coord`` are
-    discarded.
+    rows. Columns other than ``id`` are None, and use no memory, if they are not given. Distances and radial velocities
+    in ``coord`` are discarded.
 
     Parameters
     ----------
     coord : SkyCoord, shape (n,)
         Positions in any frame. The SkyCoord may contain proper motions.
     id : array_like, shape (n,), optional
-        Identifiers, integers or text; the row numbers by default.
+        Identifiers of the targets, integers or text; by default, the row numbers.
     priority : array_like of float, shape (n,), optional
         Priority of each target; larger values are more important. By default, all targets are equally important.
     kind : array_like of str, shape (n,), optional
         Kind of each target: ``science``, ``standard`` or ``sky``. By default, all targets are science targets.
     category : array_like of str, shape (n,), optional
-        Category of each target, any text, such as ``sky_boss``.
+        Category of each target. Any text is allowed, such as ``sky_boss``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
@@ -205,8 +205,8 @@ class Catalog:
             pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
             Names of columns that are not recognized automatically. The keys are recognized names; for example,
-            ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus, as in ``{"priority": "-rank"}``, reverses
-            the sign of a column in which smaller numbers are more important.
+            ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus sign before the name of a column reverses the
+            sign of its numbers, as in ``{"priority": "-rank"}`` if smaller ranks are more important.
         units : dict, optional
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             no column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, and
@@ -217,7 +217,7 @@ class Catalog:
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
             Values that replace missing values (masked or NaN) of ``priority``, ``visits``, ``kind``, ``category`` or
-            ``fiber_type``, as in ``{"priority": 0}``. A minus in ``columns`` does not change the sign of these values.
+            ``fiber_type``, as in ``{"priority": 0}``. A minus sign in ``columns`` does not affect these values.
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
 
@@ -230,7 +230,7 @@ class Catalog:
         ------
         InputError
             If coordinates are missing or have a wrong unit, if coordinates have no unit although other columns have
-            one, or if some rows have no priority or no number of visits, and ``fill`` has no value for these rows.
+            units, or if a priority or a number of visits is missing and ``fill`` does not replace it.
 
         Examples
         --------
@@ -264,21 +264,21 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
-        If a file has no units (such as CSV files and some Parquet files), degrees and mas / yr are assumed, unless
-        ``units`` specifies different units. CSV files may use semicolons, tabs or vertical bars instead of commas.
+        If a file has no units, like CSV files, positions are assumed to be in degrees and proper motions in mas / yr,
+        unless ``units`` is given. CSV files may use semicolons, tabs or vertical bars instead of commas.
 
         Parameters
         ----------
         path : str or path-like
-            Path of the file, whose extension (before ``.gz``) determines the format, or ``example:anticenter``.
+            Path of the file, or ``example:anticenter``. The extension (before ``.gz``) determines the file format.
         columns, units : dict, optional
-            As in `from_table`.
+            Names and units of columns, as in `from_table`.
         frame : str, optional
-            As in `from_table`.
+            Frame of the coordinates, as in `from_table`.
         fill : dict, optional
-            As in `from_table`.
+            Values that replace missing values, as in `from_table`.
         keep : list of str, optional
-            As in `from_table`.
+            Names of further columns that results include, as in `from_table`.
 
         Returns
         -------
@@ -288,7 +288,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If the file does not exist or cannot be read, or if a column is missing.
+            If the file does not exist or cannot be read, or if a required column is missing.
         """
         path, name = path_and_name(path)
         table = read_table(path)
@@ -353,7 +353,7 @@ class Catalog:
         Parameters
         ----------
         time : Time, str or float
-            The new epoch. A number is a Julian year; text is any text that `~astropy.time.Time` reads.
+            The new epoch. A number is a Julian year; text can have any format that `~astropy.time.Time` reads.
 
         Returns
         -------
@@ -369,7 +369,7 @@ class Catalog:
         if not self.has_proper_motion or len(self) == 0:
             return self
         if self.epoch is None:
-            remedy = "give Catalog(..., epoch=) or an epoch column (--column epoch=J2016)"
+            remedy = "give Catalog(..., epoch=), a column of epochs, or --column epoch=J2016"
             raise InputError(f"the catalog has proper motions but no epoch to which the positions refer; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or have the shape ({len(self)},), got {time.shape}")

@@ -12,7 +12,8 @@ from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
 
-# Names of columns for each role, in order of preference (case is ignored), and the beginning of the UCD.
+# A role is the meaning of a column, such as "ra". For each role: the common names of its column, in order of preference
+# (case is ignored), and the beginning of the UCD of its column.
 ROLES = {
     "ra": (
         "ra ra_icrs raj2000 ra_j2000 _raj2000 radeg ra_deg target_ra _ra alpha alpha_j2000 right_ascension",
@@ -132,7 +133,7 @@ class Finder:
         return own or given
 
     def quantity(self, role: str) -> u.Quantity | None:
-        """Return the column as a Quantity in the default unit of its role; masked values become NaN."""
+        """Return the column with this role as a Quantity in the default unit of the role; masked values become NaN."""
         name = self.name_of(role)
         if name is None:
             return None
@@ -165,7 +166,7 @@ class Finder:
         return motion
 
     def _decimal(self, role: str) -> np.ndarray:
-        """Return the column as float64; text that contains decimal numbers is converted."""
+        """Return the column with this role as float64; text that contains decimal numbers is converted."""
         name = self.name_of(role)
         values = self._plain(role)
         try:
@@ -180,7 +181,7 @@ class Finder:
             raise InputError(text) from None
 
     def _plain(self, role: str) -> np.ndarray:
-        """Return the column as numbers or text, one value per row."""
+        """Return the column with this role as numbers or text, one value per row."""
         self._check_shape(role)
         name = self.name_of(role)
         return to_plain(self.table[name], f"column {name!r} ({role})")
@@ -193,12 +194,12 @@ class Finder:
             raise InputError(f"column {name!r} ({role}) must have one value per row, got {sizes} values per row")
 
     def texts(self, role: str) -> np.ndarray:
-        """Return the column as text; missing values become empty text."""
+        """Return the column with this role as text; missing values become empty text."""
         texts = self.labels(role)
         return np.where(np.isin(np.char.lower(texts), NOTHING), "", texts)
 
     def is_text(self, role: str) -> bool:
-        """Return whether the column contains text other than decimal numbers."""
+        """Return whether the column with this role contains text other than decimal numbers."""
         try:
             self._decimal(role)
         except InputError:
@@ -206,24 +207,24 @@ class Finder:
         return False
 
     def numbers(self, role: str) -> np.ndarray | None:
-        """Return the column as float64; missing values are replaced by the value of ``fill``, or by NaN."""
+        """Return the column with this role as float64; the value in ``fill``, or NaN, replaces missing values."""
         if self.name_of(role) is None:
             return None
         values = self._decimal(role)
         return np.where(np.isnan(values), float(self.fill[role]), values) if role in self.fill else values
 
     def complete(self, role: str) -> np.ndarray | None:
-        """Return the column as float64; raise an error if a row has no value."""
+        """Return the column with this role as float64; raise an error if a row has no value."""
         values = self.numbers(role)
         if values is not None and (lacking := np.isnan(values)).any():
             raise InputError(
                 f"column {self.name_of(role)!r} ({role}) must have a number in every row, but {rows_of(lacking)} have "
-                f"none; state their value, for example fill={{{role!r}: 0}} or --fill {role}=0"
+                f"none; state a value for these rows, for example fill={{{role!r}: 0}} or --fill {role}=0"
             )
         return values
 
     def labels(self, role: str) -> np.ndarray | None:
-        """Return the column as integers or text; masked text becomes empty."""
+        """Return the column with this role as integers or text; masked text becomes empty."""
         name = self.name_of(role)
         if self.columns.get(role, "").startswith("-"):
             raise InputError(
@@ -257,7 +258,7 @@ class Finder:
 
 
 def _unit(given: object, role: str) -> u.UnitBase:
-    """Convert text such as ``Degrees`` to a unit; hours are converted to hour angles for right ascensions."""
+    """Convert text such as ``Degrees`` to a unit; for right ascensions, the unit hour is replaced by hour angle."""
     unit = u.Unit(given, parse_strict="silent")
     if isinstance(unit, u.UnrecognizedUnit):
         known = u.Unit(str(given).strip().lower().removesuffix("s"), parse_strict="silent")

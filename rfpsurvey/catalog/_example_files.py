@@ -37,7 +37,7 @@ def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
 
 
 def read_table(path: Path) -> QTable:
-    """Read the table of a catalog from a file, or from an example catalog in packed form."""
+    """Read the table of a catalog from a file, which may be a compressed example catalog (``.packed``)."""
     if path.suffix != ".packed":
         return _io.read_table(path)
     return QTable.read(unpack(path.read_bytes()).splitlines(), format="ascii.ecsv")

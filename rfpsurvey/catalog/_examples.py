@@ -11,8 +11,8 @@ __all__ = ["example_catalog"]
 def example_catalog(name: str = "anticenter") -> Catalog:
     """Return one of the catalogs of real stars that come with the package.
 
-    ``Catalog.read("example:anticenter")`` reads the same stars and has further parameters. Commands accept
-    ``example:anticenter`` in place of a file.
+    ``Catalog.read("example:anticenter")`` reads the same stars and has further parameters. On the command line,
+    ``example:anticenter`` can be given instead of the name of a file.
 
     Parameters
     ----------
@@ -24,12 +24,12 @@ def example_catalog(name: str = "anticenter") -> Catalog:
     -------
     Catalog
         The stars, with positions and proper motions at the epoch J2000 and with the magnitudes ``bt_mag`` and
-        ``vt_mag`` in ``extra``; ``meta`` contains the source, the selection, the license and the limitations.
+        ``vt_mag`` in ``extra``; ``meta`` contains the source, selection, license and limitations of the data.
 
     Raises
     ------
     InputError
-        If no example has this name.
+        If there is no example catalog with this name.
 
     References
     ----------

@@ -18,8 +18,8 @@ def is_table(given: object) -> bool:
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
     """Convert an object to an astropy table; also return whether tables of this type cannot have units.
 
-    If the index of a DataFrame has names, it becomes columns with these names. An index without names becomes the
-    column ``id`` if ``index_as_id`` is true and no column contains identifiers.
+    If the index of a DataFrame has names, the index becomes columns with these names. An index without names becomes
+    the column ``id`` if ``index_as_id`` is true and no column contains identifiers.
     """
     if isinstance(given, Table):
         return given, False

@@ -16,8 +16,8 @@ PER_SQUARE = 25.0
 class SkyIndex:
     """Unit vectors sorted by zones of declination.
 
-    The index of a direction in the sorted list is called the *position* of the direction. ``order[k]`` is the row of
-    ``vectors`` that has the position k.
+    The index of a direction in the sorted list is called the *position* of the direction. ``order[k]`` is the row,
+    in the parameter ``vectors``, of the direction that has the position k.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class SkyIndex:
         Returns
         -------
         ndarray of int
-            Positions.
+            Positions of these directions in the sorted list.
         """
         limit = half_chord_squared(radius_rad)
         left = self._everything if left is None else left

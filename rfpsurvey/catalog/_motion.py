@@ -10,7 +10,7 @@ __all__ = ["move", "move_coordinates"]
 
 
 def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
-    """Return coordinates (ICRS) after some years; targets without a complete proper motion do not move."""
+    """Return ICRS coordinates after the given numbers of years; targets without both proper motions do not move."""
     icrs = coord.icrs
     lon, lat = icrs.ra.rad, icrs.dec.rad
     motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
@@ -23,7 +23,7 @@ def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
 
 
 def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
-    """Return the positions and proper motions of stars after some years.
+    """Return the positions and proper motions of stars after the given numbers of years.
 
     The motion is computed with unit vectors, so the poles need no special treatment. A star that does not move
     keeps its position.
@@ -31,18 +31,18 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
     Parameters
     ----------
     lon, lat : ndarray, shape (n,)
-        Position, radians.
+        Longitudes and latitudes, in radians.
     motion : ndarray, shape (n, 2)
-        Proper motion in longitude (with the cosine of the latitude) and in latitude, radians per year.
+        Proper motions in longitude (with the cosine of the latitude) and in latitude, in radians per year.
     years : ndarray, shape (n,)
         Time during which each star moves, in years.
 
     Returns
     -------
     lon, lat : ndarray, shape (n,)
-        New position, radians; longitudes are from 0 to 2 pi.
+        New longitudes (from 0 to 2 pi) and latitudes, in radians.
     motion : ndarray, shape (n, 2)
-        New proper motion, radians per year.
+        New proper motions, in radians per year.
     """
     place, east, north = _axes(lon, lat)
     velocity = motion[:, :1] * east + motion[:, 1:] * north

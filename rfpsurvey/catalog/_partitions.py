@@ -38,13 +38,14 @@ class PartitionedCatalog:
     folder : str or path-like
         Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
     columns, units : dict, optional
-        As in `Catalog.from_table`. Positions without a unit are assumed to be in degrees, without a warning.
+        Names and units of columns, as in `Catalog.from_table`. Positions without a unit are assumed to be in degrees;
+        no warning is issued.
     frame : str, optional
-        As in `Catalog.from_table`.
+        Frame of the coordinates, as in `Catalog.from_table`.
     fill : dict, optional
-        As in `Catalog.from_table`.
+        Values that replace missing values, as in `Catalog.from_table`.
     keep : list of str, optional
-        As in `Catalog.from_table`.
+        Names of further columns that results include, as in `Catalog.from_table`.
     kept_rows : int, optional
         Largest number of rows of recently read partitions that a survey keeps in memory; a row uses about 60 bytes.
 
@@ -161,8 +162,8 @@ def partition_catalog(
     folder : str or path-like
         Folder to create; it must not exist yet. If writing fails, no incomplete folder remains.
     order : int, optional
-        HEALPix order of the partitions, 0 to 13; by default it is chosen such that a partition contains about 20,000
-        targets.
+        HEALPix order of the partitions, 0 to 13; by default, the lowest order for which the partitions contain at most
+        20,000 targets on average.
 
     Returns
     -------
@@ -235,7 +236,7 @@ def as_catalog(catalog: Catalog | PartitionedCatalog | SkyCoord | Table) -> Cata
 
 
 def _joined(columns: list) -> np.ndarray:
-    """Concatenate the parts of one column from several partitions; masked values remain masked."""
+    """Concatenate the values of one column in several partitions; masked values remain masked."""
     masked = any(isinstance(column, MaskedColumn) for column in columns)
     kinds = {column.dtype.kind == "U" for column in columns}
     if len(kinds) > 1:

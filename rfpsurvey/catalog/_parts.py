@@ -62,7 +62,7 @@ class Partitions:
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def refuse_overlaps(self) -> None:
-        """Raise an error if a pixel lies inside another pixel, because targets could then occur in two partitions."""
+        """Raise an error if the pixels of two partitions overlap, because a target could then occur in both."""
         orders, pixels = (np.array(values) for values in zip(*[part[:2] for part in self.files], strict=True))
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
@@ -110,7 +110,7 @@ class Partitions:
 
     @cached_property
     def circles(self) -> tuple[np.ndarray, np.ndarray]:
-        """A circle around each partition: unit vector of the center and radius (radians)."""
+        """Circles that enclose the partitions: unit vectors of the centers, and radii in radians."""
         vectors = np.array([_healpix.centers(2**order, [pixel])[0] for order, pixel, _ in self.files])
         return vectors, np.array([_healpix.pixel_radius(2**order) for order, *_ in self.files])
 
@@ -154,14 +154,14 @@ class Partitions:
         return np.concatenate([getattr(self.part(k), name) for k in range(len(self.files))])
 
     def table(self, k: int, names: list[str]) -> Table:
-        """Return a table with the given columns of a partition."""
+        """Return a table with the given columns of partition k."""
         table = read_parquet(self.files[k][2], names)
         if self._has_no_id:
             table["id"] = np.arange(self.rows[k], self.rows[k + 1])
         return table
 
     def digest(self) -> str:
-        """Return a digest of the stored bytes of all columns that are read."""
+        """Return a digest of the parameters of the catalog and of the stored bytes of all columns that are read."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
         about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
         found = hashlib.sha256(repr(about).encode())

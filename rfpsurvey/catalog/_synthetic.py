@@ -37,8 +37,8 @@ def synthetic_catalog(
         ``uniform``: a fixed number of independent points. ``poisson``: a Poisson point process, in which the number of
         points is also random. ``poisson_disc``: random sequential addition of points that are at least
         ``min_separation`` apart. If neither ``n_targets`` nor ``density`` is given, points are added until fewer than
-        one trial in a thousand is accepted. ``clustered``: a Thomas process, in which the number of clusters and the
-        number of targets in each cluster are Poisson distributed, and each cluster has a Gaussian profile.
+        one in a thousand random points is accepted. ``clustered``: a Thomas process, in which the number of clusters
+        and the number of targets in each cluster are Poisson distributed, and each cluster has a Gaussian profile.
     center : SkyCoord or str
         Center of the circle; text is read as in `plan_tile`.
     radius : Quantity
@@ -203,7 +203,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
 
 
 def _basis(center):
-    """Return a matrix (ICRS) with three rows: two directions perpendicular to the center, and the center."""
+    """Return three ICRS unit vectors as rows: two perpendicular to the direction of the center, and this direction."""
     z = to_vectors(center)[0]
     helper = np.eye(3)[np.argmin(np.abs(z))]
     x = np.cross(helper, z)

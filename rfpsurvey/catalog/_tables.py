@@ -22,7 +22,8 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
     """Return the arguments of `Catalog` for a table.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
-    option, default units are assumed only if no column of the table has a unit, and a warning is issued.
+    option, default units are assumed only if no column of the table has a unit. A warning is then issued, except for
+    tables that cannot have units, such as DataFrames.
     """
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
@@ -149,7 +150,7 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
         text = _not_an_angle(texts[there], unit)
-        remedy = "; replace the decimal comma by a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
+        remedy = "; replace the decimal comma with a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
         what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
         raise InputError(f"{what}, got {text!r}{remedy}") from error
     return angles * u.deg

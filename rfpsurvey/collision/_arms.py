@@ -30,7 +30,10 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """The poses of all positioners in mm and radians; NaN for arms that are absent."""
+    """The poses of the arms of all positioners, in mm and radians; NaN for arms that are absent.
+
+    An arm is absent if its positioner could move, but has no target and is not a parked obstacle.
+    """
 
     find_angles: Callable[[], np.ndarray] | None
     """Function that returns the joint angles theta and phi, shape (2, n); called at the first use of the angles."""
@@ -43,7 +46,7 @@ class Arms:
     parked: np.ndarray
     """Whether each positioner is an obstacle: it is usable, has no target, and is parked."""
     clipped: np.ndarray
-    """Whether each target is out of reach: the arm is only stretched toward the target, or violates joint limits."""
+    """Whether the target of each positioner is out of reach, because of its distance or because of joint limits."""
     fiber: np.ndarray | None = None
     """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
 
@@ -53,12 +56,12 @@ class Arms:
 
     @property
     def theta(self) -> np.ndarray:
-        """Joint angles theta."""
+        """Joint angles theta of all positioners, in radians."""
         return self._angles[0]
 
     @property
     def phi(self) -> np.ndarray:
-        """Joint angles phi."""
+        """Joint angles phi of all positioners, in radians."""
         return self._angles[1]
 
     def __getstate__(self):
@@ -192,7 +195,7 @@ def check_tips(columns, points, side, *, clip=False):
 
 
 def joints_free(columns, side):
-    """Return whether joint limits leave the full patrol areas within reach, for the given sides of the elbows."""
+    """Return whether the joint limits allow all positions in the patrol areas, for the given sides of the elbows."""
     if columns.joints_free_for(1.0) and columns.joints_free_for(-1.0):
         return True
     return all(columns.joints_free_for(s) for s in {side.min(), side.max()})
@@ -244,16 +247,17 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return cosine and sine of the angle at each elbow from fiber to capsule; idle arms use their first fiber."""
+    """Return the cosine and sine of the angle from fiber to capsule at each elbow; idle arms use their first fiber."""
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 
 def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
-    """Return the distance (mm) from each arm to the nearest other arm: NaN for absent arms, infinity for a single arm.
+    """Return the distance (mm) from each arm to the nearest other arm.
 
-    If arms have an outline, only neighbors whose arms can touch are considered.
+    The distance is NaN for absent arms, and infinite if there is no other arm. If arms have an outline, only neighbors
+    whose arms can touch are considered.
     """
     segments = np.ascontiguousarray(posed.segments.T)
     if plane.positioner.outline is not None:
@@ -268,8 +272,8 @@ def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:
 def _cells(points, rows):
     """Sort points into a grid that has about as many cells as there are points.
 
-    Returns x0, y0, size, nx and ny of the grid, the index of the first point of each cell in the sorted list, and the
-    rows of the points, sorted by cell.
+    Return the corner (x0, y0) of the grid, the size of a cell, the numbers of cells nx and ny along the axes, the index
+    of the first point of each cell in the sorted list, and the rows of the points, sorted by cell.
     """
     low = points.min(axis=1, initial=np.inf) if len(rows) else np.zeros(2)
     wide, high = np.ptp(points, axis=1) if len(rows) else np.ones(2)

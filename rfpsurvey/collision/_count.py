@@ -1,4 +1,4 @@
-"""Collisions of many configurations of one focal plane."""
+"""Count the collisions of many configurations of one focal plane."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -31,13 +31,13 @@ class CollisionCounts:
     n_pairs, n_obstacle_pairs : ndarray of int, shape (m,)
         Number of colliding pairs of two positioners, and number of colliding pairs of a positioner and an obstacle.
     n_in_collision, n_in_collision_assigned : ndarray of int, shape (m,)
-        Number of counted positioners in collision, and of assigned positioners in collision.
+        Number of counted positioners (see ``n_counted``) in collision, and number of assigned positioners in collision.
     n_counted, n_assigned : ndarray of int, shape (m,)
         Number of counted positioners (assigned positioners, and parked positioners with equal arms), and number of
         assigned positioners.
     n_borderline : ndarray of int, shape (m,)
-        Number of pairs so close to the minimum separation that rounding errors could change the result. These pairs are
-        classified by their computed distance.
+        Number of pairs of arms whose distance is so close to the minimum separation that rounding errors could change
+        the result. The computed distance determines whether such a pair is counted as a collision.
     per_positioner : ndarray of int, shape (n,)
         Number of configurations in which each positioner is in collision.
 
@@ -103,8 +103,9 @@ def count_collisions(
     focal_plane : FocalPlane
         The positioners.
     tips : Quantity, shape (m, n, 2), or Allocation
-        Positions of the fibers in each of m configurations, NaN for positioners without a target. For an allocation by
-        ``balanced``, each configuration contains one target of each queue, drawn uniformly.
+        Positions of the fibers in each of m configurations, NaN for positioners without a target. An allocation
+        by ``balanced`` contains a queue of targets for each positioner; each configuration then contains one random
+        target of each queue.
     n_configurations : int, optional
         Number of configurations to draw from an allocation.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
@@ -269,7 +270,10 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and the colliding segments of arms at all m targets of queues, shape (4, m)."""
+    """Return the start of each queue, and one segment for each of the m targets of all queues, shape (4, m).
+
+    The segment is the segment of the arm that can collide if the positioner of the queue observes the target.
+    """
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = to_mm(allocation.xy, "xy")[target]

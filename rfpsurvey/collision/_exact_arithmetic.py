@@ -71,8 +71,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
     ``first`` and ``second`` are the segments (x0, y0, x1, y1), from the elbow along the eccentric arm, that determine
     the poses of the positioners i and j. A polygon is the convex hull of its vertices, whose positions relative to the
-    elbow or center are rounded to double precision. If the radii and the separation are 0, polygons collide
-    if they overlap or cross, but not if they only touch.
+    elbow or center are rounded to double precision. If the radii of two polygons and the separation are 0,
+    these polygons collide if they overlap or cross, but not if they only touch.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]
@@ -92,8 +92,8 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 def touches_exactly(columns, i: int, segment, j: int) -> bool:
     """Return whether an arm of positioner i is closer to obstacle j than the clearance, or overlaps this obstacle.
 
-    ``segment`` is the colliding segment, or the core of the outline, as (x0, y0, x1, y1). Obstacles are numbered from
-    0: first the circles, then the polygons.
+    ``segment`` (x0, y0, x1, y1) is the segment of the arm that can collide; for an arm with an outline, it is the
+    segment from the elbow along the eccentric arm. Obstacles are numbered from 0: first the circles, then the polygons.
     """
     circles, outline = columns.obstacles, columns.limits.outline
     if j < len(circles):

@@ -1,4 +1,4 @@
-"""Find the arms of one configuration that are closer than the minimum separation."""
+"""Find the arms of one configuration that are closer to each other than the minimum separation."""
 
 import astropy.units as u
 import numpy as np
@@ -43,8 +43,9 @@ def find_collisions(
 ) -> CollisionReport:
     """Find the pairs of arms that are closer to each other than the minimum separation D.
 
-    Two positioners collide if and only if the distance between their colliding segments is strictly less than D;
-    crossing segments have the distance 0. An arm collides with an obstacle if the distance from the arm to the edge of
+    The arm model of the positioners (see `~rfpsurvey.Positioner`) states which part of an arm can collide. Two
+    positioners collide if and only if the distance between these parts of their arms is strictly less than D; parts
+    that cross have the distance 0. An arm collides with an obstacle if the distance from the arm to the edge of
     the obstacle is less than the clearance d of the arm.
 
     Parameters
@@ -53,18 +54,18 @@ def find_collisions(
         The positioners.
     tips : Quantity, shape (n, 2), or Allocation, or Arms, optional
         Position of the fiber of each positioner, NaN for positioners without a target. An allocation also determines
-        ``handedness``, ``fiber_type`` and ``parked_obstacles``. Known poses can be given as ``Arms``.
+        ``handedness``, ``fiber_type`` and ``parked_obstacles``. Poses that are already known can be given as ``Arms``.
     theta, phi : Quantity, shape (n,), optional
-        Joint angles instead of ``tips``; NaN for positioners without a target. They may exceed the joint limits.
+        Joint angles, instead of ``tips``; NaN for positioners without a target. The angles may exceed the joint limits.
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
         Handedness of each arm; by default, the handedness of the positioner. This parameter must not be given with
         ``theta`` and ``phi``.
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each positioner uses; by default, the first type of the positioner. The fiber type matters if
-        it determines the position of the fiber or the angle of the colliding segment.
+        it determines the position of the fiber or the direction of the segment that can collide.
     parked_obstacles : bool, optional
-        Whether positioners with equal arms and without a target are parked, and count as obstacles. Idle positioners
-        with unequal arms avoid all other arms and are ignored.
+        Whether positioners that have no target and arms of equal length are parked and count as obstacles. Positioners
+        that have no target and arms of unequal length avoid all other arms and are ignored.
     method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
         ``exact``: distances with a proven error limit, and rational arithmetic for pairs whose result this error could
         change. ``sampled``: the smallest distance between ``n_points`` points on one arm and ``n_points`` points on the
@@ -72,8 +73,8 @@ def find_collisions(
         n_points <= 1 + length of the arm / (sqrt(2) D). ``sweep``: the distance between the areas that the two arms
         sweep on the way from their parked poses to the given poses; each area is sampled by ``n_points`` poses. Both
         joints rotate at the same time, in the shorter direction (regardless of hard stops). There are no false
-        negatives, but many false positives. ``scipy``: minimization by SciPy, which is slow. ``cuda``: the distances of
-        ``exact``, computed on a GPU (requires ``rfpsurvey[cuda]``).
+        negatives, but many false positives. ``scipy``: slow minimization of the distance by SciPy. ``cuda``: the
+        method ``exact``, with distances computed on a GPU (requires ``rfpsurvey[cuda]``).
     n_points : int, optional
         Number of points on each arm (``sampled``), or number of poses of each arm on its path (``sweep``), from 2 to
         10,000.
@@ -137,7 +138,7 @@ def find_collisions(
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
-    """Return colliding segments (4, n), flags of assigned and of parked arms, and a function that computes all poses.
+    """Return segments that can collide (4, n), flags of assigned and parked arms, and a function that finds all poses.
 
     Only a few methods need all poses and call the returned function.
     """

@@ -11,14 +11,14 @@ try:
     from rfpsurvey._kernels import gpu
 except ImportError as error:
     raise InputError(
-        f"the method 'cuda' needs the package numba-cuda, as in pip install 'rfpsurvey[cuda]' ({error})"
+        f"the method 'cuda' needs the package numba-cuda; use pip install 'rfpsurvey[cuda]' ({error})"
     ) from None
 
 __all__ = ["find_pairs", "make_scorer"]
 
 
 def find_pairs(segments, pairs, limits):
-    """Return (first, second, squared distance) of all pairs that, within rounding errors, may collide."""
+    """Return (first, second, squared distance) of all pairs of arms that collide or are borderline."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)

@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
 
 def exact(case: Configuration) -> Found:
-    """Find pairs by distances with a proven error limit, and decide borderline pairs in rational arithmetic."""
+    """Find pairs by distances with a proven error limit; rational arithmetic decides borderline pairs."""
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
@@ -149,7 +149,7 @@ def _require_segments(case, method):
 
 
 def _capsule_angles(posed):
-    """Return the cosine and sine of the angle, at each elbow, from the fiber to the end of the colliding segment."""
+    """Return the cosine and sine of the angle, at each elbow, from the fiber to the segment that can collide."""
     (ux, uy), (vx, vy) = (posed.tip - posed.elbow).T, (posed.segments[:, 2:] - posed.elbow).T
     scale = np.hypot(ux, uy) * np.hypot(vx, vy)
     scale[scale == 0] = 1  # capsules whose length is 0

@@ -34,11 +34,11 @@ class CollisionReport:
         Whether each positioner is counted in the rate. Assigned positioners and parked positioners with equal arms are
         counted.
     n_borderline : int or None, optional
-        Number of pairs so close to the minimum separation or the clearance that rounding errors could change the
-        result. A pair consists of two arms, or of an arm and an obstacle. The methods ``exact`` and ``cuda`` test such
-        pairs of arms in rational arithmetic, and all methods test such pairs with an obstacle in this way. The number
-        is None if the method has no proven error limit. If no two arms can touch, the number is never None and includes
-        only pairs with an obstacle.
+        Number of borderline pairs: the distance of two arms is so close to the minimum separation, or the distance of
+        an arm from an obstacle is so close to the clearance, that rounding errors could change the result. Rational
+        arithmetic decides the result for two arms if the method is ``exact`` or ``cuda``, and for an arm and an
+        obstacle in all methods. The number is None if the method has no proven error limit. If no two arms can touch,
+        the number is never None and includes only pairs with an obstacle.
 
     Examples
     --------

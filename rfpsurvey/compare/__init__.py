@@ -1,4 +1,4 @@
-"""Comparisons of several allocators, or of several instruments, on the same sky."""
+"""Compare several allocators on the same field, or several instruments with comparable targets."""
 
 from rfpsurvey.compare._allocators import compare_allocators
 from rfpsurvey.compare._instruments import PARTS, compare_instruments, parts_of

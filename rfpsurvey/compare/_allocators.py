@@ -34,7 +34,7 @@ def compare_allocators(
     return_tiles: bool = False,
     **others: object,
 ) -> QTable | tuple[QTable, dict[str, Tile]]:
-    """Plan the same field with several allocators, and return the fibers, collisions and times of each plan.
+    """Plan the same field with several allocators; return a table of fibers, collisions and computing times.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def compare_allocators(
         with warnings.catch_warnings():
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field only once
-            # this plan compiles the kernels
+            # this first plan has a short time limit and only compiles the code
             plan_tile(catalog, instrument, center, allocator=replace(method, time_limit=1 * u.ms), **others)
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)

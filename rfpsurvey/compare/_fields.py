@@ -55,12 +55,12 @@ class Plan:
 
 
 def allocators_of(allocators, options: AllocationOptions | None, others: dict) -> list[AllocationOptions]:
-    """Return the allocators to compare, each with the same options."""
+    """Return a set of options for each allocator to compare; the sets differ only in the allocator."""
     methods = [allocators] if isinstance(allocators, str) or callable(allocators) else allocators
     if not isinstance(methods, list | tuple):
         raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
     if "allocator" in others:
-        raise InputError("the allocators to compare must be given as the argument allocators, got allocator")
+        raise InputError("the allocators to compare must be given as allocators=, got the argument allocator")
     if not methods:
         raise InputError("allocators must name at least one allocator, got none")
     common = AllocationOptions() if options is None else as_options(options)
@@ -81,7 +81,7 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
         if density is None:
             expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
             size = {"n_targets": round(expected) if kind == "uniform" else expected}
-        # the seed depends on the name, so that an instrument has the same targets in each comparison
+        # the seed depends on the name of the instrument, which thus has the same targets in each comparison
         own = np.random.default_rng([seed, crc32(model.name.encode())])
         for one in own.spawn(int(number)):
             sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)

@@ -117,7 +117,8 @@ def compare_instruments(
         Options of every plan, such as requirements, required targets of a catalog and circles that no arm may cover.
         The allocator in these options is replaced by each of ``allocators``.
     n_realizations : int, optional
-        Number of synthetic fields of each instrument; 4 by default. With a catalog, each center has one field.
+        Number of synthetic fields of each instrument; 4 by default. With a catalog, this parameter must be None, and
+        each instrument observes one field for each center.
     rng : int, Generator or None, optional
         Seed or random number generator.
     executor : concurrent.futures.Executor, optional
@@ -140,7 +141,7 @@ def compare_instruments(
         the fields: ``allocator``; ``targets`` (number of science targets in reach); ``targets_per_positioner``
         (``targets`` divided by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part``
         (fraction of the positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision
-        probability of the positioners that have a target or are parked obstacles, with its 95 % interval);
+        probability of the positioners that have a target or are parked obstacles, and its 95 % confidence interval);
         ``pairs_per_positioner`` (number of colliding pairs divided by the number of these positioners); ``usable``
         (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
         of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss``
@@ -164,9 +165,9 @@ def compare_instruments(
 
     Notes
     -----
-    The interval is a Wilson interval with the effective number of independent trials, which is estimated from the
-    scatter between positioners and the correlation of neighbors. The interval describes how much the probability would
-    vary from field to field for targets of the same kind.
+    The confidence interval of the collision probability is a Wilson interval with the effective number of independent
+    trials, which is estimated from the scatter between positioners and the correlation of neighbors. The interval
+    describes how much the probability would vary from field to field for targets of the same kind.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Design studies: how the coverage and the loss of fibers to collisions depend on arms, pitch and clearance."""
+"""Design studies: how coverage and the fraction of fibers lost to collisions depend on arms, pitch and clearance."""
 
 from rfpsurvey.design._around import design_improvements, explore_around
 from rfpsurvey.design._axes import AXES

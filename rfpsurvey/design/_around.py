@@ -101,10 +101,10 @@ def design_improvements(table: QTable) -> QTable:
     -------
     QTable
         Table with a row for each objective: ``objective``; ``value`` (value of this objective for the instrument);
-        ``best`` (value for the best design, or for the instrument if no design is better); ``change`` (``best`` minus
-        ``value``); ``other`` (value of the other objective for the best design); ``central_arm``, ``ratio``, ``pitch``
-        and ``clearance`` of the best design. The values of objectives are plain numbers, in the units of the columns
-        of ``table``.
+        ``best`` (value of this objective for the best design, or for the instrument if no design is better);
+        ``change`` (``best`` minus ``value``); ``other`` (value of the other objective for the best design);
+        ``central_arm``, ``ratio``, ``pitch`` and ``clearance`` of the best design. The values of objectives are plain
+        numbers, in the units of the columns of ``table``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The designs of a scan: all combinations of nodes, or Sobol points between limits."""
+"""The designs of a scan: all combinations of given parameter values, or Sobol points between limits."""
 
 import itertools
 

@@ -55,8 +55,9 @@ def explore_designs(
       in collision are lost.
     * ``allocated``: random targets are distributed to queues (`~rfpsurvey.allocate`, ``balanced``), and every fiber
       observes one target of its queue; fibers of positioners in collision are lost.
-    * ``collision_free``: the plan avoids collisions; the number of lost fibers is the number of fibers with a target in
-      the best plan that ignores collisions, minus the number of fibers with a target in this plan.
+    * ``collision_free``: the plan avoids collisions. The number of lost fibers is the number of fibers with a target in
+      the best plan that ignores collisions, minus the number of fibers with a target in the plan that avoids
+      collisions.
 
     Parameters
     ----------
@@ -107,13 +108,13 @@ def explore_designs(
         positioner that would have a target if arms could pass through each other; it is 1 for independent targets),
         ``loss`` (fraction of the assigned fibers lost to collisions), ``loss_error`` (standard error of the loss),
         ``usable`` (number of assigned fibers per positioner that are not lost to collisions);
-        ``positioners_per_area`` and ``usable_per_area`` (numbers per area of the focal plane); ``estimand`` and
-        ``method`` of the loss; ``n_unproven`` (number of searches that the time limit ended; if it is not 0, the loss
-        can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit of the number of fibers
-        that better plans could add according to the bounds of these searches, divided by the number of fibers with a
-        target, in the simulated lattice; NaN for ``repair``, which has no bounds); ``reason`` (why a design has
-        no values); ``pareto`` (True if no other design is at least as good in both objectives and better in one). The
-        ``meta`` of the table contains the arguments of the scan.
+        ``positioners_per_area`` and ``usable_per_area`` (numbers of positioners and of usable fibers per area);
+        ``estimand`` and ``method`` of the loss; ``n_unproven`` (number of searches that the time limit ended; if it is
+        not 0, the loss can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit of the
+        number of fibers that better plans of the simulated lattice could add, divided by the number of fibers with a
+        target; the limit follows from the bounds that the searches prove; NaN for ``repair``, which has no bounds);
+        ``reason`` (why a design has no values); ``pareto`` (True if no other design is at least as good in both
+        objectives and better in one). The ``meta`` of the table contains the arguments of the scan.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Methods that compute the fraction of fibers lost to collisions; each method uses one of three definitions."""
+"""Methods that compute the fraction of fibers lost to collisions (the loss), for three definitions of the loss."""
 
 from typing import NamedTuple
 
@@ -22,11 +22,14 @@ __all__ = ["ESTIMANDS", "METHODS", "SURROGATE_ERROR", "Loss", "Skies", "cheapest
 N_POINTS = 256
 """Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""
 SURROGATE_ERROR = 5e-4
-"""Upper limit of the root-mean-square error of the surrogate; see ``tests/benchmarks/design_figures.py``."""
+"""Upper limit of the root-mean-square error of the method ``surrogate``; see ``tests/benchmarks/design_figures.py``."""
 SURE = 0.01
-"""Smallest loss for which the relative error of the surrogate is acceptable."""
+"""Smallest loss for which the relative error of the method ``surrogate`` is acceptable."""
 CORE = 5.0
-"""Radius of the central region of a patch, in units of the pitch; it contains the 91 positioners that are counted."""
+"""Radius, in units of the pitch, of the central region of a simulated patch of positioners.
+
+Only the 91 positioners in this region are counted.
+"""
 
 
 class Loss(NamedTuple):
@@ -40,7 +43,7 @@ class Loss(NamedTuple):
     n_unproven: int = 0
     """Number of searches that the time limit ended."""
     gap: float = 0.0
-    """Upper limit of this loss minus the loss that complete searches would give; NaN if there is no limit."""
+    """Upper limit of the difference between this loss and the loss of complete searches; NaN if unknown."""
 
 
 class Skies(NamedTuple):
@@ -56,7 +59,7 @@ class Skies(NamedTuple):
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """Compute the loss for independent targets by interpolation between precomputed quadratures."""
+    """Compute the loss for independent targets by interpolation between precomputed values."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
@@ -117,7 +120,7 @@ def cheapest(estimand: str, lattice: Lattice) -> str:
 
 
 def in_box(lattice: Lattice) -> bool:
-    """Return whether the parameters of a design are within the range of the surrogate."""
+    """Return whether the parameters of a design are within the range of the method ``surrogate``."""
     return not any(outside_box(name, value) for name, value in zip(AXES, lattice.shape, strict=True))
 
 
@@ -170,7 +173,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
 
 
 def _patch(lattice, each):
-    """Return a patch of positioners, and its targets.
+    """Return a finite patch of the lattice, and a source of random targets for its positioners.
 
     The patch contains the counted positioners, their neighbors, and positioners that share targets with the neighbors.
     """

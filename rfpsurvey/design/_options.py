@@ -25,8 +25,8 @@ class LossOptions:
     Parameters
     ----------
     estimand : {"independent", "allocated", "collision_free"}, optional
-        Definition of the loss, see `~rfpsurvey.design.explore_designs`; by default the definition that the method uses
-        or, without a method, ``independent``.
+        Definition of the loss, see `~rfpsurvey.design.explore_designs`. By default, it is the definition that
+        ``method`` uses; for the method ``auto``, it is ``independent``.
     method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
         Method that computes the loss: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for
         ``allocated``; exact for each realization), ``optimal`` (for ``collision_free``; a proven optimum) or ``repair``

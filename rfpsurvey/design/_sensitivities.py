@@ -23,8 +23,9 @@ def design_sensitivities(
     The values of a column are fitted by a sum of polynomials, one for each parameter that varies. A polynomial has
     degree four, or less if the parameter has fewer than five values. The share of a parameter is the variance of its
     polynomial divided by the variance of the column. This is the first-order Sobol index; it is exact on a grid with at
-    most five nodes per axis. The rest of the variance is due to interactions between parameters and to noise of the
-    values. Random noise increases each share by about the number of coefficients divided by the number of designs.
+    most five nodes per axis. The rest of the variance is due to interactions between parameters and to noise in the
+    values of the column. Random noise increases each share by about the number of coefficients divided by the number
+    of designs.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ def design_sensitivities(
         Table returned by `~rfpsurvey.design.explore_designs`. Designs without values are ignored. The design of an
         instrument is also ignored if `~rfpsurvey.design.explore_around` added it to the scan.
     figures : sequence of str, optional
-        Columns whose variance is explained.
+        Names of the columns whose variance is analyzed.
 
     Returns
     -------
@@ -45,8 +46,8 @@ def design_sensitivities(
     Raises
     ------
     InputError
-        If a column is missing or does not contain numbers, if no parameter varies, or if there are fewer designs than
-        coefficients.
+        If a column is missing or does not contain numbers, if no parameter varies, or if the number of designs with
+        values is not larger than the number of coefficients of the fit.
 
     See Also
     --------

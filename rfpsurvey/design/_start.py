@@ -26,7 +26,7 @@ class Start:
     """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return all designs and the design of the instrument, the row of the latter, and a record for ``meta``."""
+        """Return the designs with the design of the instrument, the row of this design, and a record for ``meta``."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}
@@ -34,7 +34,7 @@ class Start:
 
 
 def start_of(model: Instrument) -> Start:
-    """Return the design of an instrument: its arms, the pitch of its lattice, and its clearance and step."""
+    """Return the design of an instrument: its arms, the pitch of its lattice, and its clearance and motor step."""
     if len(model.focal_plane) < 2:
         raise InputError(
             f"{model.name} must have at least two positioners, because a design needs a pitch, got one positioner"

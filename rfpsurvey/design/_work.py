@@ -15,7 +15,7 @@ MOST_TARGETS = 1000.0
 
 @dataclass(frozen=True)
 class Task:
-    """The settings that are the same for all designs, as numbers without units."""
+    """The settings of a scan that are the same for all designs; quantities are numbers without units."""
 
     estimand: str
     method: str

@@ -59,7 +59,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
-    # each point of the union is counted only once: for the last positioner (largest row) that reaches the point
+    # a point in several patrol areas is counted only once: for the last positioner (largest row) that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)
@@ -77,8 +77,9 @@ def _pairs_within(plane, radius):
 def _overlapping(plane, *, both_ways):
     """Return, for each positioner, the rows of the positioners whose patrol areas may overlap its own patrol area.
 
-    The result is a pair of arrays (start of each positioner's rows, rows). If ``both_ways`` is false, each positioner
-    has only the rows that are larger than its own row.
+    The result contains two arrays. The second array lists these rows for all positioners, one positioner after another.
+    The first array contains the index at which the rows of each positioner begin. If ``both_ways`` is false, only rows
+    that are larger than the positioner's own row are listed, so that each pair of positioners occurs once.
     """
     pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs

@@ -62,14 +62,14 @@ def collision_probability(
     arms have equal lengths: it is then parked, and is an obstacle for its neighbors.
 
     Each method estimates one of two quantities; this quantity is the estimand of the method. For the first quantity,
-    targets are **allocated** to the queues of positioners, and each positioner observes one target of its queue. For
-    the second quantity, every positioner draws a target **independently** of all other positioners. The two quantities
-    differ by up to a factor of five: compare only methods with the same estimand.
+    each target is **allocated** to one positioner. The targets of a positioner are its queue, and the positioner
+    observes one target of its queue. For the second quantity, every positioner draws a target **independently** of all
+    other positioners. The two quantities differ by up to a factor of five: compare only methods with the same estimand.
 
     Parameters
     ----------
     focal_plane : FocalPlane, Instrument or str
-        The positioners; a str is the name of a preset.
+        Object that contains the positioners. A str is the name of a preset, or the path of a TOML file.
     method : str or callable, optional
         The estimand of each method is given in parentheses. ``conditional`` (allocated): for each realization of the
         targets, average over all configurations that the queues allow. ``monte_carlo`` (allocated): use one
@@ -93,9 +93,9 @@ def collision_probability(
         Field center for a Catalog; by default the mean direction of all targets in the Catalog.
     allocator : str, callable or AllocationOptions, optional
         Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost``, gives one
-        configuration for each realization. With AllocationOptions, ``parked_obstacles`` states whether unassigned
-        positioners with arms of equal lengths are obstacles and are counted (by default, they are). The options must
-        not contain requirements, a sky separation, required targets or keep-out regions.
+        configuration for each realization. The option ``parked_obstacles`` of AllocationOptions states whether
+        unassigned positioners with arms of equal lengths are obstacles and are counted (by default, they are). The
+        options must not contain requirements, a sky separation, required targets or keep-out regions.
     most_entries : int, optional
         Maximum number of targets that ``conditional`` uses from each queue. If a queue is longer, each realization uses
         a random sample of this size from the queue. Realizations are then faster, and a given precision is reached
@@ -112,7 +112,7 @@ def collision_probability(
         is then 0/0 if both arms have the same length.
     precision : float or Precision, optional
         Standard error to reach, or a `~rfpsurvey.probability.Precision`, which states when iterations end and how the
-        interval is computed. The default is a standard error of 0.001.
+        confidence interval is computed. The default is a standard error of 0.001.
     dynamic : float, optional
         Probability that a positioner does not reach its target, for example because of a dynamic collision. Such
         failures of different positioners are assumed to be independent. For LAMOST, this probability is 0.025.
@@ -122,17 +122,18 @@ def collision_probability(
         Executor that runs parts of the computation. A thread pool is sufficient, because the kernels release the GIL.
         With None, the calling thread runs all parts.
     progress : bool or callable, optional
-        Whether to show the progress on the standard error stream, or a function that is called with the completed
-        fraction of the work and the number 1.
+        Whether to show the progress on the standard error stream, or a function. The function is called with two
+        numbers: the completed fraction of the work, and the total, which is always 1.
 
     Returns
     -------
     Estimate
         The probability with its confidence interval, the probability of each positioner, and the expected number of
         colliding pairs per positioner. If ``targets`` is a Quantity or a Catalog, the value applies to these targets.
-        The standard error then states how much the value may differ from the mean over all skies of the same kind. A
-        focal plane with too few positioners, for example seven, does not allow an estimate of this error. In this case,
-        there is no interval, and ``meta["no_interval"]`` states the reason.
+        The standard error then states how much the value may differ from the mean over all sets of targets with the
+        same statistical properties. A focal plane with too few positioners, for example seven, does not allow an
+        estimate of this error. In this case, there is no confidence interval, and ``meta["no_interval"]`` states the
+        reason.
 
     Raises
     ------
@@ -242,7 +243,7 @@ def _check_options_of_method(name, *, density, variant, interval, center, target
 
 
 def _check_science_only(options):
-    """Raise an error for allocation options that require a catalog, or targets that are not science targets."""
+    """Raise an error if the options contain requirements, a sky separation, required targets or keep-out regions."""
     if options.requirements or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets are treated as science "
@@ -264,7 +265,7 @@ def _check_numbers(*, dynamic, most_entries):
 
 
 def _check_density(density):
-    """Raise an error for an invalid density."""
+    """Raise an error if ``density`` is not a valid density of independent targets."""
     known = density is None or callable(density) or isinstance(density, Allocation)
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):

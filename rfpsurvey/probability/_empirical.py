@@ -20,14 +20,16 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
         return None
     for one in some:
         if not isinstance(one, Allocation) or one.queues is None:
-            raise InputError(f"density must be Allocations with queues, as made by 'balanced', got {one!r}")
+            raise InputError(
+                f"density must be Allocations with queues, such as those of the allocator 'balanced', got {one!r}"
+            )
         if len(one.target_of_positioner) != len(plane):
             raise InputError(f"the allocation is for {len(one.target_of_positioner)} positioners, not for {len(plane)}")
     return list(some)
 
 
 def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
-    """Return expected numbers of collisions; each positioner draws its target from its queues in all allocations."""
+    """Return expected numbers of collisions if each positioner draws one target from its queues in all allocations."""
     parts = [queue_segments(plane, allocation) for allocation in allocations]
     own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
     order = np.argsort(own, kind="stable")

@@ -14,8 +14,10 @@ RESOLUTION = 1e-6
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return one positioner for each distinct environment, and the index of the environment of each positioner.
 
-    Two environments are the same if all neighbors and obstacles within the radius (mm) are the same. If no joint limit
-    depends on the direction, environments that differ only by a rotation by a multiple of 60 deg are also the same.
+    Two environments are the same if, within the radius (mm), they have the same kinds of neighbors and obstacles at the
+    same relative positions. If no joint limit depends on the direction, environments that differ only by a rotation by
+    a multiple of 60 deg are also the same.
+
     Environments are compared by their keys. For each rotation of an environment, the hashes of its neighbors are added;
     the sum does not depend on the order of the neighbors. The smallest of these sums is the key.
     """
@@ -64,7 +66,7 @@ def _hash(n, i, away, what, angle):
     """
     c, s = np.cos(angle), np.sin(angle)
     x, y = c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]
-    # with this offset, multiples of the resolution are far from the edges of cells
+    # because of the offset 0.37, multiples of the resolution are far from the edges of cells
     cells = (np.floor(v / RESOLUTION + 0.37) for v in (x, y))
     value = _mix(what.astype(np.uint64))
     for cell in cells:
@@ -75,7 +77,7 @@ def _hash(n, i, away, what, angle):
 
 
 def _mix(value):
-    """Return a hash of 64 bits (the finalizer of splitmix64)."""
+    """Return a 64-bit hash of each integer, computed by the finalizer of the generator splitmix64."""
     value = (value + np.uint64(0x9E3779B97F4A7C15)).astype(np.uint64)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

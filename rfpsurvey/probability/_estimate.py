@@ -22,15 +22,15 @@ class Estimate:
     value_assigned : float
         Expected fraction of positioners in collision, among the assigned positioners.
     low, high : float
-        Confidence interval of ``value``; ``meta`` contains the confidence level. NaN for methods without an error
-        estimate, and for given targets on a focal plane that is too small (``meta["no_interval"]`` then states the
-        reason).
+        Limits of the confidence interval of ``value``; ``meta`` contains the confidence level. Both limits are NaN for
+        methods without an error estimate. They are also NaN for given targets if the focal plane has too few
+        positioners; ``meta["no_interval"]`` then states the reason.
     standard_error : float
-        Standard error of ``value``; NaN if there is no interval.
+        Standard error of ``value``; NaN if there is no confidence interval.
     n : int
         Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner in each
-        randomized repetition (``quadrature``). If allocations define the density for ``quadrature``, this is the mean
-        number of targets in the queues of an allocation. The number is 0 for formulas, and if no arms can touch.
+        randomized repetition (``quadrature``). If allocations define the density for ``quadrature``, ``n`` is the
+        mean number of targets in the queues of an allocation. For formulas, and if no arms can touch, ``n`` is 0.
     n_effective : float
         Number of independent trials that would give the same standard error.
     pairs_per_positioner : float

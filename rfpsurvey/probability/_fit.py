@@ -25,9 +25,9 @@ class PolynomialFit:
         Coefficients of 1, x, y, z, x^2, y^2, z^2, xy, xz, yz, where x, y and z are standardized: ``mean`` is
         subtracted, and the difference is divided by ``scale``.
     mean, scale : ndarray of float, shape (3,)
-        Mean and standard deviation of the central arm (mm), the ratio and the pitch (mm) of the fitted designs.
+        Means and standard deviations of the central arm (mm), arm ratio and pitch (mm) of the fitted designs.
     penalty : float
-        Penalty of the ridge regression; it does not apply to the constant.
+        Penalty of the ridge regression; the constant coefficient is not penalized.
     r2 : float
         Coefficient of determination for the fitted designs.
     r2_held_back : float

@@ -21,7 +21,7 @@ def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
 
 
 def effective_number(p: float, standard_error: float, n: float) -> float:
-    """Return the number of independent trials that would have this standard error.
+    """Return the number of independent trials for which the fraction ``p`` would have the given standard error.
 
     If the error is 0, or if ``p`` is 0 or 1, this number is not defined, and ``n`` is returned.
     """
@@ -39,7 +39,7 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
 
 
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
-    """Return percentiles of the means of samples that are drawn from the rates with replacement."""
+    """Return the bootstrap interval: percentiles of the means of samples drawn from ``rates`` with replacement."""
     n = len(rates)
     rows = max(1, 1_000_000 // n)  # draw this number of samples at a time, to limit the memory
     sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
@@ -48,13 +48,18 @@ def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=20
 
 
 INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstrap}
-"""Intervals by name: functions (rates, p, effective number, trials, quantile, confidence, rng) -> (low, high)."""
+"""Functions that return the limits of a confidence interval, by the name of the interval.
+
+The arguments of each function are the collision rates of the realizations, the mean of these rates, the effective
+number of trials, the number of counted positioners in all realizations, the quantile, the confidence level, and a
+random number generator.
+"""
 
 
 def quantile(confidence: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's t distribution or, for infinite freedom, of the normal distribution.
+    """Return the two-sided quantile of Student's t distribution or of the normal distribution.
 
-    ``freedom`` is the number of degrees of freedom.
+    ``freedom`` is the number of degrees of freedom; if it is infinite, the normal distribution is used.
     """
     level = (1 + confidence) / 2
     return float(ndtri(level) if freedom == np.inf else stdtrit(max(freedom, 1), level))
@@ -63,7 +68,7 @@ def quantile(confidence: float, freedom: float) -> float:
 def converged(means: list[float], tolerance: float, looks: int = 3) -> bool:
     """Return whether the running mean has changed by less than ``tolerance`` in each of the last ``looks`` checks.
 
-    This stopping rule does not limit the error; it is provided for comparison.
+    This stopping rule does not limit the error; it is provided for comparison with other stopping rules.
     """
     steps = np.abs(np.diff(means[-looks - 1 :]))
     return len(steps) == looks and bool((steps < tolerance).all())

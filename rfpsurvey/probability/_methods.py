@@ -17,7 +17,7 @@ from rfpsurvey.probability._targets import Source
 __all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Number of realizations that one task simulates, by method.
+"""Number of realizations that are simulated together, as one task of an executor, by method.
 
 Results depend on this number, but not on the number of workers.
 """
@@ -99,7 +99,7 @@ def _integrated(question: ProbabilityQuestion) -> dict:
 
 
 def _reason(found) -> dict:
-    """Return the entry of meta that states why there is no interval; an empty dict if there is an interval."""
+    """Return the entry of ``meta`` that states why there is no confidence interval, or an empty dict."""
     return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
 
 

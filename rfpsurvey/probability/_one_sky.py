@@ -1,4 +1,4 @@
-"""Estimate from one sky by how much the mean collision probability may differ for another sky of the same kind."""
+"""Estimate, from one set of targets (sky), how much the mean collision probability varies between such sets."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -10,8 +10,8 @@ __all__ = ["FEWEST_DEGREES", "sky_variance"]
 FEWEST_DEGREES = 3.0
 """With fewer degrees of freedom than this, the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0
-"""With at least this many degrees of freedom, the correlation of all neighbors is estimated; with fewer, only the
-correlation of neighbors in the nearest ring."""
+"""With at least this many degrees of freedom, the correlation between all neighbors is estimated; with fewer
+degrees of freedom, only the correlation between neighbors in the nearest ring is estimated."""
 NEAREST_RING = 1.5
 """Maximum distance of a neighbor in the nearest ring, in units of the median distance to the nearest neighbor."""
 CORRELATION = 0.2
@@ -29,13 +29,14 @@ positioner, and 0 to -0.01 with one target per positioner.
 
 
 def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, float]:
-    """Return the variance of the mean collision probability, estimated from one sky, and its degrees of freedom.
+    """Return the variance of the mean collision probability between skies, and the degrees of freedom of this variance.
 
-    Neighboring positioners share targets, and therefore their collisions are correlated. The estimate is unbiased if
+    A sky is a random set of targets; the variance is estimated from the collisions on one sky. Neighboring positioners
+    share targets, and therefore their collisions are correlated. The estimate of the variance is unbiased if
     three conditions are met: all pairs of neighbors in the nearest ring have the same covariance; all pairs of
     neighbors beyond this ring have the correlation ``BEYOND``; the expected probability of a positioner is a linear
-    function of its number of neighbors (which is smaller at an edge). If there are enough positioners, the first two
-    conditions are replaced by one condition: all pairs of neighbors have the same covariance.
+    function of its number of neighbors (positioners at an edge have fewer neighbors). If there are enough positioners,
+    the first two conditions are replaced by one condition: all pairs of neighbors have the same covariance.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
     Returns
     -------
     variance : float
-        Variance of the mean; NaN if the plane is too small to estimate it.
+        Variance of the mean; NaN if the focal plane has too few positioners to estimate the variance.
     degrees : float
         Degrees of freedom of the variance, as defined by Satterthwaite (1946); 0 if the variance is not estimated.
 
@@ -84,7 +85,7 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
-    """Return, for each pair of neighbors, whether each of the two positioners is in the nearest ring of the other."""
+    """Return, for each pair of neighbors, whether one positioner is in the nearest ring around the other."""
     first, second = plane.arrays.neighbors.T
     distance = np.hypot(*(plane.arrays.xy[first] - plane.arrays.xy[second]).T)
     nearest = np.full(len(plane), np.inf)
@@ -101,7 +102,10 @@ def _adjacency(n: int, pairs: np.ndarray):
 
 
 def _profile(numbers: np.ndarray) -> np.ndarray:
-    """Return orthonormal columns that span a constant and the numbers of neighbors, shape (n, 1) or (n, 2)."""
+    """Return an orthonormal basis of the linear functions of the numbers of neighbors, shape (n, 2).
+
+    If all positioners have the same number of neighbors, the shape is (n, 1).
+    """
     constant = np.full(len(numbers), len(numbers) ** -0.5)
     slope = numbers - numbers.mean()
     length = np.sqrt(slope @ slope)
@@ -153,7 +157,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance; it is at least the estimate for neighbors without covariance."""
+        """Return the estimated variance, or the estimate without covariances of neighbors if the latter is larger."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

@@ -93,8 +93,8 @@ class Precision:
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach. Iterations end when the interval is no wider than the interval of a normal distribution
-        with this standard error. If collisions are rare, there is also a minimum number of iterations. The
+        Standard error to reach. Iterations end when the confidence interval is no wider than that of a normal
+        distribution with this standard error. If collisions are rare, there is also a minimum number of iterations. The
         default is 0.001; if ``max_iterations`` is given, the default is None.
     max_iterations : int, optional
         Maximum number of iterations, realizations or points, depending on the method. If ``standard_error`` is None,
@@ -109,7 +109,7 @@ class Precision:
     stop : {"interval", "convergence"}, optional
         ``interval``: iterations end when the interval is narrow enough for ``standard_error``. ``convergence``:
         iterations end when the running mean changes by less than ``standard_error`` three times in a row. The rule
-        ``convergence`` does not limit the error; it is provided for comparison.
+        ``convergence`` does not limit the error; it is provided for comparison with ``interval``.
 
     Raises
     ------

@@ -63,7 +63,7 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
     if "value" not in answer and len(known) == 0:
         raise InputError(
             "the result must contain value, or per_positioner with the probability of at least one positioner that is "
-            "not disabled or stuck"
+            "neither disabled nor stuck"
         )
     answer = {"value": known.mean() if len(known) else None, **answer}
     answer = {name: _number(name, number) for name, number in answer.items()}

@@ -52,7 +52,7 @@ class Quadrature:
 
     @cached_property
     def environments(self) -> tuple[np.ndarray, np.ndarray]:
-        """Row of one positioner of each environment, and index of the environment of each positioner."""
+        """Row of one positioner for each environment, and the index of the environment of each positioner."""
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
@@ -173,14 +173,14 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
 def integrate(
     task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
 ) -> dict:
-    """Return the collision probability, its interval and its error, from as many points as the precision requires."""
+    """Return the collision probability and its confidence interval, with as many points as the precision requires."""
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    # environments of few positioners use fewer points, since their errors contribute little to the error of the mean
+    # environments that few positioners have use fewer points, since they contribute little to the error of the mean
     rare = (np.log2(share.max() / share) / 2).astype(int)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)

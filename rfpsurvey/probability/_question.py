@@ -51,8 +51,8 @@ class ProbabilityQuestion:
     executor : concurrent.futures.Executor, optional
         Executor that runs parts of the computation. With None, the calling thread runs all parts.
     progress : bool or callable, optional
-        Whether to show the progress on the standard error stream, or a function that is called with the completed
-        fraction of the work and the number 1.
+        Whether to show the progress on the standard error stream, or a function. The function is called with two
+        numbers: the completed fraction of the work, and the total, which is always 1.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from rfpsurvey.probability._simulate import Tally, merge
 __all__ = ["rate_interval", "run", "summarize"]
 
 FIRST_TASKS = 2
-"""Number of tasks before the first estimate of the error."""
+"""Number of tasks (groups of realizations) that are simulated before the error is first estimated."""
 GROWTH = 8
 """Largest factor by which the number of realizations grows before the next estimate of the error."""
 HITS = 25
@@ -35,7 +35,9 @@ the mean of many estimates would be too low.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
-TOO_FEW = "the focal plane has too few positioners to estimate from one sky how much the rate differs between skies"
+TOO_FEW = (
+    "the focal plane has too few positioners to estimate how much the collision rate differs between sets of targets"
+)
 """Message that states why an estimate has no interval."""
 
 
@@ -50,7 +52,7 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Simulate realizations until the precision or the maximum number is reached; return the tally and its summary.
+    """Simulate realizations until the precision or their maximum number is reached; return the tally and its summary.
 
     The number of tasks and the number of realizations per task depend only on earlier results. Therefore, the number
     of workers does not change the result.
@@ -105,12 +107,13 @@ def _fewest(tally, precision):
 
 
 def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
-    """Return the mean collision rate of a tally, its interval and standard error, and a half width.
+    """Return the mean collision rate of a tally, its confidence interval and standard error, and a half width.
 
     The half width determines when iterations end: it contains only the error that more iterations reduce. If the
-    targets are given, or if all realizations have the same rate, the tally is treated as the result for one sky. The
-    standard error then states how much the rate may differ from the mean over all skies of the same kind. If the focal
-    plane is too small to estimate this error, there is no interval, and ``no_interval`` states the reason.
+    targets are given, or if all realizations have the same rate, the tally is treated as the result for one sky (one
+    set of targets). The standard error then states how much the rate may differ from the mean over all skies with the
+    same statistical properties. If the focal plane has too few positioners to estimate this error, there is no
+    confidence interval, and ``no_interval`` states the reason.
     """
     rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
     if len(rates) == 0:
@@ -172,7 +175,7 @@ def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence
     """Return the mean collision probability over positioners and fields, and the two ends of its confidence interval.
 
     The interval allows for differences between fields of the same kind. These differences are estimated from the
-    scatter between positioners. Each row of ``probabilities`` contains the values of one field, with NaN for
+    scatter between positioners. Each array in ``probabilities`` contains the values of one field, with NaN for
     positioners that are not counted. The ends of the interval are NaN if the fields have too few positioners for this
     estimate.
     """

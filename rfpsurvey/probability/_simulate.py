@@ -17,7 +17,7 @@ __all__ = ["Simulation", "Tally", "merge"]
 
 @dataclass(frozen=True)
 class Tally:
-    """Numbers of collisions in each realization, and of each positioner, summed over all realizations."""
+    """Numbers of collisions in each realization, and numbers of collisions of each positioner in all realizations."""
 
     colliding: np.ndarray
     """Four columns with numbers of positioners: counted and colliding; counted; assigned and colliding; assigned.
@@ -109,7 +109,7 @@ class Simulation:
         )
 
     def expect(self, size: int, rng: np.random.Generator) -> Tally:
-        """Draw realizations, and return means over all configurations that the queues of each realization allow."""
+        """Draw realizations, and return collision counts, averaged over all configurations that the queues allow."""
         n = len(self.plane)
         sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
         probability, pair_probability = np.empty(n), np.empty(len(self.plane.arrays.neighbors))

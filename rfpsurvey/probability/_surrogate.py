@@ -103,7 +103,7 @@ def outside_box(name: str, value: np.ndarray) -> np.ndarray:
 def interior_probability(
     shape: tuple[float, float, float], n_points: int, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Return the collision probability of the central positioner of a lattice, and its standard error.
+    """Return the collision probability of the central positioner of a lattice, and the standard error of this value.
 
     ``shape`` contains the coordinates of the design on the axes of `AXES`.
     """

@@ -56,7 +56,7 @@ class Source:
 
     @property
     def sky(self) -> simulate.Sky:
-        """The circle and the minimum separation of the targets, for the kernels."""
+        """The circle that contains the targets, and their minimum separation, as the kernels require them."""
         return simulate.Sky(*self.center, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -67,18 +67,18 @@ class Source:
 
     @property
     def grid_cells(self) -> int:
-        """Number of cells in the grid of `scatter_apart`; each cell is so small that it contains at most one target."""
+        """Number of grid cells that `scatter_apart` uses; each cell is so small that it contains at most one target."""
         if self.kind != "poisson_disc":
             return 0
         wide = self.radius + 2 * self.separation
         return int(np.ceil(2 * np.sqrt(2) * wide / self.separation)) ** 2
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Return targets of one realization in mm, shape (n, 2)."""
+        """Return the positions (mm) of the targets of one realization, shape (n, 2)."""
         if self.kind == "given":
             return self.points
         if self.kind == "sampler":
-            return to_points_mm(self.sampler(rng), "the result of the function targets")
+            return to_points_mm(self.sampler(rng), "the result of the function given as targets")
         x, y = np.empty((2, int(self.numbers(1, rng)[0])))
         if self.kind == "poisson_disc":
             found = simulate.scatter_apart(rng, self.sky, np.empty((2, self.grid_cells)), x, y)

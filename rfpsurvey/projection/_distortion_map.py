@@ -1,4 +1,4 @@
-"""Maps without radial symmetry from the tangent plane to the focal plane, for dispersion compensators."""
+"""Maps without radial symmetry from the tangent plane to the focal plane, for atmospheric dispersion compensators."""
 
 import os
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class DistortionMap:
-    """Polynomial map from the tangent plane to the focal plane, for one setting of a dispersion compensator.
+    """Polynomial map from the tangent plane to the focal plane, for one setting of a dispersion compensator (ADC).
 
     The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half
     difference s = (a1 - a2) / 2 determines the strength of the compensation, and the mean (a1 + a2) / 2 determines its
@@ -98,7 +98,7 @@ class DistortionMap:
         c, s = np.cos(mean), np.sin(mean)
         turn = np.array([[c, -s], [s, c]])
         flip = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
-        # the third item is the matrix that transforms rows (x, y) of this package into rows (x, y) of the polynomials
+        # the third item of _setting transforms rows (x, y) of the projection into rows (x, y) of the polynomials
         object.__setattr__(self, "_setting", (tables, unit, flip @ turn, center))
         if not np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]) > 0:
             raise InputError("coefficients must define a map that is invertible at the field center")
@@ -110,8 +110,8 @@ class DistortionMap:
         Parameters
         ----------
         path : str or path-like
-            Table with the columns ``ADC1``, ``ADC2`` (deg), ``X_TAN``, ``Y_TAN`` (tangents), ``X_FP`` and ``Y_FP``
-            (mm). All settings must have ADC1 = -ADC2.
+            File with a table that has the columns ``ADC1``, ``ADC2`` (deg), ``X_TAN``, ``Y_TAN`` (tangents), ``X_FP``
+            and ``Y_FP`` (mm). All settings must have ADC1 = -ADC2.
         degree, harmonics : int, optional
             Degree of the polynomials, and order of the Fourier series.
 
@@ -193,7 +193,7 @@ class DistortionMap:
 
     @property
     def plate_scale(self) -> u.Quantity:
-        """Plate scale at the field center: the geometric mean of the largest and the smallest scale."""
+        """Plate scale at the field center: the geometric mean of the largest and smallest scale in any direction."""
         return (
             np.sqrt(np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]))
             * (u.mm / u.rad).to(u.mm / u.deg)

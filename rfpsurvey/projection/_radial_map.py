@@ -38,9 +38,9 @@ class RadialMap:
     max_angle : Quantity
         Largest field angle for which the map is valid, below 90 deg. Directions beyond this angle have no image.
     unit_angle : Quantity, optional
-        Angle for which the argument of the polynomial is 1.
+        Angle for which the argument of the polynomial is 1; used by the forms ``theta`` and ``sine``.
     unit_tangent : float, optional
-        Tangent for which the argument of the polynomial is 1.
+        Tangent for which the argument of the polynomial is 1; used by the form ``tan_theta``.
     radius : Quantity, optional
         Radius R of the focal surface; required for the form ``sine`` and only for this form.
     factor : float, optional
@@ -108,7 +108,8 @@ class RadialMap:
     def arguments(self) -> tuple:
         """Arguments of the kernels, without units: form, coefficients, argument, inner, output, limit.
 
-        ``argument``, ``inner`` and ``output`` multiply the argument of p, the argument of the sine, and the result.
+        Three of the arguments are factors: ``argument`` multiplies theta (or tan(theta)) to give the argument of p,
+        ``inner`` multiplies p in the argument of the sine, and ``output`` multiplies the result.
         """
         unit = float(to_radian(self.unit_angle, "unit_angle"))
         argument = 1 / self.unit_tangent if self.form == "tan_theta" else 1 / unit

@@ -36,7 +36,7 @@ class Region:
         and the radius. Box: western limit of right ascension, width in right ascension, lower and upper declination.
         Polygon: unit vectors of the vertices, shape (n, 3). HEALPix: pixel numbers in the nested order.
     nside : int, optional
-        Resolution of the HEALPix pixels.
+        HEALPix resolution parameter; 0 for other kinds of regions.
 
     Examples
     --------
@@ -164,7 +164,7 @@ class Region:
         pixels : array_like of int
             Numbers of the HEALPix pixels; the coordinate frame of the pixels is ICRS.
         nside : int
-            Resolution, a power of two.
+            HEALPix resolution parameter, a power of two.
         order : {"nested", "ring"}, optional
             Order of the pixel numbers.
 
@@ -176,7 +176,7 @@ class Region:
         Raises
         ------
         InputError
-            If ``pixels`` is empty, or if there is no pixel with a given number.
+            If ``pixels`` is empty, or if a pixel number does not exist for this ``nside``.
         """
         nside = _healpix.check_nside(nside)
         check_choice(order, ("nested", "ring"), "order of pixels")

@@ -48,7 +48,7 @@ def box_area(box):
 
 
 def _east_of(begin, vectors):
-    """Return the declinations of directions, and their right ascensions east of ``begin``, from 0 to 2 pi."""
+    """Return the declinations of directions, and their right ascensions minus ``begin``, from 0 to 2 pi."""
     lon, dec = to_lonlat(vectors)
     return dec, (lon % (2 * np.pi) - begin) % (2 * np.pi)
 
@@ -93,7 +93,7 @@ def _to_arc(vectors, a, b):
 
 
 def edges_cross(vertices):
-    """Return the first pair of edges that touch each other without being adjacent, or None if there is no such pair."""
+    """Return the first pair of edges that cross or touch each other (except at a common vertex), or None."""
     a, b = vertices, np.roll(vertices, -1, axis=0)
     normal, n = np.cross(a, b), len(vertices)
     for i in range(n):
@@ -169,7 +169,7 @@ def polygon_contains(vertices, vectors):
 
 
 def polygon_distance(vertices, vectors):
-    """Return distances to the smaller of the two regions that a polygon bounds; they are 0 inside this region."""
+    """Return distances to the smaller of the two regions that a polygon bounds; distances are 0 inside this region."""
     out = np.full(len(vectors), np.pi)
     for a, b in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         np.minimum(out, _to_arc(vectors, a, b), out=out)

@@ -18,7 +18,7 @@ def is_inside(region, vectors: np.ndarray) -> np.ndarray:
 
 
 def distance_to(region, vectors: np.ndarray) -> np.ndarray:
-    """Return the distances (radians) from unit vectors, shape (n, 3), to a `Region`; they are 0 inside the region.
+    """Return the distances (radians) from unit vectors, shape (n, 3), to a `Region`; distances are 0 inside it.
 
     Distances to HEALPix pixels can be too small by up to the size of a pixel.
     """

@@ -1,4 +1,4 @@
-"""The claims of Chen et al. (2024), and the results with which this package compares them."""
+"""The claims of Chen et al. (2024), and the results of rfpsurvey with which the claims are compared."""
 
 from dataclasses import dataclass, fields
 
@@ -12,7 +12,7 @@ REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "cannot 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, the result of this package, the verdict, and the interpretation of the claim (reading)."""
+    """A claim of Chen et al. (2024), the result of rfpsurvey, the verdict, and the interpretation (``reading``)."""
 
     experiment: str
     claim: str

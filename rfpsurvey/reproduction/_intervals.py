@@ -29,7 +29,8 @@ from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
-# central arm, eccentric arm, pitch, half of the minimum separation (mm), number of targets; standard errors to reach
+# For each instrument: central arm, eccentric arm, pitch and half of the minimum separation (all in mm), and the number
+# of targets; then the standard error that each method must reach.
 SCENES = {
     "LAMOST": ((8.25, 8.25, 25.6, 2.25, 148), {"monte_carlo": 0.003, "conditional": 0.0015}),
     "SDSS-V": ((7.4, 15.0, 22.4, 2.5391, 148), {"monte_carlo": 0.005, "conditional": 0.003}),
@@ -38,7 +39,7 @@ CONFIDENCE = 0.95
 
 
 def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
-    """Return the coverage of each kind of confidence interval for each stopping rule, and the claims about it."""
+    """Return the coverage of each kind of confidence interval for each stopping rule, and the claims about coverage."""
     table = coverage(settings)
     claims = []
     for scene in SCENES:
@@ -49,16 +50,16 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
         claims.append(
             Claim(
                 "intervals",
-                "the result is more stable if simulations stop at a confidence interval than at the convergence "
-                f"criterion ({scene})",
+                "the result is more stable with the confidence interval than with convergence as the stopping rule "
+                f"({scene})",
                 "stated",
                 f"root-mean-square error divided by the requested error: {good['error_ratio']:.2f} with the interval "
                 f"({good['iterations']:.0f} iterations on average), {early['error_ratio']:.2f} with convergence "
-                f"({early['iterations']:.0f} iterations on average); the ratio of these two numbers is "
+                f"({early['iterations']:.0f} iterations on average); the ratio of the two errors is "
                 f"{good['error_ratio'] / early['error_ratio']:.2f}, and {expected:.2f} is expected from the numbers of "
                 "iterations alone",
                 REPRODUCED if good["error_ratio"] < min(1.1, early["error_ratio"]) else NOT_REPRODUCED,
-                "convergence means that the running mean changes by less than the precision three times in a row",
+                "convergence means that the running mean changes by less than the requested error three times in a row",
             )
         )
         naive, single = rows["interval", "wilson_naive"], rows["interval", "wilson_iterations"]
@@ -69,10 +70,10 @@ def intervals(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 "0.95",
                 f"coverage {naive['coverage']:.3f} +- {naive['coverage_error']:.3f} with every positioner as a trial; "
                 f"{single['coverage']:.3f} +- {single['coverage_error']:.3f} with every iteration as a trial; "
-                f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number",
+                f"{good['coverage']:.3f} +- {good['coverage_error']:.3f} with the effective number of trials",
                 REPRODUCED if min(abs(r["coverage"] - CONFIDENCE) for r in (naive, single)) < 0.015 else NOT_REPRODUCED,
-                "the number of trials is the number of iterations, or the number of positioners times iterations; the "
-                "text allows both interpretations",
+                "the number of trials is the number of iterations, or the number of iterations times the number of "
+                "positioners; the text of the paper allows both interpretations",
             )
         )
     return {"intervals": table, "one_sky": one_sky(settings)}, claims

@@ -12,6 +12,7 @@ __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
 COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
+"""Targets in a circle with the radius 200 mm, and targets in a circle that covers all patrol areas."""
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
 """A number of iterations is "proper" if the relative half width of the 95 % interval is smaller than this value.
@@ -49,7 +50,10 @@ def large(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
 
 
 def uniform_estimate(design: Row, way: str, k: int, settings: Settings, **options: object) -> Estimate:
-    """Return the estimated collision probability of design number k with uniform targets."""
+    """Return the estimated collision probability of design number k with uniform targets.
+
+    ``way`` is a key of ``WAYS``; it selects the circle that contains the targets.
+    """
     seed = [settings.seed, 469, list(WAYS).index(way), k]
     return estimate(*numbers_of(design), WAYS[way], settings, seed, **options)
 
@@ -79,7 +83,7 @@ def _of_differences(table, differences):
         row = differences[k]
         agree = np.abs(ours - paper) <= 2 * errors
         variants = [v for v in np.unique(differences["closed_form"]) if agree[differences["closed_form"] == v].any()]
-        readings = f"within two standard errors in {agree.sum()} of {len(agree)} interpretations"
+        readings = f"the paper agrees within two standard errors in {agree.sum()} of {len(agree)} interpretations"
         if variants:
             readings += f", all of which use the {' or '.join(variants)} closed form"
         claims.append(
@@ -90,8 +94,8 @@ def _of_differences(table, differences):
                 f"{ours[k]:.3f} +- {errors[k]:.3f} in the closest interpretation, "
                 f"{ours.min():.3f} to {ours.max():.3f} in all interpretations; {readings}",
                 verdict(paper, ours[k], errors[k]),
-                f"{row['targets'].replace('_', ' ')}, {row['scaling']}, closed form {row['closed_form']}; the error "
-                "includes the uncertainty due to the random choice of the designs",
+                f"targets: {row['targets'].replace('_', ' ')}; normalization: {row['scaling']}; closed form: "
+                f"{row['closed_form']}; the error includes the uncertainty due to the random choice of the designs",
             )
         )
     correlation = np.corrcoef(table["closed_form_corrected"], table["covered"])[0, 1]
@@ -105,7 +109,7 @@ def _of_differences(table, differences):
             f"correlation {correlation:.3f}; the simulation is {factor.min():.1f} to {factor.max():.1f} times the "
             "formula",
             REPRODUCED if correlation > 0.9 else NOT_REPRODUCED,
-            "covered",
+            "targets cover all patrol areas",
         )
     )
     values, errors = (np.array([table[f"{way}{name}"] for way in WAYS]) for name in ("", "_error"))
@@ -116,10 +120,11 @@ def _of_differences(table, differences):
         Claim(
             "large",
             "targets in a circle that does not cover the plane distort the simulation",
-            "named as a cause",
-            f"for targets in range 200, the probability is {edge.min():.2f} to {edge.max():.2f} times that for covered "
-            f"targets; the difference is larger than 3 standard errors in {clear.sum()} of {len(clear)} designs; the "
-            f"correlation with the formula is {other:.3f} for range 200 and {correlation:.3f} for covered targets",
+            "named as a cause of the discrepancy",
+            f"for targets within 200 mm, the probability is {edge.min():.2f} to {edge.max():.2f} times the probability "
+            f"for targets that cover all patrol areas; the difference is larger than 3 standard errors in "
+            f"{clear.sum()} of {len(clear)} designs; the correlation with the formula is {other:.3f} for targets "
+            f"within 200 mm and {correlation:.3f} for targets that cover all patrol areas",
             REPRODUCED if clear.mean() > 0.5 else NOT_REPRODUCED,
             "only the distortion is reproduced; whether the distortion causes the discrepancy between formula and "
             "simulation is not tested; positioners without targets count only if their two arms have equal lengths",
@@ -158,7 +163,7 @@ def _of_plain(plain):
             Claim(
                 "large",
                 f"{row['plain_n']} iterations suffice ({row['design']})",
-                '6000 iterations are a "proper" number',
+                'the paper calls 6000 iterations "proper", without a definition',
                 f"plain simulation: {row['plain_value']:.4f} +- {row['plain_standard_error']:.4f}, with a 95 % "
                 f"interval of +- {100 * width:.1f} %; conditional simulation: "
                 f"{row['conditional_value']:.4f} +- {row['conditional_standard_error']:.4f} with "
@@ -194,7 +199,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
                 "0.934",
                 f"{median:.3f} ({low:.3f} to {high:.3f} in 95 % of the splits)",
                 REPRODUCED if low <= 0.934 <= high else NOT_REPRODUCED,
-                f"{way.replace('_', ' ')}; a random quarter of the designs is not used for the fit",
+                f"targets: {way.replace('_', ' ')}; a random quarter of the designs is not used for the fit",
             )
         )
     names = ["targets", "r2_low", "r2_median", "r2_high", *"abcdefghij"]
@@ -205,7 +210,7 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
             "table",
             "see fit.ecsv",
             UNDECIDED,
-            "the paper does not say how it scaled its variables and its probabilities",
+            "the paper does not state how its variables and probabilities are scaled",
         )
     )
     return {"fit": QTable(rows=rows, names=names), "surrogate": _surrogate(settings)}, claims

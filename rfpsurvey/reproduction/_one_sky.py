@@ -28,14 +28,14 @@ CLUSTERED = {
 CLUSTERS = {"clusters of 6, 5 mm": (6.0, 5.0), "clusters of 60, 40 mm": (60.0, 40.0)}
 """Mean number of targets per cluster, and standard deviation (mm) of the target positions along x and along y."""
 MOST_LARGE = 800
-"""Number of skies for focal planes of 200 positioners or more; for smaller focal planes, the number is 2000."""
+"""Number of skies (sets of targets) for focal planes of 200 positioners or more; 2000 are used for smaller planes."""
 CONFIDENCE = 0.95
 
 
 def one_sky(settings: Settings) -> QTable:
-    """Return how often the interval for one set of targets contains the true value, for 7 to 469 positioners.
+    """Return how often the confidence interval from one set of targets contains the true value, by focal plane.
 
-    The true value is the mean over other skies of the same kind.
+    The focal planes have 7 to 469 positioners. The true value is the mean over other random sets of targets (skies).
     """
     jobs = [
         (arms, rings, number, "uniform")

@@ -118,7 +118,8 @@ def _averages(table, name):
     """
     part = table[np.isfinite(table[name])]
     uniform, error, own, own_error = (np.asarray(part[c]) for c in ("uniform", "uniform error", name, f"{name} error"))
-    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))  # no drop: NaN
+    # without collisions, the drop is not defined, and is NaN
+    own, uniform = (np.where((own > 0) & (uniform > 0), values, np.nan) for values in (own, uniform))
     drop = 100 * (uniform / own - 1)
     return part, np.array([drop, (100 + drop) * np.hypot(error / uniform, own_error / own)])
 
@@ -172,9 +173,10 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
 def _of_reading(name, table):
     """Return the claim for one interpretation of the paper: compare the drops with the drop in the paper.
 
-    The drops for all designs, for designs with small arm ratios, and for LAMOST's design are compared. The paper
-    averages over its designs. The claim is therefore reproduced if an average over all designs agrees with the paper.
-    If only some of the designs agree, the text of the paper does not determine the verdict.
+    A drop is the percentage by which the collision probability is larger with uniform targets than with
+    Poisson-distributed targets. The drops for all designs, for designs with small arm ratios, and for LAMOST's design
+    are compared. The paper averages over its designs. The claim is therefore reproduced if an average over all designs
+    agrees with the paper. If only some of the designs agree, the text of the paper does not determine the verdict.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]

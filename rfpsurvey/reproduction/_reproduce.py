@@ -63,7 +63,7 @@ def reproduce(
         80 random designs with 469 positioners. ``poisson``: the same designs with Poisson-distributed targets, for
         every interpretation of the paper. ``fit``: the fit of the polynomial, and the errors of the surrogate for
         designs that were not used to make the surrogate. ``intervals``: how often confidence intervals contain the true
-        value, including intervals for given targets. ``speed``: the time to find collisions if each arm consists of
+        value, for random targets and for given targets. ``speed``: the time to find collisions if each arm consists of
         64 segments, compared with the time of a method that uses swept areas. ``all``: all experiments.
     folder : str or path, optional
         Folder for the tables (ECSV), figures (PNG) and the page of claims (``claims.rst``); it is created if it does
@@ -84,8 +84,8 @@ def reproduce(
     QTable
         Table with a row for each claim and the columns ``experiment``, ``claim``, ``paper`` (the result of the paper),
         ``ours`` (the result of this package), ``verdict`` (reproduced, not reproduced, or cannot be decided from the
-        text), and ``reading`` (how the claim was interpreted). The ``meta`` of the table contains the settings, and the
-        ``folder`` with the tables of results.
+        text), and ``reading`` (how the claim was interpreted). The ``meta`` of the table contains the settings, and, as
+        ``folder``, the folder that contains the tables of results.
 
     Raises
     ------

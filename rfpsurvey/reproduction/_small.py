@@ -68,7 +68,7 @@ def small(settings: Settings) -> tuple[dict[str, QTable], list[Claim]]:
                 f"factor of {np.nanmin(factor):.1f} to {np.nanmax(factor):.1f}"
                 + (f", and it is 0 for {n_zero} of {len(part)} designs" if n_zero else ""),
                 REPRODUCED if gap < COMPARABLE else NOT_REPRODUCED,
-                f"both curves scaled to the range from 0 to 1; 'comparable' means a difference below {COMPARABLE:g}"
+                f"both curves are scaled to the range from 0 to 1; 'comparable' means a difference below {COMPARABLE:g}"
                 + (", a condition that this scan barely meets" if 0.8 * COMPARABLE < gap < COMPARABLE else ""),
             )
         )

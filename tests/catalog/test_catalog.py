@@ -267,7 +267,7 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
         ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
         ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
-        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma by a point"),
+        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
         (
             {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
             "the column contains both decimal numbers and sexagesimal text",
@@ -281,7 +281,7 @@ def test_within_agrees_with_astropy(center, rng):
         (
             {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
             r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
-            r"none; state their value, for example fill=.'priority': 0. or --fill priority=0",
+            r"none; state a value for these rows, for example fill=.'priority': 0. or --fill priority=0",
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
         (

@@ -275,7 +275,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
         ({"allocators": []}, "allocators must name at least one allocator, got none"),
         ({"allocators": ["best"]}, "unknown allocator 'best'"),
-        ({"allocator": "lamost"}, "must be given as the argument allocators, got allocator"),
+        ({"allocator": "lamost"}, "must be given as allocators=, got the argument allocator"),
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
         ({"density": 5}, "density must be a Quantity"),

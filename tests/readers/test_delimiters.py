@@ -61,7 +61,7 @@ def test_files_without_names_or_delimiters_are_refused(tmp_path):
 def test_decimal_commas_are_refused_with_a_remedy(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("ra;dec\n10,5;20,5\n")
-    text = "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'; replace the decimal comma by"
+    text = "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'; replace the decimal comma with"
     assert f"{text} a point" in refusal(path)
 
 

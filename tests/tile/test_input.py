@@ -88,7 +88,10 @@ def test_values_are_filled_at_the_command_line(run, tmp_path):
     path.write_text("\n".join(["ra,dec,mag", *rows]) + "\n")
     arguments = ("plan", path, "--instrument", "sdss_apo", "--column", "priority=-mag")
     told = sentence(*run(*arguments)[::2])
-    assert "428 of 500 rows (rows 2, 3, 4, ...) have none; state their value, for example fill={'priority': 0}" in told
+    assert (
+        "428 of 500 rows (rows 2, 3, 4, ...) have none; state a value for these rows, for example fill={'priority': 0}"
+        in told
+    )
     assert run(*arguments, "--fill", "priority=-99")[0] == 0
 
 

@@ -4,8 +4,8 @@ Clustering of a redshift slice
 
 This script measures the angular correlation function of the galaxies in a redshift slice, with different weights that
 correct for galaxies that a survey does not observe. The galaxies of the mock catalog are drawn from two Thomas
-processes (clusters of random points): one for the slice, and one for all other galaxies. The survey is planned without
-knowledge of which targets are in the slice. The script prints one row for each method::
+processes (clusters of random points): one for the slice, and one for all other galaxies. The allocator does not
+distinguish between targets inside and outside the slice. The script prints one row for each method::
 
     python docs/examples/scripts/clustering.py
 """
@@ -21,14 +21,14 @@ import rfpsurvey as rs
 
 CENTER = SkyCoord(180 * u.deg, 0 * u.deg)
 HALF = 1.0  # the mock covers a square of 2 x 2 degrees
-SIGMA, PARENTS, IN_SLICE, OTHERS = 0.02, 100.0, 8.0, 7.0  # deg, per deg2, and mean numbers of galaxies per parent
+SIGMA, PARENTS, IN_SLICE, OTHERS = 0.02, 100.0, 8.0, 7.0  # deg; clusters per deg2; galaxies per cluster
 EDGES = np.geomspace(10 / 3600, 0.5, 10)  # deg
 N_REGIONS = 16
 METHODS = ("observed", "nearest neighbor", "individual", "pairwise", "pairwise, angular")
 
 
 def thomas(rng, per_parent):
-    """Return positions (deg) of a Thomas process in the square: a normal distribution around each parent."""
+    """Return positions (deg) of a Thomas process in the square: clusters of points around random centers (parents)."""
     half = HALF + 5 * SIGMA
     parents = rng.uniform(-half, half, (rng.poisson(PARENTS * 4 * half**2), 2))
     parents = np.repeat(parents, rng.poisson(per_parent, len(parents)), axis=0)
@@ -37,14 +37,14 @@ def thomas(rng, per_parent):
 
 
 def thomas_correlation():
-    """Return the angular correlation function of the process, in closed form, averaged over the area of each bin."""
+    """Return the exact angular correlation function of a Thomas process, averaged over the area of each bin."""
     scale = 4 * SIGMA**2
     low, high = EDGES[:-1] ** 2 / scale, EDGES[1:] ** 2 / scale
     return (np.exp(-low) - np.exp(-high)) / (high - low) / (np.pi * scale * PARENTS)
 
 
 def make_mock(seed):
-    """Return a catalog, and a boolean array that states which of its targets are in the slice."""
+    """Return a mock catalog, and a boolean array that states which targets of the catalog are in the slice."""
     rng = np.random.default_rng(seed)
     inside, outside = thomas(rng, IN_SLICE), thomas(rng, OTHERS)
     xy = np.vstack([inside, outside])
@@ -52,7 +52,7 @@ def make_mock(seed):
 
 
 def to_sky(xy):
-    """Return the coordinates of positions (deg) in the square."""
+    """Return the sky coordinates of positions in the square, which are offsets (deg) from its center."""
     return SkyCoord(CENTER.ra + xy[:, 0] * u.deg, CENTER.dec + xy[:, 1] * u.deg)
 
 
@@ -84,7 +84,7 @@ def chord(theta):
 
 
 def count(first, second):
-    """Return the weighted number of pairs in each bin: row 0 for all points, row k + 1 without the region k."""
+    """Return the weighted number of pairs in each bin: row 0 for all points, row k + 1 for points outside region k."""
 
     def between(a, b):
         if not (a[0].n and b[0].n):
@@ -99,7 +99,7 @@ def count(first, second):
 
 
 def count_weighted_pairs(points, weight_of):
-    """Return the weighted number of pairs of the same points in each bin, with the rows of ``count``.
+    """Return the number of pairs of points in each bin, weighted by pair; the rows are the same as in ``count``.
 
     The weight of the pair of the points i and j is ``weight_of(i, j)``. Each pair counts twice, as (i, j) and (j, i).
     """
@@ -117,7 +117,7 @@ def count_weighted_pairs(points, weight_of):
 
 
 def totals(first, second, same=False):
-    """Return the sum of the weights of all pairs: entry 0 for all points, entry k + 1 without the region k."""
+    """Return the sum of the weights of all pairs: entry 0 for all points, entry k + 1 for points outside region k."""
 
     def sums(points, power):
         parts = np.bincount(points.region, points.weight**power, N_REGIONS)
@@ -127,7 +127,7 @@ def totals(first, second, same=False):
 
 
 def totals_of_pairs(found, points, rows):
-    """Return the sum of the pairwise weights of all pairs, with the entries of ``totals``.
+    """Return the sum of the pairwise weights of all pairs; the entries are the same as in ``totals``.
 
     Each pair counts twice, as (i, j) and (j, i).
     """
@@ -157,14 +157,18 @@ def pair_weights(found, rows):
 
 
 def nearest_neighbor_weights(vectors, observed, rows):
-    """Return the weight of each target of ``rows``: one plus the number of unobserved targets closest to it."""
+    """Return a weight for each of the observed targets ``rows``.
+
+    The weight is 1 plus the number of unobserved targets that are closer to this target than to any other observed
+    target.
+    """
     seen = np.flatnonzero(observed)
     _, closest = cKDTree(vectors[seen]).query(vectors[~observed])
     return (1 + np.bincount(seen[closest], minlength=len(vectors)))[rows]
 
 
 def measure(catalog, in_slice, tiles, random, found, observed):
-    """Yield the name of each method, and the correlation function of the slice with its jackknife covariance."""
+    """Yield the name of each method, the correlation function of the slice, and the jackknife covariance."""
     able = ~found.unreachable
     r = Points(random, np.flatnonzero(rs.potential_assignments(random, "desi", tiles).n_tiles() > 0))
     rr = count(r, r) / totals(r, r, same=True)[:, None]
@@ -193,7 +197,7 @@ def measure(catalog, in_slice, tiles, random, found, observed):
     _, all_dd, all_dr = simple(np.flatnonzero(able))
     a, _, seen_dr = simple(everything, found.weight[everything])
     seen_dd = count_weighted_pairs(a, pair_weights(found, everything)) / totals_of_pairs(found, a, everything)[:, None]
-    # NaN in bins in which no pair was observed
+    # The result is NaN in bins in which no pair was observed.
     dd = dd * np.divide(all_dd[0], seen_dd[0], out=np.full(len(EDGES) - 1, np.nan), where=seen_dd[0] > 0)
     yield "pairwise, angular", correlation(dd, dr * all_dr[0] / seen_dr[0], rr)
 

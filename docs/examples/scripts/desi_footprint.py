@@ -26,7 +26,7 @@ def main(path: str, n_targets: float = 1e6, folder: str = "desi_survey") -> rs.S
     """Plan the tiles of a list with synthetic targets."""
     tiles = rs.Tiling.read(path)
     pole = SkyCoord(0 * u.deg, 90 * u.deg)
-    # the footprint covers about two fifths of the sky; targets outside all tiles are reported, and take no time
+    # The tiles cover about two fifths of the sky. Targets outside all tiles are reported, and add no computing time.
     targets = rs.synthetic_catalog("poisson", pole, 180 * u.deg, n_targets=float(n_targets), rng=1)
     visits = np.random.default_rng(1).integers(1, 5, len(targets))
     with ThreadPoolExecutor(2) as executor:

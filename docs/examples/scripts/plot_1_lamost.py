@@ -14,7 +14,7 @@ import rfpsurvey as rs
 stars = rs.example_catalog("anticenter")
 
 # Tiles are added until 80 % of the stars are observed. The allocator must be the same as for the survey, because
-# another allocator would observe other stars of a tile.
+# in the same tile, another allocator would observe other stars.
 tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.8, allocator="repair")
 print(tiles)
 

@@ -20,8 +20,7 @@ table["priority"] = np.select([magnitude < 9, magnitude < 11], [3, 2], 1)
 table["visits"] = np.where(magnitude < 9, 2, 1)
 stars = rs.Catalog.from_table(table)
 
-# Four coverings of the field are shifted against each other, so that the gaps between fibers are at different
-# positions.
+# The four passes are shifted relative to each other, so that the gaps between fibers are at different positions.
 tiles = rs.place_tiles(stars, "sdss_apo", method="hexagonal", passes=4)
 print(tiles)
 

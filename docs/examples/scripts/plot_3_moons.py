@@ -26,7 +26,7 @@ xy = moons.projection(center).to_focal_plane(galaxies.within(center, moons.field
 reaching = np.bincount(np.diff(moons.focal_plane.arrays.reach(xy).indptr))
 print("galaxies that 0, 1, 2, ... positioners reach:", *reaching)
 
-# The rule of LAMOST assigns the nearest galaxies and ignores collisions. The allocator "optimal"
+# The rule of LAMOST assigns the nearest galaxy to each positioner and ignores collisions. The allocator "optimal"
 # chooses positioners that do not collide, and proves that no plan of a tile without collisions observes more galaxies.
 tiles = rs.place_tiles(rs.Region.cap(center, 0.5 * u.deg), moons, passes=2)
 surveys = {name: rs.plan_survey(galaxies, moons, tiles, allocator=name) for name in ("lamost", "optimal")}

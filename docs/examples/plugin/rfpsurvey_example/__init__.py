@@ -11,7 +11,10 @@ TOY = Path(__file__).with_name("toy.toml")
 
 
 def rarest(problem):
-    """Assign each target to its nearest free positioner; per class, targets that few positioners reach are first."""
+    """Assign each target to its nearest free positioner, in the order of priority.
+
+    In each priority class, the targets that the fewest positioners reach are first.
+    """
     centers = problem.focal_plane.xy.to_value(u.mm)
     reach = problem.reachable.tocsc()  # positioners of each target
     target_of = np.full(len(centers), -1)
@@ -25,7 +28,10 @@ def rarest(problem):
 
 
 def dice(question):
-    """Draw independent targets, uniform over each patrol area, until the standard error is small enough."""
+    """Estimate collision probabilities from random targets that are independent and uniform in each patrol area.
+
+    Targets are drawn until the standard error is small enough.
+    """
     plane, rng, n = question.focal_plane, question.rng, len(question.focal_plane)
     inner, outer = (r.to_value(u.mm) for r in (plane.positioner.inner_radius, plane.positioner.outer_radius))
     precision, hits, parts = question.precision, np.zeros(n), []
