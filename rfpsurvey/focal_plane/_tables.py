@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, close_to, warn
 from rfpsurvey.positioner import ArmOutline, Positioner
 
 __all__ = ["read_columns", "to_table"]
@@ -18,6 +18,10 @@ JOINTS = {
     "phi_range": ("phi_min", "phi_max"),
 }
 """Names of the columns with the zero points and the limits of joints."""
+SINGLE = ("id", "spectrograph", "fiber_type", "disabled", "central_arm", "eccentric_arm")
+"""Names of the columns that are arguments of `FocalPlane`; the last two are lengths."""
+PAIRS = {"stuck": ("stuck_theta", "stuck_phi"), **JOINTS}
+"""Names of the two columns of each argument of `FocalPlane` that has two angles per positioner."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 """Names of the columns with the radii of circles; each circle has its own row."""
 POLYGONS = "obstacle_polygons_mm"
@@ -41,18 +45,15 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
             unit &= ~rows
             if rows.any():
                 columns[name] = np.column_stack([xy[rows], radius[rows]])
-    for name in ("id", "spectrograph", "fiber_type", "disabled"):
+    for name in SINGLE[:-2]:
         if name in names:
             columns[name] = to_plain(table[name][unit], f"column {name!r}")
-    for name in ("central_arm", "eccentric_arm"):
+    for name in SINGLE[-2:]:
         if name in names:
             columns[name] = _quantity(table, name, u.mm)[unit]
-    if "stuck_theta" in names and "stuck_phi" in names:
-        angles = [_quantity(table, name, u.deg)[unit] for name in ("stuck_theta", "stuck_phi")]
-        columns["stuck"] = np.column_stack(angles)
-    for name, (low, high) in JOINTS.items():
-        if low in names and high in names:
-            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in (low, high)])
+    for name, pair in PAIRS.items():
+        if {*pair} <= {*names}:
+            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in pair])
     places = {}
     for column in names:
         if column.startswith("fiber_x") and column.replace("fiber_x", "fiber_y", 1) in names:
@@ -62,9 +63,23 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         columns["fiber_xy"] = places
     if POLYGONS in table.meta:
         columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
+    _warn_of_ignored(names)
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
+
+
+def _warn_of_ignored(names):
+    """Issue a warning for each ignored column whose name is, or resembles, the name of a column that can be read."""
+    pairs = [*PAIRS.values(), *((name, name.replace("_x", "_y", 1)) for name in names if name.startswith("fiber_x"))]
+    pairs += [(name.replace("_y", "_x", 1), name) for name in names if name.startswith("fiber_y")]
+    partner = {name: other for pair in pairs for name, other in (pair, pair[::-1])}
+    known = {"x", "y", *SINGLE, *CIRCLES.values(), *partner}
+    for name in names:
+        if name in partner and partner[name] not in names:
+            warn(f"the column {name!r} is ignored, because there is no column {partner[name]!r}")
+        elif name not in known and (hint := close_to(name, known - {*names}, 0.85)):
+            warn(f"the column {name!r} is ignored; {hint}")
 
 
 def to_table(plane) -> QTable:

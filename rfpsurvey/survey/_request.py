@@ -196,9 +196,12 @@ def make_request(
     tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
     if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
-        fields = f"the fields of {instrument.name} have a radius of {radius:.4g} deg"
-        text = f"the tiles were placed for fields with a radius of {made_for:.4g} deg, but {fields}"
-        warn(text)
+        name = tiling.summary.get("instrument")
+        fields = f"fields of {name}, which have" if name else "fields with"
+        warn(
+            f"the tiles were placed for {fields} a radius of {made_for:.4g} deg, but the fields of {instrument.name} "
+            f"have a radius of {radius:.4g} deg"
+        )
     wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
     if visits is not None and np.ndim(visits):
         wanted = source.to_slots(wanted)

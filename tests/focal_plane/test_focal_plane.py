@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import astropy.units as u
@@ -204,6 +205,29 @@ def test_table_round_trip(tmp_path):
 def test_bad_tables_are_named(table, message):
     with pytest.raises(rs.InputError, match=message):
         rs.FocalPlane.from_table(QTable(table))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("disable", "the column 'disable' is ignored; did you mean 'disabled'?"),
+        ("Central_Arm", "the column 'Central_Arm' is ignored; did you mean 'central_arm'?"),
+        ("stuck_theta", "the column 'stuck_theta' is ignored, because there is no column 'stuck_phi'"),
+        ("phi_max", "the column 'phi_max' is ignored, because there is no column 'phi_min'"),
+        ("fiber_x_A", "the column 'fiber_x_A' is ignored, because there is no column 'fiber_y_A'"),
+        ("fiber_y", "the column 'fiber_y' is ignored, because there is no column 'fiber_x'"),
+    ],
+)
+def test_ignored_columns_of_tables_are_named(name, message):
+    """A misspelled column of disabled positioners made these positioners usable without a message."""
+    table = QTable({"x": [0, 30] * MM, "y": [0, 0] * MM, name: [1, 0]})
+    with pytest.warns(rs.RfpsurveyWarning, match=re.escape(message)):
+        rs.FocalPlane.from_table(table, robot())
+
+
+def test_other_columns_of_tables_are_allowed():
+    table = QTable({"x": [0, 30] * MM, "y": [0, 0] * MM, "fiber_id": [1, 2], "comment": ["", "new"]})
+    assert len(rs.FocalPlane.from_table(table, robot())) == 2
 
 
 @pytest.mark.parametrize(

@@ -336,7 +336,7 @@ def test_the_field_of_a_sdssv_configuration_of_2021_was_below_the_horizon(real_d
         ({"site": "paranal", "time": TIME, "wavelength": {"BOSS": 5}}, "wavelength of BOSS must be a Quantity"),
         ({"site": "paranal", "time": TIME, "guide_wavelength": 0 * u.um}, "guide_wavelength must be"),
         ({"site": "paranal", "time": TIME, "pressure": -1 * u.hPa}, "pressure must be"),
-        ({"site": "paranal", "time": TIME, "temperature": 5}, "temperature must be"),
+        ({"site": "paranal", "time": TIME, "temperature": 5}, "temperature must have a unit of temperature"),
         ({"site": "paranal", "time": TIME, "humidity": 30}, "humidity must be"),
         ({"site": "paranal", "time": TIME, "humidity": "dry"}, "humidity must be"),
         ({"site": "paranal", "time": TIME, "exposure_time": 2 * u.day}, "exposure_time must be"),

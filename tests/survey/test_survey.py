@@ -124,7 +124,7 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
         said[name] = survey.summary["model"]
         assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
         n_pairs = len(instrument.focal_plane.neighbor_pairs())
-        assert f"All {n_pairs} pairs of arms that can touch are tested in each tile" in said[name]
+        assert f"distances are computed for those of {n_pairs} pairs of arms that are not far apart" in said[name]
         # the model of a tile also states its number of pairs
         tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
         assert tile.split(". ")[0] == said[name].split(". ")[0]
@@ -259,7 +259,8 @@ def test_nothing_to_plan(sky, small):
 
 def test_what_is_told_is_told_once(sky, small):
     twins = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 2)
-    wide = rs.place_tiles(rs.Region.cap(CENTER, 1 * u.deg), radius=1 * u.deg)
+    region = rs.Region.cap(CENTER, 1 * u.deg)
+    wide, lamost = rs.place_tiles(region, radius=1 * u.deg), rs.place_tiles(region, "lamost")
     away = SkyCoord([CENTER.directional_offset_by(0 * u.deg, 30 * u.deg)])
     for arguments, options, sentence in (
         ((sky, grid(1.2)), {"sky_separation": 30 * u.arcsec}, "no requirement counts"),
@@ -268,7 +269,8 @@ def test_what_is_told_is_told_once(sky, small):
         ((sky, grid(1.2)), {"requirements": "sky_boss=2"}, "no target of the catalog is 'sky_boss'"),
         ((twins, grid(1.2)), {}, "have the same id"),
         ((sky, away), {}, "no target was observed"),
-        ((sky, wide), {}, "with a radius of 1 deg, but the fields of small have a radius of 0.4"),
+        ((sky, wide), {}, "fields with a radius of 1 deg, but the fields of small have a radius of 0.4"),
+        ((sky, lamost), {}, "the tiles were placed for fields of lamost, which have a radius of 2.477 deg, but"),
     ):
         with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
             flat.plan_survey(arguments[0], small, arguments[1], **options)

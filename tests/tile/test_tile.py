@@ -335,8 +335,7 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
         tile = rs.plan_tile(sky, presets[name], CENTER)
         said[name] = tile.summary["model"]
         plane = presets[name].focal_plane
-        found = re.search(r"Of (\d+) pairs of arms that can touch, (\d+) are close", said[name])
-        tested, near = map(int, found.groups())
+        near, tested = map(int, re.search(r"for (\d+) of (\d+) pairs of arms", said[name]).groups())
         assert tested == len(plane.neighbor_pairs())
         # all pairs with a distance less than the length of an arm are listed
         middle = np.column_stack(
