@@ -80,5 +80,5 @@ def pixel_radius(nside: int) -> float:
 
 
 def nside_for(radius_rad: float) -> int:
-    """Return the lowest ``nside`` for which pixels have about a given radius (radians) or a smaller radius."""
+    """Return the lowest ``nside`` for which the radius of a pixel is about ``radius_rad`` (radians) or smaller."""
     return int(min(2 ** max(np.ceil(np.log2(1.0 / radius_rad)), 0), MOST_NSIDE))

@@ -2,8 +2,8 @@
 Number of targets against clearance
 ===================================
 
-Arms with a larger clearance collide more often. This example shows how many usable targets remain for MOONS with an
-allocator that avoids collisions, and with two allocators that ignore collisions.
+Arms with a larger clearance collide more often. This example shows how many targets MOONS observes without a collision,
+for an allocator that avoids collisions, and for two allocators that ignore collisions.
 """
 
 from dataclasses import replace
@@ -39,7 +39,9 @@ for (name, numbers), color in zip(usable.items(), ("#E69F00", "#009E73", "#0072B
     ax.plot(clearances, numbers, "o-", color=color, label=name)
 ax.axvline(moons.focal_plane.positioner.clearance.value, color="0.6", lw=0.8)
 ax.set(
-    xlabel="clearance d [mm] (vertical line: the preset)", ylabel="targets whose arms do not collide", ylim=(0, None)
+    xlabel="clearance d [mm] (vertical line: value of the preset)",
+    ylabel="targets whose arms do not collide",
+    ylim=(0, None),
 )
 ax.set_title("Usable targets of three allocators against the clearance")
 ax.legend()

@@ -2,8 +2,8 @@
 Tiling a region
 ===============
 
-A hexagonal covering leaves no gap between tiles. For clustered targets, ``max_density`` needs fewer tiles than
-a hexagonal covering.
+A hexagonal covering leaves no gap between tiles. For clustered targets, the method ``max_density`` needs fewer tiles
+than a hexagonal covering.
 """
 
 import astropy.units as u

@@ -24,7 +24,7 @@ tile = rs.plan_tile(
     center,
     allocator=rs.AllocationOptions("optimal", requirements="instrument", sky_separation=10 * u.arcsec),
 )
-print(tile, "missing:", tile.summary["unmet"])
+print(tile, "unmet requirements:", tile.summary["unmet"])
 
 # %%
 # For each kind of target, the next lines print the smallest and the largest number of fibers per spectrograph.

@@ -1,4 +1,4 @@
-"""Plot the results of simulations that end at a convergence criterion, or when the confidence interval is short."""
+"""Plot the results of simulations that end when they have converged, or when the confidence interval is short."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

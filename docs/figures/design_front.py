@@ -1,4 +1,7 @@
-"""Plot coverage and losses to collisions of many designs, and mark the Pareto front and three instruments."""
+"""Plot the coverage and the fraction of fibers lost to collisions for many designs.
+
+The plot marks the Pareto front and three instruments.
+"""
 
 import astropy.units as u
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""Plot the additional visits of joint plans, and upper bounds of these numbers of visits.
+"""Plot the additional visits of joint plans, relative to plans of one tile after the other, and upper bounds.
 
 ``tests/benchmarks/joint_figures.py`` prints the numbers.
 """

@@ -22,17 +22,17 @@ SIZES = [
 # allocators, the time (s) and the number of targets whose arms do not collide.
 LIMITS = (0.5, 1, 2, 4, 8, 16, 32)
 PLANS = {
-    "SDSS-V, 1 per positioner": (
+    "SDSS-V, 1 target per positioner": (
         (6857, 6857, 6910, 7187, 7207, 7207, 7207),
         (7545, 7324, 7251, 7236, 7211, 7211, 7211),
         [("lamost", 0.05, 4427), ("repair", 0.06, 6774)],
     ),
-    "SDSS-V, 2 per positioner": (
+    "SDSS-V, 2 targets per positioner": (
         (9609, 9609, 9609, 9647, 9736, 9797, 9797),
         (9858, 9858, 9834, 9810, 9803, 9798, 9798),
         [("lamost", 0.04, 6105), ("repair", 0.06, 9556)],
     ),
-    "arms of 2.5 pitches": (
+    "reach of 2.5 pitches, 1 target per positioner": (
         (4363, 4378, 4378, 5112, 5112, 5112, 5452),
         (8843, 8843, 8843, 8843, 8843, 8843, 8786),
         [("lamost", 0.11, 348), ("repair", 2.34, 5553)],

@@ -1,4 +1,4 @@
-"""Plot the wok coordinates of SDSS-V and the focal coordinates of the same robots at a position angle of 60 deg."""
+"""Plot the positioners of SDSS-V in wok coordinates, and in focal coordinates at a position angle of 60 deg."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -18,6 +18,7 @@ for name, l1, l2, color in (("equal arms", 8.25, 8.25, "#0072B2"), ("unequal arm
     ax.plot(radii, [e.value_assigned for e in found], "--", color=color, label=f"{name}: value_assigned")
 ax.axvline(12 * 25.6, color="0.5", lw=0.8)
 ax.set(
-    xlabel="radius of the circle with 5000 targets [mm] (line: outermost positioners)", ylabel="collision probability"
+    xlabel="radius of the circle with 5000 targets [mm]\n(vertical line: radius of the outermost ring of positioners)",
+    ylabel="collision probability",
 )
 ax.legend(fontsize="small")

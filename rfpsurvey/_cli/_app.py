@@ -181,7 +181,7 @@ def to_mm(value: float | None):
 
 
 def read_targets(name: str):
-    """Read a catalog if ``name`` is a file or an example; otherwise (for random targets), return ``name`` itself."""
+    """Read a catalog if ``name`` is a file or an example; otherwise return ``name``, a kind of random targets."""
     return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
 
 
@@ -230,6 +230,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
-    """Return the path of the table in the same folder as a plot; raise an error if a file cannot be written."""
+    """Return the path of the .ecsv file that is written beside a plot; raise an error if a file cannot be written."""
     check_outputs(None, plot, report, overwrite=overwrite)
     return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)

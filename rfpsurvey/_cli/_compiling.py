@@ -1,4 +1,4 @@
-"""The message that a command prints if numba must compile functions."""
+"""The message that a command prints when numba begins to compile functions."""
 
 import sys
 
@@ -26,6 +26,6 @@ class _Announcement(event.Listener):
 
 
 def announce_compilation() -> None:
-    """Print a message when numba compiles the first function, if standard error is a terminal."""
+    """Prepare a message that is printed when numba compiles a function, but only if standard error is a terminal."""
     if sys.stderr.isatty():
         event.register("numba:compile", _Announcement())

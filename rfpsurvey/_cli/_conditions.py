@@ -59,8 +59,8 @@ TilesHourAngleOption = Annotated[
 WavelengthOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Wavelength at which the fibers are placed (micrometers); for fibers of one type, TYPE=WAVELENGTH, such "
-        "as BOSS=0.54."
+        help="Wavelength for which the positions of fibers are computed (micrometers); for fibers of one type, "
+        "TYPE=WAVELENGTH, such as BOSS=0.54."
     ),
 ]
 ExposureOption = Annotated[float | None, typer.Option(help="Exposure time (s).")]

@@ -83,8 +83,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
         front = table[table["pareto"]]
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
         print(
-            f"{len(table)} designs, definition of the loss: {table['estimand'][0]}; on the Pareto front "
-            f"({wanted}): {len(front)}"
+            f"{len(table)} designs, definition of the loss (fraction of lost fibers): {table['estimand'][0]}; "
+            f"on the Pareto front ({wanted}): {len(front)}"
         )
         front.sort(next(iter(table.meta["objectives"])), reverse=True)
         _print_rows(front[:MOST_ROWS], table)
@@ -156,7 +156,7 @@ def _change(name, before, after, scanned) -> str:
     """Return text with the new value of a parameter and its change in percent, or empty text if it is unchanged."""
     if abs(after - before) <= 1e-9 * abs(before):
         return ""
-    edge = ", edge of the scan" if after in (scanned.min(), scanned.max()) else ""
+    edge = ", at the edge of the scan" if after in (scanned.min(), scanned.max()) else ""
     percent = f"{100 * float(after / before - 1):+.0f} %" if before > 0 * before else "from 0"
     return f"{_words(name)} {after:.5g} ({percent}{edge})"
 

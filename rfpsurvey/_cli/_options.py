@@ -49,8 +49,9 @@ AllocatorOption = Annotated[
 RequireOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Number of targets of a kind that a tile must contain, KIND=NUMBER, such as sky=20/spectrograph "
-        "or sky_boss=300. The value instrument stands for all requirements of the instrument."
+        help="Number of targets of a kind that a tile must contain, KIND=NUMBER, such as sky_boss=300, or "
+        "sky=20/spectrograph (20 for each spectrograph). The value instrument stands for all requirements of the "
+        "instrument."
     ),
 ]
 RequiredOption = Annotated[
@@ -256,7 +257,12 @@ SomePassesOption = Annotated[
     ),
 ]
 LostOption = Annotated[
-    bool, typer.Option("--lost/--kept", help="Count a target as not observed if its positioner collides.")
+    bool,
+    typer.Option(
+        "--lost/--kept",
+        help="If the positioner of a target collides, count the target as not observed (--lost, the default) or as "
+        "observed (--kept).",
+    ),
 ]
 OrderOption = Annotated[
     str,
@@ -279,7 +285,7 @@ SurveyPlotOption = Annotated[
 SurveyQualityOption = Annotated[
     Path | None,
     typer.Option(
-        help="Plot the visits of each priority class, the targets with each outcome, and the fibers on each kind of "
+        help="Plot the numbers of visits per priority class, of targets per outcome, and of fibers per kind of "
         "target (.png, .pdf or .svg)."
     ),
 ]

@@ -176,7 +176,7 @@ def print_summary(tile: "rs.Tile") -> None:
     if "ra_deg" in values:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
-        print(f"{where}, {turn}, epoch {values['epoch'] or 'as given'}")
+        print(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
     elif "positions" in values:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:
@@ -189,8 +189,8 @@ def print_summary(tile: "rs.Tile") -> None:
     _print_objectives(tile)
     if tile.completeness is not None and len(tile.completeness) > 1:
         print(
-            "number of targets of the field in each class; a target is observed if it is assigned and its arm does "
-            "not collide:"
+            "number of targets of the field by kind, category and priority; a target is observed if it is assigned "
+            "and its positioner does not collide:"
         )
         print_table(tile.completeness)
     seconds = tile.summary["seconds"]

@@ -66,7 +66,7 @@ LINES = {
     "n_always_observed": "targets always observed",
     "mean_probability": "mean probability",
     "n_assigned": "assigned fibers",
-    "n_lost": "lost to collisions",
+    "n_lost": "targets lost to collisions",
     "n_observed": "visits observed",
 }
 

@@ -44,10 +44,18 @@ def probability(
     allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = "balanced",
     density: Annotated[
         str | None,
-        typer.Option(help="Probability density of independent targets in the patrol area: uniform, shared or voronoi."),
+        typer.Option(
+            help="Probability density of independent targets in the patrol area: uniform; shared (proportional to "
+            "1/k at points that k positioners reach); or voronoi (uniform over the points that are nearer to the "
+            "center of the positioner than to any other center)."
+        ),
     ] = None,
     dynamic: Annotated[
-        float, typer.Option(help="Probability of an additional, independent dynamic failure of each positioner.")
+        float,
+        typer.Option(
+            help="Probability that a positioner does not reach its target, for example because of a dynamic collision. "
+            "Such failures are assumed to be independent."
+        ),
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)] = 0,
     workers: Annotated[

@@ -112,7 +112,7 @@ def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted
     n_cells = start.size - 1
     best, place = np.empty(start[n_cells], np.int64), np.empty(start[n_cells], np.int64)
     end = start[:-1].copy()
-    # Rank and distance of the last target of each cell that contains the largest allowed number of targets.
+    # For each full cell (with the largest allowed number of targets), the rank and the distance of its last target.
     cut, far = np.full(n_cells, MOST, np.int64), np.full(n_cells, np.inf)
     for t in range(indptr.size - 1):
         c = rank[t]

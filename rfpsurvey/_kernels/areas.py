@@ -9,10 +9,10 @@ from rfpsurvey._jit import kernel
 
 @kernel
 def half_angle(r, d, radius):
-    """Return half the opening angle of an arc, which is the part of a first circle that is inside a second circle.
+    """Return half the central angle of the arc of one circle that lies inside another circle.
 
-    The first circle has the radius ``r``, and the second circle has the radius ``radius``. The distance between their
-    centers is ``d``.
+    The circle of the arc has the radius ``r``, and the other circle has the radius ``radius``. The distance between
+    their centers is ``d``.
     """
     if r + d <= radius:
         return math.pi

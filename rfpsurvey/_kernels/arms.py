@@ -46,11 +46,12 @@ def inner_difference(l1, l2):
 
 @kernel
 def elbow(dx, dy, l1, l2, side, home_x, home_y):
-    """Return the position of the elbow relative to the center, and two numbers proportional to sin(phi) and cos(phi).
+    """Return the elbow of the arm whose tip is at (dx, dy), and two numbers proportional to sin(phi) and cos(phi).
 
-    The factor of proportionality is positive, and the same for the sine and the cosine.
+    The positions of elbow and tip are relative to the center of the positioner. The factor of proportionality is
+    positive, and the same for the sine and the cosine.
 
-    ``side`` is +1 for phi in [0, pi] ("right") and -1 for the mirror image. For a tip outside the annulus, the result
+    ``side`` is +1 for phi in [0, pi] ("right") and -1 for the mirror image. For a tip out of reach, the result
     is the pose at the nearest reachable point in the same direction. A tip at the center of the positioner has no
     direction; the direction (home_x, home_y) of the parked central arm is used instead. If the tip is NaN, the result
     is NaN.

@@ -169,7 +169,7 @@ def outline_gaps(segments, pairs, limits, out):
 
 @kernel
 def apart(mx, my, ax, ay, bx, by, squared):
-    """Return whether the projections of two segments on one of three axes are farther apart than sqrt(``squared``).
+    """Return whether two segments, projected on at least one of three axes, are farther apart than sqrt(``squared``).
 
     The vector m connects the midpoints, and a and b are half the vectors from end to end. The axes tested are m and the
     normals of both segments. In the projection on any axis, the largest distance of a point of a segment from its

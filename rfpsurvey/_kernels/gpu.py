@@ -60,7 +60,7 @@ def pose_tips(tips, geometry, side, home_x, home_y, idle, model, length, angles,
 def count(
     tips, segments, indptr, neighbor, reject2, limit, band, parked, circle_indptr, circles, clearance, counts, times
 ):
-    """Count the collisions of each configuration, and the configurations in which each positioner collides.
+    """Count the collisions of each configuration and, for each positioner, the configurations in which it collides.
 
     ``indptr`` and ``neighbor`` list all neighbors of each positioner. ``circle_indptr`` and ``circles`` list the
     obstacles (x, y, radius) that each positioner can touch.

@@ -2,8 +2,9 @@
 
 A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A clique is a set of
 candidates; a plan uses at most one candidate of each clique. Each clique has a price of at least 0. The value of a
-candidate is its weight minus the prices of its cliques. The sum of all prices and of the largest value of each
-positioner is an upper bound of the weight of a plan.
+candidate is its weight minus the prices of its cliques. The weight is 1 if the candidate counts for the objective, and
+0 otherwise. The weight of a plan is the sum of the weights of its candidates. An upper bound of this weight is the sum
+of all prices plus the sum, over all positioners, of the largest value of the candidates of the positioner.
 """
 
 import math

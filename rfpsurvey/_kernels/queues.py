@@ -60,8 +60,9 @@ def place_queues(x, y, indptr, queue, geometry, side, model, length, cosine, sin
 def prepare_entries(indptr, idle, entries):
     """Set the start and end of each queue, and compute the fields that depend on the segments and weights.
 
-    ``entries.segments`` must already contain the segments of the queues; the segments of idle arms are appended. If the
-    queue of a positioner contains no targets and idle arms are obstacles, the idle arm is the only entry of the queue.
+    ``entries.segments`` must already contain the segments of the queues; this function appends the segments of idle
+    arms. If the queue of a positioner contains no targets and its idle arm is an obstacle, the idle arm is the only
+    entry of the queue.
     """
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):

@@ -32,8 +32,8 @@ def sort_by_distance(indptr, r2, nearest):
 def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, uncertain):
     """Mark the positioners that have a target and collide, in each realization.
 
-    ``segments`` contains the segment that can collide for each pair, and ``idle`` contains the segments of the idle
-    arms. ``uncertain`` marks realizations in which rounding could change the result.
+    ``segments`` contains, for each pair, the segment of the arm that can collide; ``idle`` contains the segments of
+    the idle arms. ``uncertain`` marks realizations in which rounding could change the result.
     """
     n = chosen.shape[1]
     hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
@@ -123,8 +123,8 @@ def record_visits(mask, slot, spends, left, is_open, observed):
     """Subtract the visits of a tile from the remaining visits, and count the visits of each realization.
 
     ``mask`` contains the visits of the tile; row ``slot[f]`` of ``left`` belongs to target f of the tile. ``spends``
-    states whether a visit to a target reduces its remaining visits; all other visits are ignored. ``is_open`` marks
-    targets with remaining visits in at least one realization.
+    states whether a visit to a target reduces its remaining visits; visits to all other targets are ignored.
+    ``is_open`` marks targets with remaining visits in at least one realization.
     """
     n = left.shape[1]
     for f in range(slot.size):
@@ -250,8 +250,8 @@ def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen)
     """Assign targets by nominations; each positioner nominates its target with the largest subpriority.
 
     ``start`` contains the index at which the list of targets of each positioner begins. The list of a positioner may be
-    shortened, but it must remain long enough: if each other positioner that reaches targets of the list takes one of
-    these targets, at least one target must be left.
+    shortened, but it must be long enough that at least one target remains if every other positioner that reaches
+    targets of the list takes one of them.
     """
     n, m = indptr.size - 1, chosen.shape[1]
     order, t_indptr, t_owner = np.empty(n, np.uint64), np.empty(n + 1, np.int64), np.empty(owner.size, np.int64)

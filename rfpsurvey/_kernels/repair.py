@@ -170,7 +170,8 @@ def settle(options, order, fixed, chosen, blocked, holder):
 def drop(options, order, fixed, chosen, blocked, holder):
     """Remove targets from positioners, in place, until no arms collide; return the number of removed targets.
 
-    The positioner that collides with the most arms loses its target first; in a tie, the first positioner in ``order``.
+    The positioner that collides with the most arms loses its target first. In a tie, the positioner that is earlier in
+    ``order`` loses its target first.
     """
     place = np.empty(order.size, np.int64)
     heap = [(np.int64(0), np.int64(0))]
@@ -203,7 +204,7 @@ def drop(options, order, fixed, chosen, blocked, holder):
 
 @kernel
 def gain(options, order, chosen, blocked, holder):
-    """Assign more important targets to positioners, in the given order and in place; return whether any were moved."""
+    """Replace targets by more important targets, for the positioners in ``order``; return whether the plan changed."""
     start, rank = options.start, options.rank
     changed = False
     for i in order:

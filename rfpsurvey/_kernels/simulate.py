@@ -146,7 +146,10 @@ def thin(rng, most, indptr, queue):
 
 @kernel
 def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
-    """Count the collisions of one configuration per realization; add 1 to ``counted`` for each counted positioner."""
+    """Count the collisions of one random configuration per realization.
+
+    For each positioner that is assigned or parked in a configuration, 1 is added to ``counted``.
+    """
     n = positioners.side.size
     uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
     for c in range(numbers.size):
@@ -167,11 +170,12 @@ def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace
 
 @kernel
 def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
-    """Write the expected collisions of a realization to ``sums``; add the probabilities of positioners to ``times``.
+    """Write the expected numbers of collisions of a realization to ``sums``.
 
     The elements of ``sums`` are the expected number of colliding positioners, the number of counted positioners, the
     expected number of colliding assigned positioners, the number of assigned positioners, and the expected number of
-    colliding pairs. For each counted positioner, 1 is added to ``counted``.
+    colliding pairs. A positioner is counted if it is assigned or parked. For each counted positioner, its collision
+    probability is added to ``times``, and 1 is added to ``counted``.
     """
     expect(
         pairs,

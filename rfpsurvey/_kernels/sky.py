@@ -74,7 +74,7 @@ def radii(theta, form, coefficients, argument, inner, output, limit, out):
 
 @kernel
 def invert_radius(r, form, coefficients, argument, inner, output, limit):
-    """Return the field angle at radius ``r`` (NaN outside the map), by Newton's method in an interval that shrinks."""
+    """Return the field angle at radius ``r``, by Newton's method with bisection; return NaN if there is none."""
     low, high = 0.0, limit
     edge = radius_and_slope(limit, form, coefficients, argument, inner, output)[0]
     if not 0.0 <= r <= edge:
@@ -97,7 +97,7 @@ def invert_radius(r, form, coefficients, argument, inner, output, limit):
 
 @kernel
 def angles(r, form, coefficients, argument, inner, output, limit, out):
-    """Compute the field angle of each radius; it is NaN for radii outside the map."""
+    """Compute the field angle of each radius; it is NaN if no field angle up to ``limit`` has this radius."""
     for i in range(r.size):
         out[i] = invert_radius(r[i], form, coefficients, argument, inner, output, limit)
 

@@ -1,4 +1,4 @@
-"""Find directions near a given direction with an index, in which directions are sorted by declination zone.
+"""Use an index, in which directions are sorted by declination zone, to find directions near a given direction.
 
 The directions are sorted by ``zone + right ascension / 2 pi``. In each zone that a circle touches, the directions that
 can be inside the circle form one run of the index, or two runs if the circle contains right ascension 0. If the circle

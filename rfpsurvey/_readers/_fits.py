@@ -52,7 +52,7 @@ def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
         numbers = _find_tables(file, path)
         file.seek(0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # for the same reason as in `_read`
+            warnings.simplefilter("ignore")  # ignore warnings about cards and units, as in `_read`
             with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
                 header = dict(units[0].header)
                 found = [_table_of(units[at]) for at in numbers]

@@ -30,7 +30,8 @@ def import_parquet():
 def read_parquet(path: Path, names: list[str] | None = None) -> Table:
     """Return a table from a Parquet file: the columns ``names``, or by default all columns that NumPy can represent.
 
-    Columns of times are not converted. Columns of lists, structures or durations are omitted.
+    Columns of times and dates become columns of the NumPy type datetime64. Columns of lists, structures or durations
+    are omitted.
     """
     parquet, reads_all = import_parquet(), names is None
     try:
@@ -39,7 +40,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             names = [name for name in names or schema.names if _is_plain(schema.field(name).type)]
             if not 0 <= 8 * n_rows * max(len(names), 1) <= max(FREE, MOST_RATIO * size):
                 raise InputError(
-                    f"{path}: the number of rows must be possible for a file of {size} bytes, got {n_rows} rows"
+                    f"{path}: the number of rows must agree with the size of the file, {size} bytes, got {n_rows} rows"
                 )
             content = file.read(columns=names)
         if content.num_rows != n_rows:

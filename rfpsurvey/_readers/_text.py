@@ -31,7 +31,7 @@ def read_csv(path: Path) -> Table:
         raise InputError(f"{path}: the first row must contain the names of the columns, got no row")
     if delimiter == b"\t" and b'"' not in content:  # for other delimiters, astropy removes blanks
         content = re.sub(rb" *\t *", b"\t", content)
-    # search for the zero first, because searching for one byte is fast
+    # the expression begins with the zero, because a search for a single byte is fast
     zeros = re.compile(rb'0(?<=[\n" %s]0)(?=\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
     marked = zeros.sub(MARK.encode() + b"0", content).decode("utf-8") if zeros.search(content) else None
     text = content.decode("utf-8")

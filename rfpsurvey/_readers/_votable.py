@@ -144,7 +144,7 @@ class _Contents:
         said = self._rows_said
         if said is not None and said.strip() != str(n):
             raise InputError(
-                f"{path}: the number of rows must be the value of the attribute nrows = {said[:20]}, got {n}"
+                f"{path}: the table must have as many rows as the attribute nrows states ({said[:20]}), got {n} rows"
             )
         width = sum((4 if kind in ("char", "unicodeChar") else SIZES[kind]) * k for kind, k, open_ in self._fields)
         if width > MOST_ROW or (n + 512) * width > max(FREE_ROWS, MOST_PADDING * size):

@@ -106,7 +106,8 @@ class Allocation:
     def bound(self) -> float:
         """Upper bound of `objective`; NaN if it is unknown.
 
-        The bound is valid for all plans with the same values of the objectives in ``levels`` whose optimum is proven.
+        Some objectives in ``levels`` have a proven optimum. The bound is valid for all plans that have the same values
+        of these objectives.
         """
         # The bound of a class whose optimum is not proven also includes all earlier classes. The largest difference
         # between a bound and its value is therefore used, not the sum of the differences.
@@ -149,7 +150,7 @@ class Allocation:
         )
 
     def _repr_html_(self) -> str:
-        facts = {level.name: f"{level.value:g}, at most {level.bound:g}" for level in self.levels}
+        facts = {level.name: f"{level.value:g} (upper bound {level.bound:g})" for level in self.levels}
         return to_html(self, {**facts, "gap": self.gap, "requirements that are not met": len(self.unmet)})
 
     def __repr__(self):

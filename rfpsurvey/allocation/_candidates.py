@@ -186,7 +186,9 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
 def _keys(problem, target, held):
     """Return the key of each candidate, and a matrix that states which keys are at least as good as other keys.
 
-    A key is a whole number. Candidates that count toward the same requirements have the same key.
+    Candidates that count toward the same requirements have the same key, which is a whole number. Key a is at least as
+    good as key b if a counts toward every minimum toward which b counts, and b counts toward every maximum toward which
+    a counts.
     """
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]

@@ -13,9 +13,10 @@ BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
-    """Return cliques; any two of the candidates ``rows`` that collide or have the same target are in a common clique.
+    """Return cliques, which are sets of candidates; a plan without collisions uses at most one candidate of each set.
 
-    If no candidates collide, the function returns no cliques.
+    If two of the candidates ``rows`` collide or have the same target, at least one clique contains both candidates. If
+    no candidates collide, the function returns no cliques.
 
     Parameters
     ----------

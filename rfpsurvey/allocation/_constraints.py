@@ -49,7 +49,7 @@ def circle_text(region: Region) -> str:
 
 
 def recorded(texts: list[str]) -> list[str]:
-    """Return identifiers or circles as results record them: the complete list, or its length and a digest."""
+    """Return the list that results store for identifiers or circles; a long list becomes its length and a digest."""
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]

@@ -64,7 +64,7 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
 
 
 def _separate(candidates, members, state, deadline):
-    """Optimize the candidates of some positioners in place, while all other arms are fixed."""
+    """Minimize the collisions between the idle arms of some positioners in place, while all other arms are fixed."""
     options, problem, (now, blocked, holder) = candidates.options, candidates.problem, state
     before = now[members].copy()
     inside, idle = np.zeros(len(now), dtype=bool), options.start[1:] - 1
@@ -87,7 +87,7 @@ def _separate(candidates, members, state, deadline):
 
 
 def _fewest(program, pairs, idle, now, x, deadline):
-    """Return the variables with the fewest collisions of idle arms and the same values of all objectives as ``x``."""
+    """Return the variables of the plan with the fewest collisions of idle arms, among all plans as good as ``x``."""
     place = program.index[idle[pairs]]  # -1 for positioners that are not members
     cost = np.zeros(program.n)
     both = place[:, (place >= 0).all(axis=0)]

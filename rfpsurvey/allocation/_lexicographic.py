@@ -12,9 +12,10 @@ __all__ = ["Solution", "pursue"]
 # Successive objectives are combined into one as long as the product of their numbers of possible values is below this
 # limit. Rounding errors then have no effect.
 LARGEST = 1e6
-# Ratio of successive weights, and number of proven objectives that are added to the goal of the next objective.
+# A program maximizes a goal, which is a weighted sum of objectives. In large programs, this sum also contains the last
+# few proven objectives. STEEP is the ratio of successive weights; N_STEEP is the largest number of these objectives.
 STEEP, N_STEEP = 8.0, 4
-# In programs with more than this number of variables, some proven objectives are part of the goal.
+# Only the goals of programs with more than this number of variables contain proven objectives.
 LARGE = 500
 # Settings for objectives whose optimum cannot be proven in time: fraction of the time that is reserved for them,
 # smallest weight, and allowed gap.
@@ -140,7 +141,7 @@ class _Pursuit:
 def pursue(
     program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None
 ) -> Solution:
-    """Return the best plan that is found before the deadline; the search starts from ``first`` if it is feasible.
+    """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
 
     If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is

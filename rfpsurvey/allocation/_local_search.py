@@ -132,7 +132,11 @@ def _batches(options, order):
 
 
 def stand(candidates, chosen):
-    """Return the candidates in use, the number of arms that block each candidate, and the positioner of each target."""
+    """Return the state of the plan ``chosen``, which local moves update.
+
+    The state consists of the candidate of each positioner, the number of arms in use that collide with each candidate,
+    and the positioner of each target.
+    """
     now = np.full(len(chosen), -1)
     blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)

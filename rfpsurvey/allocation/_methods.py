@@ -69,7 +69,10 @@ def sdss(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
-    """Maximize the number of targets without collisions, one class after the other; then the sum of subpriorities."""
+    """Maximize the number of targets, one class after the other, such that no arm with a target collides.
+
+    If subpriorities are given, the last step maximizes the sum of the subpriorities.
+    """
     return _search(problem, collide=True, squared_cost=problem.subpriority is not None)
 
 
@@ -108,9 +111,9 @@ def _search(problem, **options):
 
 
 def _with_cost(problem):
-    """Return the problem; if subpriorities are given, costs of the pairs replace their squared distances.
+    """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
 
-    The cost of a pair is lowest for the target with the largest subpriority.
+    The larger the subpriority of the target, the lower the cost of the pair.
     """
     if problem.subpriority is None:
         return problem
@@ -159,7 +162,7 @@ def _best(problem, reach, rank):
 
 
 def _with_watched(problem, target_of):
-    """Add the sky positions that stuck positioners observe at their fixed positions."""
+    """Return the target of each positioner, including the sky positions that stuck fibers observe."""
     if problem.watched is None:
         return target_of
     return np.where(problem.watched >= 0, problem.watched, target_of)

@@ -31,7 +31,7 @@ class Objective(NamedTuple):
 
 
 class Program:
-    """An integer program whose solutions are plans for the candidates ``rows``, sorted by positioner.
+    """An integer program whose solutions are plans that use candidates from ``rows``, which are sorted by positioner.
 
     ``others`` are the candidates that positioners outside the program use; these candidates also count toward the
     requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a

@@ -53,7 +53,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
 
 
 def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: AllocationAnswer) -> None:
-    """Raise an error if the levels contradict the plan, or if the queues contain targets that are out of reach."""
+    """Raise an error if values or bounds of objectives contradict the plan, or if queued targets are out of reach."""
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}

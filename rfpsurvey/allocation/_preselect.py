@@ -31,13 +31,13 @@ class Preselection(NamedTuple):
 
 
 def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndarray | None = None) -> Preselection:
-    """Return a subset of the reachable pairs (positioner, target) that is sufficient for an optimal plan.
+    """Return the reachable pairs (positioner, target) that contain the best targets of each positioner.
 
     Targets that count toward the same requirements have the same code. If k other positioners reach targets of a
     positioner, they can observe at most k of its targets. At least one of the positioner's best k + 1 targets of each
-    code is therefore always free. The preselection is exact if arms may
-    collide. If arms must not collide, the best plan of the kept pairs may be worse than the best plan of all pairs;
-    `replaceable` is used to find an upper limit of the difference.
+    code is therefore always free. If arms may collide, the best plan of the kept pairs is therefore as good as the best
+    plan of all pairs. If arms must not collide, the best plan of the kept pairs may be worse; `replaceable` is used to
+    find an upper limit of the difference.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
         Whether collisions are forbidden. If so, more targets are kept, and targets at which the arm touches an obstacle
         are omitted.
     keep_target : ndarray of int, shape (n_positioners,), optional
-        Target of each positioner that is always kept, or -1 if there is no such target.
+        For each positioner, the target that is always kept, or -1 if there is no such target.
     """
     plane, reach = problem.focal_plane, problem.pairs
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing

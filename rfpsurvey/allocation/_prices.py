@@ -14,9 +14,9 @@ from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["Prices", "weights_of"]
 
-# To adjust the prices, the largest value of each positioner is replaced by a smooth maximum of a given width:
-# width * log(sum(exp(value / width))). These are the widths, and the number of sweeps for each width. A sweep adjusts
-# the prices of all cliques once.
+# The value of a candidate is its weight minus the prices of its cliques. To adjust the prices, the largest value among
+# the candidates of a positioner is replaced by a smooth maximum: width * log(sum(exp(value / width))). WIDTHS contains
+# the successive widths; N_SWEEPS is the largest number of sweeps for each width. A sweep adjusts all prices once.
 WIDTHS, N_SWEEPS = (0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005), 30
 # The search continues with the next width if the bound decreases by less than this fraction in one sweep.
 SLOW = 2e-5

@@ -172,7 +172,7 @@ class AllocationProblem:
 
     @cached_property
     def groups(self) -> list[Group]:
-        """One group of targets and fibers for each requirement, or for each requirement and spectrograph."""
+        """Groups of targets and fibers that count toward one requirement each, per tile or per spectrograph."""
         found = []
         for one in self.requirements:
             if _holds(self.category, one.what):
@@ -349,5 +349,5 @@ class AllocationProblem:
 
 
 def _holds(column: np.ndarray, word: str) -> bool:
-    """Return whether a column contains a word."""
+    """Return whether at least one target has the text ``word`` in a column, such as the categories of the targets."""
     return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

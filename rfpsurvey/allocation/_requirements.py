@@ -124,7 +124,7 @@ class Shortfall:
     Parameters
     ----------
     requirement : Requirement or None
-        The requirement; None if required targets are missing.
+        The requirement; None if targets of the parameter ``required`` have no fiber.
     spectrograph : int or None
         Spectrograph in which the requirement is not met; None if the requirement applies to the whole tile.
     requested : int

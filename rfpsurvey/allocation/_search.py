@@ -343,7 +343,10 @@ def _tell(tell, part: int, n_parts: int, level: int, n_levels: int) -> None:
 
 
 def _parts(candidates, rows):
-    """Divide undecided candidates into independent parts, and return the candidates and collisions of each part."""
+    """Divide the candidates ``rows`` into independent parts, and yield the candidates and collisions of each part.
+
+    Candidates of different parts neither collide nor have the same target. With requirements, there is only one part.
+    """
     options, problem = candidates.options, candidates.problem
     if len(rows) == 0:
         return

@@ -13,8 +13,8 @@ __all__ = ["maximize", "with_errors"]
 
 # Interval in seconds at which the caller checks for an interrupt while HiGHS runs in a different thread.
 INTERVAL = 0.1
-# Most steps of HiGHS end at the time limit of HiGHS. If a thread of HiGHS still runs this many seconds after the time
-# limit, the thread is abandoned.
+# Some steps of HiGHS do not end at the time limit of HiGHS. If a thread of HiGHS still runs this many seconds after the
+# time limit, the thread is abandoned.
 GRACE = 0.1
 # Longest time in seconds for which the process waits for abandoned threads before it ends. The threads usually end
 # within three seconds.
@@ -57,7 +57,7 @@ def maximize(
     integral : bool
         Whether the variables must be whole numbers.
     gap : float
-        Allowed relative error.
+        Allowed relative error of the maximum.
     presolve : bool
         Whether HiGHS may simplify the program first.
     first : ndarray of float, shape (n,), optional

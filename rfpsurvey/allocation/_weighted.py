@@ -41,14 +41,14 @@ class ListCandidates:
     Parameters
     ----------
     keep_target : ndarray of int, shape (n_positioners,)
-        Target of each positioner that is never omitted, or -1 if there is no such target.
+        For each positioner, the target that is never omitted, or -1 if there is no such target.
     """
 
     def __init__(self, keep_target: np.ndarray):
         self.keep_target = keep_target
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
-        """Return an answer without targets."""
+        """Return an answer that assigns no target and contains all candidates in ``meta``."""
         found = find_candidates(problem, keep_target=self.keep_target)
         cliques = Prices(found, np.inf)
         options, reach = found.options, problem.pairs
@@ -84,7 +84,10 @@ class GivenPlan:
 
 
 class WeightedProblem(NamedTuple):
-    """The choice of one candidate for each positioner such that the sum of the weights is as large as possible."""
+    """The problem of choosing one candidate for each positioner such that the sum of the weights is largest.
+
+    In addition, a plan may use at most a given number of the candidates of each set.
+    """
 
     start: np.ndarray
     """Index of the first candidate of each positioner, followed by the total number of candidates."""
@@ -99,7 +102,7 @@ class WeightedProblem(NamedTuple):
     nodes: int
     """Largest number of nodes of the search tree."""
     gap: float
-    """Allowed relative error."""
+    """Allowed relative error of the largest sum of the weights."""
     deadline: float
     """Value of `time.time` at which the search ends; all processes share this clock."""
 
@@ -201,8 +204,8 @@ class RowPrices(Prices):
         weights : ndarray of float, shape (n_candidates,)
             Weight of each candidate, 0 to 1.
         sweeps : tuple of (float, int)
-            Width of the smooth maximum that replaces the largest value of each positioner, and number of sweeps, for
-            each stage of the adjustment. A sweep adjusts all prices once.
+            For each stage of the adjustment, the width of the smooth maximum that replaces the largest value among the
+            candidates of a positioner, and the number of sweeps. A sweep adjusts all prices once.
         is_over : callable
             Function that returns whether the time limit has passed.
 

@@ -156,7 +156,10 @@ def benchmark_collisions(
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
-    """Return the pairs that each method finds in each configuration, and the times of each method in later rounds."""
+    """Return the pairs that each method finds in each configuration, and the measured times of each method.
+
+    Times of the first round, in which functions are compiled, are omitted unless the method is slow.
+    """
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
     found = {}
     turns = range(repeats + 1)

@@ -168,8 +168,9 @@ def benchmark_densities(
     Returns
     -------
     QTable
-        Table with a row for each density: ``density``, ``value`` (collision probability), ``standard_error``, ``bias``
-        (the difference from the value for allocated targets), and ``factor`` (the ratio to the value for allocated
+        Table with a row for each density: ``density`` (``allocated`` for allocated targets, otherwise a density of
+        `~rfpsurvey.collision_probability`), ``value`` (collision probability), ``standard_error``, ``bias`` (the
+        difference from the value for allocated targets), and ``factor`` (the ratio to the value for allocated
         targets). The first row contains the value for allocated targets.
 
     Raises

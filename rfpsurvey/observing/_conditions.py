@@ -56,8 +56,8 @@ class ObservingConditions:
     exposure_time : Quantity, optional
         Duration of the exposure. Fibers are placed at the mean positions of their targets during the exposure.
     tolerance : Quantity, optional
-        Largest displacement on the focal plane that is negligible. A model of the projection is accurate enough if its
-        displacements do not exceed this tolerance. By default, a tenth of the diameter of the instrument's fibers.
+        Largest negligible position error on the focal plane. A model of the projection is accurate enough if its
+        position errors do not exceed this tolerance. By default, a tenth of the diameter of the instrument's fibers.
 
     Raises
     ------

@@ -42,9 +42,9 @@ def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
     identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are greater than all
     identifiers of the catalog.
 
-    If the identifiers of the catalog are text, the identifiers of blank sky begin with ``blank-sky-``. If the catalog
-    already contains such identifiers, with or without underscores before ``blank-sky-``, the identifiers of blank sky
-    begin with more underscores than any of these.
+    If the identifiers of the catalog are text, the identifiers of blank sky begin with ``blank-sky-``. If identifiers
+    of the catalog begin in this way, with or without underscores before ``blank-sky-``, the identifiers of blank sky
+    begin with one underscore more than any of these identifiers.
     """
     lowest, highest, most, dtype = -1, -1, -1, None
     for ids in parts:

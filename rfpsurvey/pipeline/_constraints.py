@@ -21,7 +21,7 @@ N_RIM, MARGIN = 360, 1 + 1e-4
 
 
 def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with additional obstacles: the images of circles in ``options.keep_out`` near its arms."""
+    """Return the instrument with an additional obstacle for each circle in ``options.keep_out`` near its arms."""
     if not options.keep_out:
         return instrument
     plane, circles = instrument.focal_plane, options.circles

@@ -54,7 +54,7 @@ class FieldPlan(NamedTuple):
     positioner: np.ndarray
     """Row in the focal plane of each positioner that has a target."""
     target: np.ndarray
-    """Row in the `FieldTargets` of the target of each of these positioners; -1 for blank sky."""
+    """Row of each positioner's target in the `FieldTargets`, or -1 if the target is blank sky."""
     id: np.ndarray
     lon_rad: np.ndarray
     lat_rad: np.ndarray
@@ -96,7 +96,10 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions (mm) of targets on the focal plane, and the fiber types that the targets require or None."""
+    """Return the positions (mm) of targets on the focal plane, and the fiber type that each target requires.
+
+    Instead of the fiber types, None is returned if all fibers can observe all targets.
+    """
     if instrument.focal_plane.fiber_types == ("",):
         fiber_type = None  # all fibers have the same unnamed type, and can observe all targets
     elif isinstance(instrument.distortion, dict):

@@ -89,7 +89,7 @@ def read(path: Path) -> QTable:
     _, counts = np.unique(rows["holeId"], return_counts=True)
     if (counts != counts[0]).any():
         raise InputError(
-            f"{path}: all holes must have the same number of rows, got {counts.min()} to {counts.max()}; "
+            f"{path}: every holeId must occur in the same number of rows, got {counts.min()} to {counts.max()}; "
             "the file may be truncated"
         )
     site = header.get("observatory", "")
@@ -157,7 +157,7 @@ def lost(plan: QTable) -> list[str]:
 
 
 def to_wok(x, y, position_angle: float) -> tuple:
-    """Return the wok coordinates of points in focal coordinates; the position angle is in degrees.
+    """Convert focal coordinates of points to wok coordinates; the position angle is in degrees.
 
     The +y axis of focal coordinates points north. Focal coordinates are wok coordinates rotated clockwise by the
     position angle.

@@ -122,7 +122,7 @@ def read(path: Path) -> QTable:
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     """Write a plan as a fiberassign file.
 
-    If the plan was read from another format, columns that it lacks are filled with default values such as -1 or NaN.
+    If the plan was not read from a fiberassign file, columns that the plan lacks get default values such as -1 or NaN.
     """
     from astropy.io import fits
 
@@ -210,13 +210,16 @@ def _opposite(angle):
 
 
 def _epoch(years):
-    """Return the epoch of the positions, or None if the positive values of REF_EPOCH differ or are missing."""
+    """Return the epoch of target positions, or None if REF_EPOCH has no positive value or several different ones."""
     years = np.unique(years[years > 0]) if years is not None else []
     return f"J{years[0]:.3f}" if len(years) == 1 else None
 
 
 def _header(plan) -> dict:
-    """Return the keywords of the primary header; if the plan has another format, return only the required keywords."""
+    """Return the keywords of the primary header.
+
+    A plan that was read from a fiberassign file keeps the keywords of that file. Other plans get only a few keywords.
+    """
     header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):

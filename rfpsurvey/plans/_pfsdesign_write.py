@@ -65,7 +65,11 @@ NAME = re.compile(r"pfsDesign-0x([0-9a-f]{16})\.fits(\.gz)?", re.IGNORECASE)
 
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
-    """Write a plan as a design; in a file name ``pfsDesign-0x*.fits``, ``*`` must be the identifier of the design."""
+    """Write a plan as a design file.
+
+    If the name of the file is ``pfsDesign-0x*.fits``, ``*`` must be the identifier of the design (16 hexadecimal
+    digits).
+    """
     from astropy.io import fits
 
     rows, header = _rows(plan, path), _header(plan, path)

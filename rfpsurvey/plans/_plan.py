@@ -81,11 +81,11 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         Table with a row for each fiber in the file. Columns: ``positioner``, ``fiber_type`` (empty if the instrument
         has only one fiber type), ``target_id`` (-1 or empty for a fiber without a target), ``kind`` (``science``,
         ``sky``, ``standard`` or empty), ``assigned`` (whether the fiber has a target), and ``x``, ``y`` (position of
-        the fiber on the focal plane; NaN if it is missing). If the file contains them, the next columns are ``theta``,
-        ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and ``priority``. All other columns of the
-        file follow under their own names. The ``meta`` contains ``format``, ``instrument`` and ``header`` (all keywords
-        of the file). If they are known, ``meta`` also contains the field center (``racen``, ``deccen``) and the
-        ``position_angle``, in deg, and the ``epoch``.
+        the fiber on the focal plane; NaN if it is missing). The next columns are optional; they exist if the file
+        contains these data: ``theta``, ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and
+        ``priority``. All other columns of the file follow under their own names. The ``meta`` contains ``format``,
+        ``instrument`` and ``header`` (all keywords of the file). The entries ``racen``, ``deccen`` (field center, deg),
+        ``position_angle`` (deg) and ``epoch`` of the ``meta`` are missing if the file does not contain these data.
 
     Raises
     ------
@@ -316,7 +316,7 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
 
 def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text that names the lost columns, or an empty list if there are no lost columns."""
+    """Return a list with one text that names the columns that a file format cannot represent, or an empty list."""
     if not names:
         return []
     return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]

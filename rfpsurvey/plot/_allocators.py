@@ -16,9 +16,10 @@ __all__ = ["plot_allocators"]
 
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
-    """Plot the numbers of fibers that are usable, lost to collisions, or missing for requirements, for each allocator.
+    """Plot the numbers of usable, lost and missing fibers for each allocator.
 
-    Missing fibers are fibers, for example on sky positions, that the requirements demand but that the plan lacks.
+    Usable fibers are fibers on science targets that are not lost to collisions. Fibers are missing if a plan has fewer
+    fibers, for example on sky positions, than the requirements demand.
 
     Parameters
     ----------

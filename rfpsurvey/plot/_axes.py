@@ -117,7 +117,7 @@ def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
 
 
 def add_circles(ax: "Axes", points: np.ndarray, radius: np.ndarray | float, **style: object) -> object:
-    """Add circles in units of the data as one collection, and return this collection."""
+    """Draw circles, whose radii are in data units, as one collection, and return this collection."""
     from matplotlib.collections import EllipseCollection
 
     size = np.broadcast_to(2 * np.asarray(radius, dtype=float), len(points))

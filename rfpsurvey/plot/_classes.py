@@ -115,7 +115,7 @@ def legend_options(color: str, labels: list[str]) -> dict:
     options: dict = {"columns": 3 if letters <= LONGEST else 2}
     if color == "outcome":
         return options
-    title = "numbers: assigned of total; large dots: assigned, small dots: not assigned"
+    title = "numbers: assigned of all targets; large dots: assigned, small dots: not assigned"
     return {**options, "title": title, "title_fontsize": "small"}
 
 

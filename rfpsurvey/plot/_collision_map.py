@@ -85,7 +85,7 @@ def plot_collision_map(
     centers, outer = _places(collisions, focal_plane)
     values, pairs, label, title = _values(collisions)
     if values.shape != (len(centers),):
-        raise InputError(f"there must be a value for each of the {len(centers)} positioners, got {values.shape}")
+        raise InputError(f"collisions must have a value for each of the {len(centers)} positioners, got {values.shape}")
     with np.errstate(invalid="ignore"):
         if values.dtype.kind == "f" and ((values < 0) | (values > 1)).any():
             raise InputError(f"probabilities must lie from 0 to 1, got {np.nanmin(values):g} to {np.nanmax(values):g}")
@@ -159,7 +159,7 @@ def _flags(flags, pairs):
 
 
 def _draw_probabilities(ax, centers, radius, values, label, kwargs):
-    """Color disks by value, from the smallest to the largest value, and draw a color bar."""
+    """Draw a disk for each positioner, colored by its value, and draw a color bar."""
     known = np.isfinite(values)
     low, high = values[known].min(initial=1.0), values[known].max(initial=0.0)
     # the scale starts below the smallest value, which would otherwise have the color of the background

@@ -15,9 +15,9 @@ __all__ = ["ORIENTATIONS", "add_compass", "position_angle_of"]
 ORIENTATIONS = ("sky", "focal plane")
 """Orientations: east to the left as on the sky (x increases to the left), or x increasing to the right."""
 LENGTH = 16  # points, length of an arrow
-LABEL = 22  # points, from the center of the compass to the letters
+LABEL = 22  # points, distance of the letters N and E from the center of the compass
 GROUND = LABEL / 2**0.5 + 5  # points, radius of the white disk below the arrows
-MARGIN = 35  # points, from the corner of the axes to the center of the compass
+MARGIN = 35  # points, distance of the center of the compass from both edges of the axes
 
 
 def position_angle_of(thing: object) -> float | None:

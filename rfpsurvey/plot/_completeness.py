@@ -67,7 +67,7 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
         ax.plot(after["n_tiles"][rows], after["completeness"][rows], label=f"priority {name}", **style)
     every = after["priority"] == "all"
     complete = after["n_complete"][every] / np.maximum(after["n_targets"][every], 1)
-    ax.plot(after["n_tiles"][every], complete, "kX", clip_on=False, label="targets complete")
+    ax.plot(after["n_tiles"][every], complete, "kX", clip_on=False, label="fraction of complete targets")
     for number, end in zip(after["pass"][every], after["n_tiles"][every], strict=True):
         ax.axvline(end, color="0.8", lw=0.8, zorder=0)
         ax.annotate(

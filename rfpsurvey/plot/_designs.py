@@ -20,7 +20,7 @@ LABELS = {
     "ratio": "ratio of the arms (eccentric over central)",
     "clearance": "clearance",
     "min_separation": "minimum separation D",
-    "multiplicity": "patrol area over area per positioner",
+    "multiplicity": "patrol area divided by area per positioner",
     "loss": "fraction of fibers lost to collisions",
     "coverage": "fraction of the focal plane in reach",
     "usable": "fibers on targets per positioner",
@@ -50,8 +50,8 @@ def plot_designs(
     table : QTable
         Table returned by `~rfpsurvey.design.explore_designs` or `~rfpsurvey.design.explore_around`.
     x, y : str, optional
-        Columns to plot; by default, the two objectives of the table. The Pareto front is always the front of the
-        objectives. If the objectives are plotted, a line connects the points of the front.
+        Columns to plot; by default, the two objectives of the table. The points on the Pareto front of the objectives
+        are marked even if other columns are plotted. If the objectives are plotted, a line connects these points.
     color : str, optional
         Column that determines the color; by default ``ratio`` if it varies, otherwise the parameter with the most
         values.
@@ -153,7 +153,7 @@ def _names(table):
 
 
 def _instruments(table):
-    """Return the rows of a table that are designs of instruments, by the names of the instruments."""
+    """Return a dict from the name of each instrument to a table of the designs of this instrument."""
     if not isinstance(table, QTable):
         return {}
     names = _names(table)

@@ -52,9 +52,9 @@ def plot_focal_plane(
     otherwise at the center of the positioner. Diamonds are positioners in collision.
 
     With ``targets="outcome"``, there is a dot for each target of the field, and the legend contains the numbers of
-    targets; the positioners of a large instrument are then drawn as a gray background. If ``targets`` is the name of a
-    classification, such as ``"kind"``, assigned targets are larger dots, and other targets of the class are smaller
-    dots of the same color.
+    targets; the positioners of a large instrument are then drawn as a gray background. With ``targets="kind"``,
+    ``"category"`` or ``"priority"``, each class of targets has its own color; assigned targets are larger dots, and
+    targets that are not assigned are smaller dots.
 
     The arrows show north and east, which depend on the position angle of the tile. An instrument is drawn at
     position angle 0.

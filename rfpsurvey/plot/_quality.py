@@ -195,7 +195,7 @@ def _label_of(row) -> str:
 
 
 class Series(NamedTuple):
-    """Positioners whose targets are counted together."""
+    """The positioners that count toward one requirement, and the minimum number per tile or per spectrograph."""
 
     label: str
     rows: np.ndarray
@@ -233,7 +233,7 @@ def _series_of(tile) -> list[Series]:
 
 
 def _draw_fibers(ax, tile):
-    """Draw the number of fibers on sky and standard stars in each spectrograph, and the required number."""
+    """Draw the number of fibers that count toward each requirement in each spectrograph, and the required number."""
     from matplotlib.lines import Line2D
     from matplotlib.ticker import MaxNLocator
 

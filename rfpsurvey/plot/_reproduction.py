@@ -26,7 +26,7 @@ def draw_reproduction(experiment: str, tables: dict[str, QTable]) -> "dict[str, 
 
 
 def _small(tables):
-    """Plot the collision probability against arm ratio and pitch; the lower panels show it scaled to 0 to 1."""
+    """Plot the collision probability, and below it the probability scaled to 0 to 1, against arm ratio and pitch."""
     table = tables["small"]
     scans = list(dict.fromkeys(np.asarray(table["scan"])))
     figure, axes = new_grid(2, len(scans), (4 * len(scans), 6.5))
@@ -53,7 +53,7 @@ def _scaled(values, like=None):
 
 
 def _large(tables):
-    """Plot probabilities of the formula against those of the simulation, and the difference of scaled probabilities."""
+    """Plot the probability from the formula against the simulated one, and the difference after scaling to 0 to 1."""
     table = tables["large"]
     figure, (axes,) = new_grid(1, 2, (10, 4.5))
     for k, way in enumerate(("range_200", "covered")):
@@ -70,7 +70,10 @@ def _large(tables):
 
 
 def _poisson(tables):
-    """Plot how much larger the probability is with uniform than with Poisson targets, for each interpretation."""
+    """Plot the collision probability with uniform targets minus the collision probability with Poisson targets.
+
+    Each panel shows one interpretation of the Poisson-distributed targets in the paper.
+    """
     table = tables["poisson"]
     readings = [n for n in table.colnames if f"{n} error" in table.colnames and n != "uniform"]
     rows = -(-len(readings) // 3)
@@ -167,7 +170,7 @@ def _poisson_disc(tables):
     ax.text(0.99, 2.6, "paper: 2.6 %", transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize="small")
     ax.axhline(0, color="0.6", lw=0.8)
     ax.set(xlabel="eccentric over central arm", ylabel="excess of collisions with uniform targets [%]")
-    ax.legend(title="minimum separation", fontsize="small")
+    ax.legend(title="minimum separation of targets", fontsize="small")
     return figure
 
 

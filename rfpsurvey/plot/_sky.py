@@ -145,7 +145,7 @@ def _filled_part(number):
 def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
     """Draw tiles that are colored by the values of a column.
 
-    If there are several values, draw a color bar, which has separate colors if the values are a few whole numbers.
+    If there are several values, draw a color bar. If the values are a few whole numbers, each value has its own color.
     """
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.colors import BoundaryNorm

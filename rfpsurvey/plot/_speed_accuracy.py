@@ -78,7 +78,7 @@ def plot_speed_accuracy(
         axes[0],
         table,
         f"{n} colliding pairs",
-        "labels: points per arm; bars: standard errors\narrows: no misclassified pair, upper limit of one pair",
+        "labels: points per arm; bars: standard errors\narrows: upper limits for results without misclassified pairs",
     )
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
@@ -88,7 +88,7 @@ def plot_speed_accuracy(
 
 
 def _draw_methods(ax, table, values, limits, uncertain, style):
-    """Draw a line for each method, and draw zeros as upper limits with arrows; return all points with their labels."""
+    """Draw a line for each method, with arrows at upper limits if the error is 0; return points with their labels."""
     time, points = table["time"].to_value(u.ms), np.ma.asarray(table["n_points"])
     heights = np.where(values > 0, values, limits)
     for k, method in enumerate(dict.fromkeys(table["method"])):

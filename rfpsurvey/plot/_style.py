@@ -61,7 +61,7 @@ OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
 HATCH = "//////"
 """Hatch of arms, disks and bars that show collisions or fibers lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
-"""Colors of the numbers 0, 1, 2, ...; the colors differ in lightness, so that they can also be printed in gray."""
+"""Colors for points that 0, 1, 2, ... positioners reach. The lightness differs, so that prints in gray are legible."""
 SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 

@@ -146,7 +146,7 @@ def _draw_tiles(ax, survey):
         values = np.asarray(tiles[name], float)[order]
         style |= {"markeredgewidth": 0.3, "clip_on": False, "rasterized": len(tiles) > MOST_DOTS}
         ax.plot(x, values, **style)
-        total = f"{label}; of all tiles: {survey.summary[name]:.3f}"
+        total = f"{label} (all tiles together: {survey.summary[name]:.3f})"
         handles.append(legend_line(total, color=color, marker=marker, linestyle="none", markersize=5))
     ax.set_xlim(0.5, len(tiles) + 0.5)
     ax.set_ylim(0, 1.02)

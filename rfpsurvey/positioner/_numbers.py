@@ -99,7 +99,10 @@ class PositionerNumbers:
         return tuple(phi is None or bool(phi[0] <= low and phi[1] >= high) for low, high in ends)
 
     def arm_angles(self, fiber_types: tuple[str, ...]) -> np.ndarray:
-        """Return the angle (radians) between the axis of the eccentric arm and the direction of each type of fiber."""
+        """Return, for each fiber type, the angle (radians) from the direction of the fiber to the eccentric arm's axis.
+
+        The direction of the fiber is the direction from the elbow to the fiber. Positive angles are counter-clockwise.
+        """
         if fiber_types not in self._arm_angles:
             given = self.positioner.arm_angle
             if not isinstance(given, dict):

@@ -20,7 +20,8 @@ SAME = 1e-9
 """Tolerance (mm). Vertices that are closer to each other than this length are merged. If the outline of a polygon bends
 inward by less than about this length, the polygon counts as convex."""
 PERIMETER = 1e-9
-"""Largest relative difference between the perimeters of a convex polygon and of its convex hull."""
+"""A polygon counts as convex only if its perimeter exceeds the perimeter of its convex hull by at most this fraction
+plus the tolerance ``SAME``."""
 FAR = 1e30
 """A very large length (mm). For an arm without parts, half of each side length of the bounding rectangle is set to
 minus this length. The computed distance from this rectangle to any other rectangle is then very large."""

@@ -57,8 +57,8 @@ class Positioner:
     arm_length : Quantity, optional
         Length of the segment of the arm model ``capsule``, from the elbow.
     arm_angle : Quantity or dict of str to Quantity, optional
-        Angle of the axis of the eccentric arm, counter-clockwise from the direction of the fiber, for the arm models
-        ``capsule`` and ``outline``. A dict contains an angle for each fiber type.
+        Angle of the axis of the eccentric arm, counter-clockwise from the line from the elbow to the fiber, for the arm
+        models ``capsule`` and ``outline``. A dict contains an angle for each fiber type.
     outline : ArmOutline, optional
         Shape of both arms, for the arm model ``outline``.
 

@@ -1,4 +1,4 @@
-"""Formulas that give no error estimate: overlap of patrol areas, closed form of Chen et al. (2024), close pairs."""
+"""Formulas for collision probabilities: ``overlap_ratio``, ``closed_form`` and ``close_pair`` (no error estimates)."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -68,7 +68,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
 
 
 def _pairs_within(plane, radius):
-    """Return pairs of usable positioners whose circles, with the given radii, overlap."""
+    """Return the pairs of usable positioners for which circles with the given radii around the centers overlap."""
     pairs = cKDTree(plane.arrays.xy).query_pairs(2 * radius.max(), output_type="ndarray")
     distance = np.hypot(*(plane.arrays.xy[pairs[:, 0]] - plane.arrays.xy[pairs[:, 1]]).T)
     return pairs[(distance < radius[pairs].sum(axis=1)) & plane.arrays.usable[pairs].all(axis=1)]

@@ -104,7 +104,8 @@ def collision_probability(
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
         at points that k positioners reach; ``"voronoi"``, uniform over the points that are nearer to the center of the
         positioner than to any other center; a function that takes points (a Quantity of shape (n, 2)) and returns
-        the density at each point, up to a constant factor; or allocations, whose combined queues define the density.
+        the density at each point, up to a constant factor; or one or several Allocations: each
+        positioner then draws its target from its queues in these Allocations.
     variant : {"corrected", "pitch", "printed"}, optional
         Variant of the closed form. ``corrected``: both misprints of the paper are corrected; the formula then contains
         the distance to each neighbor. ``pitch``: only the misprint of the radius is corrected; the formula then
@@ -211,7 +212,8 @@ def collision_probability(
     if wanted is not None and not found.pop("met", True):
         warn(
             f"the standard error after {found['n']} iterations{' (the maximum)' if name in MOST_ITERATIONS else ''} is "
-            f"{found['standard_error']:.2g}: the interval is too wide for the precision {wanted:g}"
+            f"{found['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
+            f"{wanted:g}"
         )
     found.pop("met", None)
     meta = {

@@ -24,12 +24,18 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
                 f"density must be Allocations with queues, such as those of the allocator 'balanced', got {one!r}"
             )
         if len(one.target_of_positioner) != len(plane):
-            raise InputError(f"the allocation is for {len(one.target_of_positioner)} positioners, not for {len(plane)}")
+            raise InputError(
+                f"density must be Allocations for the {len(plane)} positioners of the focal plane, got an Allocation "
+                f"for {len(one.target_of_positioner)} positioners"
+            )
     return list(some)
 
 
 def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
-    """Return expected numbers of collisions if each positioner draws one target from its queues in all allocations."""
+    """Return the expected numbers of collisions if each positioner draws its target at random from its combined queue.
+
+    The combined queue of a positioner contains the targets of its queues in all ``allocations``.
+    """
     parts = [queue_segments(plane, allocation) for allocation in allocations]
     own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
     order = np.argsort(own, kind="stable")

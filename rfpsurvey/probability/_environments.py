@@ -12,7 +12,7 @@ RESOLUTION = 1e-6
 
 
 def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return one positioner for each distinct environment, and the index of the environment of each positioner.
+    """Return the row of one positioner for each environment, and the index of the environment of each positioner.
 
     Two environments are the same if, within the radius (mm), they have the same kinds of neighbors and obstacles at the
     same relative positions. If no joint limit depends on the direction, environments that differ only by a rotation by

@@ -23,7 +23,7 @@ class Estimate:
         Expected fraction of positioners in collision, among the assigned positioners.
     low, high : float
         Limits of the confidence interval of ``value``; ``meta`` contains the confidence level. Both limits are NaN for
-        methods without an error estimate. They are also NaN for given targets if the focal plane has too few
+        methods without an error estimate. They are also NaN for one fixed set of targets if the focal plane has too few
         positioners; ``meta["no_interval"]`` then states the reason.
     standard_error : float
         Standard error of ``value``; NaN if there is no confidence interval.

@@ -17,7 +17,7 @@ FOLDS = 5
 
 @dataclass(frozen=True, eq=False)
 class PolynomialFit:
-    """A polynomial of second order for the collision probability, in central arm x, arm ratio y and pitch z.
+    """A second-order polynomial in central arm x, arm ratio y and pitch z that approximates collision probabilities.
 
     Parameters
     ----------

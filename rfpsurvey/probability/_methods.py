@@ -50,7 +50,8 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
 def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     simulation, given = question.simulation, question.targets.kind == "given"
     task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:  # a task averages over all configurations
+    if given and name == "conditional" and question.most_entries is None:
+        # one realization is sufficient, since it averages over all configurations of the given targets
         tally = task(1, question.rng)
         found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
     else:
@@ -99,7 +100,7 @@ def _integrated(question: ProbabilityQuestion) -> dict:
 
 
 def _reason(found) -> dict:
-    """Return the entry of ``meta`` that states why there is no confidence interval, or an empty dict."""
+    """Return the ``meta`` entry that states why there is no confidence interval; empty if there is an interval."""
     return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
 
 

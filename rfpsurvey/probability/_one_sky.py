@@ -34,9 +34,10 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
     A sky is a random set of targets; the variance is estimated from the collisions on one sky. Neighboring positioners
     share targets, and therefore their collisions are correlated. The estimate of the variance is unbiased if
     three conditions are met: all pairs of neighbors in the nearest ring have the same covariance; all pairs of
-    neighbors beyond this ring have the correlation ``BEYOND``; the expected probability of a positioner is a linear
-    function of its number of neighbors (positioners at an edge have fewer neighbors). If there are enough positioners,
-    the first two conditions are replaced by one condition: all pairs of neighbors have the same covariance.
+    neighbors beyond this ring have the correlation ``BEYOND``; the expected collision probability of a positioner
+    is a linear function of its number of neighbors (positioners at an edge have fewer neighbors). If there are enough
+    positioners, the first two conditions are replaced by one condition: all pairs of neighbors have the same
+    covariance.
 
     Parameters
     ----------
@@ -102,9 +103,10 @@ def _adjacency(n: int, pairs: np.ndarray):
 
 
 def _profile(numbers: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the linear functions of the numbers of neighbors, shape (n, 2).
+    """Return an orthonormal basis of the vectors a + b ``numbers``, shape (n, 2), where a and b are any two constants.
 
-    If all positioners have the same number of neighbors, the shape is (n, 1).
+    ``numbers`` contains the number of neighbors of each positioner. If all positioners have the same number of
+    neighbors, the shape is (n, 1).
     """
     constant = np.full(len(numbers), len(numbers) ** -0.5)
     slope = numbers - numbers.mean()
@@ -141,7 +143,7 @@ class _Quadratic:
             self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
     def _degrees(self, covariance):
-        """Return the degrees of freedom 2 E(V)^2 / Var(V) of the estimated variance V, for normal variables.
+        """Return the degrees of freedom 2 E(V)^2 / Var(V) of the variance V, for normally distributed probabilities.
 
         Let K = aI + bA, and let P be the projection onto residuals. The code avoids the dense matrix P K P.
         """
@@ -157,7 +159,7 @@ class _Quadratic:
         return float(expected**2 / trace) if trace > 0 else 0.0
 
     def variance(self, probability: np.ndarray) -> float:
-        """Return the estimated variance, or the estimate without covariances of neighbors if the latter is larger."""
+        """Return the larger of two estimates of the variance: with and without the covariances of neighbors."""
         away = probability - self.basis @ (self.basis.T @ probability)
         own = float(away @ away)
         if np.isnan(self.a):

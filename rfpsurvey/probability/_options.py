@@ -93,9 +93,9 @@ class Precision:
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach. Iterations end when the confidence interval is no wider than that of a normal
-        distribution with this standard error. If collisions are rare, there is also a minimum number of iterations. The
-        default is 0.001; if ``max_iterations`` is given, the default is None.
+        Standard error to reach. Iterations end when the confidence interval is no wider than the interval of a
+        normal distribution with this standard error. If collisions are rare, there is also a minimum number of
+        iterations. The default is 0.001; if ``max_iterations`` is given, the default is None.
     max_iterations : int, optional
         Maximum number of iterations, realizations or points, depending on the method. If ``standard_error`` is None,
         exactly this number is used (``quadrature`` rounds it down to a power of two). Each method has its own default.

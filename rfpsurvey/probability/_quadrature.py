@@ -31,13 +31,14 @@ An environment is an arrangement of neighbors. The errors of several environment
 are sufficient if there are several environments.
 """
 LEAST_POINTS, LEAST_WEIGHTED = 16, 256
-"""Minimum numbers of points per positioner: without weights (first number), and with weights (second number).
+"""Minimum numbers of points per positioner: for points with equal weights (first), and with different weights (second).
 
-Weights require more points, because the bias of a weighted mean does not average out.
+The weights are equal if the density is uniform and joint limits do not restrict the patrol areas. Different weights
+require more points, because the bias of a weighted mean does not average out.
 """
 BITS = 30
 NARROW = 2**12
-"""Minimum number of points before an error states that the density is 0 in a patrol area.
+"""Minimum number of points from which the code concludes that the density is 0 in a patrol area.
 
 If the density is 0 at all points of a smaller set, the computation is repeated with more points.
 """
@@ -180,7 +181,7 @@ def integrate(
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
-    # environments that few positioners have use fewer points, since they contribute little to the error of the mean
+    # fewer points are used for environments of few positioners, which contribute little to the error of the mean
     rare = (np.log2(share.max() / share) / 2).astype(int)
     while True:
         jobs = np.repeat(first[used], SCRAMBLES)

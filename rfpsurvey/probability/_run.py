@@ -23,7 +23,7 @@ GROWTH = 8
 HITS = 25
 """Minimum number of realizations with a collision, if most realizations have no collision.
 
-With fewer realizations that have a collision, the scatter of the rates is not known. Conversely, if all positioners
+With fewer such realizations, the scatter of the collision rates cannot be estimated. Conversely, if all positioners
 collide in most realizations, at least this number of realizations must have a positioner that does not collide.
 """
 FLOOR = 4.0
@@ -52,10 +52,10 @@ def run(
     *,
     given: bool,
 ) -> tuple[Tally, dict]:
-    """Simulate realizations until the precision or their maximum number is reached; return the tally and its summary.
+    """Simulate realizations until the requested precision or the maximum number of realizations is reached.
 
-    The number of tasks and the number of realizations per task depend only on earlier results. Therefore, the number
-    of workers does not change the result.
+    The function returns the tally of all realizations and its summary. The number of tasks and the number of
+    realizations per task depend only on earlier results. Therefore, the number of workers does not change the result.
     """
     parts: list[Tally] = []
     means, total, used, done = [], 0.0, 0, 0

@@ -41,7 +41,7 @@ class DistortionMap:
     degree : int
         Degree of the polynomials.
     harmonics : int
-        Order of the Fourier series.
+        Order of the Fourier series, that is, the largest k in the terms cos(k s) and sin(k s).
     max_angle : Quantity
         Largest field angle for which the map is valid.
     adc : Quantity, shape (2,), optional
@@ -193,7 +193,7 @@ class DistortionMap:
 
     @property
     def plate_scale(self) -> u.Quantity:
-        """Plate scale at the field center: the geometric mean of the largest and smallest scale in any direction."""
+        """Plate scale at the field center: the geometric mean of the largest and smallest scale of all directions."""
         return (
             np.sqrt(np.linalg.det(self._jacobian(np.zeros((1, 2)))[0]))
             * (u.mm / u.rad).to(u.mm / u.deg)
@@ -287,7 +287,7 @@ class DistortionMap:
 
 
 def _terms(degree: int, harmonics: int) -> tuple[list, list]:
-    """Return the terms x^i y^j cos(k s) or sin(k s) of the positions along x and y, as (i, j, kind, k)."""
+    """Return the terms of the positions along x and y; (i, j, 'cos', k) denotes the term x^i y^j cos(k s)."""
     along = [], []
     for i in range(degree + 1):
         for j in range(degree + 1 - i):

@@ -100,7 +100,8 @@ def edges_cross(vertices):
         j = np.arange(i + 2, n if i else n - 1)
         other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
         own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
-        # Two great circles intersect at two opposite points; the edges cross only if both contain the same point.
+        # Two great circles intersect at two opposite points; the edges cross only if both contain the same one of these
+        # points.
         meet = np.cross(normal[i], normal[j])
         side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
         hit = j[other & own & side]

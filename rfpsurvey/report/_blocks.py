@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """A list of labels and values; the value of an indented label is a part of the value above it."""
+    """A list of labels and values; an indented label gives a detail of the label above it."""
 
     caption: str
     values: dict

@@ -1,4 +1,4 @@
-"""Labels and values of results; the value of a label with two leading blanks is a part of the value above it."""
+"""Labels and values of results; a label that begins with two spaces gives a detail of the label above it."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ __all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objec
 
 TILE = {
     "n_targets": "targets in the catalog",
-    "n_dropped": "  dropped without finite coordinates",
+    "n_dropped": "  dropped, no finite coordinates",
     "n_in_field": "  in the field",
     "n_set_aside": "  not requested (sky, standard)",
     "n_reachable": "  in reach of a positioner",
@@ -63,7 +63,7 @@ ZERO_IS_LEFT_OUT = (
     "  collisions with obstacles",
     "  to standard stars",
     "  to sky",
-    "requirements not met in all tiles together",
+    "number of unmet requirements, summed over all tiles",
 )
 
 
@@ -95,8 +95,8 @@ def _required(summary: dict) -> dict:
 def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
     """Return, for each class of targets, its name, its number of fibers, and text with a bound of this number.
 
-    The text is empty if the number is known to be optimal, or if no bound is known. There are at most ``most`` lines;
-    if there are more classes, the last line contains the sum of the remaining classes.
+    The text is empty if the number is known to be optimal, or if no bound is known. The list has at most ``most``
+    items; if there are more classes, the last item contains the sum of the remaining classes.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
@@ -108,7 +108,7 @@ def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
         found.append((label, round(abs(value)), proof))
     rest = objectives[len(found) :]
     if rest:
-        # the last line of a summary can itself be the sum of many classes
+        # the last objective in a summary can itself be the sum of many classes
         last, _, words = rest[-1][0].partition(" ")
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
         found.append(
@@ -136,7 +136,7 @@ def survey_facts(survey: "Survey") -> dict:
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
-        "requirements not met in all tiles together": s["n_unmet"],
+        "number of unmet requirements, summed over all tiles": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}

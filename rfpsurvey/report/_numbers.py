@@ -23,7 +23,11 @@ def number_text(value: object) -> str:
 
 
 def column_texts(values: np.ndarray, decimals: int | None = None) -> list[str]:
-    """Return the numbers of a column as text; all have the same number of decimals unless they differ too much."""
+    """Return the numbers of a column as text, if possible with the same number of decimals.
+
+    Each number has its own number of decimals if the largest number is at least ``WIDE`` times the smallest, or if a
+    number is below ``SMALL`` or at least ``LARGE``.
+    """
     values = np.asarray(values)
     if values.dtype.kind != "f":
         return [number_text(v) for v in values.tolist()]

@@ -94,7 +94,7 @@ def _points(artist) -> int:
 
 
 def _local(name: str) -> str:
-    """Return a name without its namespace, which HTML does not require."""
+    """Return the name of an XML element or attribute without its namespace, which HTML does not require."""
     return name.rpartition("}")[2]
 
 
@@ -106,7 +106,7 @@ def _remove(root, names) -> None:
 
 
 def _new_names(root, prefix: str) -> dict[str, str]:
-    """Return new names of the ids to which elements refer, in the order of the document."""
+    """Return a new name for each id to which an element refers, numbered in the order of the document."""
     used = set()
     for element in root.iter():
         for name, value in element.attrib.items():

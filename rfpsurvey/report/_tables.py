@@ -1,4 +1,4 @@
-"""Pages on estimates, on comparisons of allocators and of instruments, on the claims of the paper, and on any table."""
+"""Pages on estimates, comparisons of allocators and of instruments, the claims of Chen et al. 2024, and any table."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -70,7 +70,7 @@ FIGURES = {
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
-    """Return a page on an estimate."""
+    """Return a page on an estimate of the collision probability."""
     facts = estimate_facts(estimate)
     kind = f"{estimate.method}, for {estimate.estimand} targets"
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]

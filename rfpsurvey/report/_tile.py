@@ -113,7 +113,7 @@ def _asked(tile) -> dict:
 def _objectives(tile) -> list:
     """Return the number of fibers on each class of targets, and the gap to the best plan."""
     objectives, gap = tile_objectives(tile, MOST_OBJECTIVES), tile.summary.get("gap")
-    values = {name: f"{value}, {proof}" if proof else value for name, value, proof in objectives}
+    values = {name: f"{value} (bound: {proof})" if proof else value for name, value, proof in objectives}
     if gap is not None:
         values["gap to the best plan"] = gap
     return [Facts("Classes of targets, in order of priority", values)] if values else []

@@ -104,9 +104,9 @@ def write_report(
     Raises
     ------
     InputError
-        If there is no page for this type of result, if the path has another ending, if the file exists and
-        ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, or if ``plans`` are
-        given for another type of result.
+        If there is no page for this type of result, if the path does not end in ``.html`` or ``.htm``, if the file
+        exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, or if
+        ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`.
 
     Examples
     --------

@@ -12,7 +12,7 @@ __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 
 COVERED = {**LARGE, "radius": None}
 WAYS = {"range_200": LARGE, "covered": COVERED}
-"""Targets in a circle with the radius 200 mm, and targets in a circle that covers all patrol areas."""
+"""Circles that contain the random targets: one with the radius 200 mm, and one that covers all patrol areas."""
 NAMED = {"LAMOST": (8.25, 1.0, 25.6), "SDSS-V": (7.4, 15 / 7.4, 22.4), "MOONS": (8.0, 17 / 8, 25.0)}
 PROPER = 0.01
 """A number of iterations is "proper" if the relative half width of the 95 % interval is smaller than this value.

@@ -1,4 +1,4 @@
-"""Coverage of the interval from one sky: how often this interval contains the mean over all skies of the same kind."""
+"""How often a confidence interval from one set of targets (sky) contains the mean over all such sets."""
 
 import astropy.units as u
 import numpy as np

@@ -22,7 +22,7 @@ from rfpsurvey.reproduction._large import NAMED, uniform_estimate
 __all__ = ["drops_by_ratio", "poisson"]
 
 PAPER = 2.6
-"""Percentage by which the collision probability is larger with uniform than with Poisson-distributed targets."""
+"""Percentage by which, in the paper, the probability is larger with uniform than with Poisson-distributed targets."""
 MARGIN = 0.2
 """Minimum tolerance for the agreement of a result with the paper, in percentage points.
 
@@ -37,7 +37,7 @@ DISCS = {f"disc, separation {s:.2f} mm": s for s in SEPARATIONS}
 """Minimum separation (mm) in each interpretation with Poisson-disc targets, by the name of the interpretation."""
 POINT_PROCESS, COORDINATES = (
     "point process",
-    ("Poisson coordinates with mean 100 mm", "Poisson coordinates with 3 deviations = 200 mm"),
+    ("Poisson coordinates with mean 100 mm", "Poisson coordinates with 3 standard deviations = 200 mm"),
 )
 PLACES = {name: k for k, name in enumerate([POINT_PROCESS, *DISCS, *COORDINATES])}
 """Number that identifies each interpretation of the paper in the random seeds, by the name of the interpretation."""
@@ -176,7 +176,8 @@ def _of_reading(name, table):
     A drop is the percentage by which the collision probability is larger with uniform targets than with
     Poisson-distributed targets. The drops for all designs, for designs with small arm ratios, and for LAMOST's design
     are compared. The paper averages over its designs. The claim is therefore reproduced if an average over all designs
-    agrees with the paper. If only some of the designs agree, the text of the paper does not determine the verdict.
+    agrees with the paper. If the paper agrees only with the average over designs with small arm ratios or with
+    LAMOST's design, the claim cannot be decided from the text of the paper.
     """
     part, (drop, error) = _averages(table[:-1], name)
     near = np.asarray(part["ratio"]) < RATIOS[1]
@@ -210,7 +211,7 @@ def _mean(values, errors):
 def _coordinates(scale):
     """Return a function that draws random points with Poisson-distributed coordinates.
 
-    Each coordinate, in units of ``scale`` mm, is a Poisson-distributed number with the mean 100, minus 100.
+    Each coordinate is (k - 100) times ``scale`` mm, where k is a Poisson-distributed number with the mean 100.
     """
 
     def sampler(rng):

@@ -84,8 +84,8 @@ def reproduce(
     QTable
         Table with a row for each claim and the columns ``experiment``, ``claim``, ``paper`` (the result of the paper),
         ``ours`` (the result of this package), ``verdict`` (reproduced, not reproduced, or cannot be decided from the
-        text), and ``reading`` (how the claim was interpreted). The ``meta`` of the table contains the settings, and, as
-        ``folder``, the folder that contains the tables of results.
+        text), and ``reading`` (how the claim was interpreted). The ``meta`` of the table contains the settings. Its
+        entry ``folder`` is the path of the folder that contains the tables of results.
 
     Raises
     ------

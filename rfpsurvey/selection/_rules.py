@@ -53,7 +53,7 @@ class Field(NamedTuple):
 
 
 def balanced(field: Field, chosen: np.ndarray) -> None:
-    """Add each target to the queue of a positioner, in the order of subpriority; then draw one target of each queue."""
+    """Add each target, in order of subpriority, to the shortest queue in reach; then draw one target of each queue."""
     # a realization uses the same random numbers as the survey with the seed of the realization
     streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
     uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
@@ -62,7 +62,11 @@ def balanced(field: Field, chosen: np.ndarray) -> None:
 
 
 def lamost(field: Field, chosen: np.ndarray) -> None:
-    """Assign the targets class by class: each free positioner nominates its target with the largest subpriority."""
+    """Assign the targets, class by class, by nominations.
+
+    Each free positioner nominates its target with the largest subpriority. If several positioners nominate a target,
+    the target is assigned to the positioner with the fewest targets in reach.
+    """
     pairs = field.pairs
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
     # If k other positioners reach targets of a positioner, at least one of its first k + 1 targets is always free.

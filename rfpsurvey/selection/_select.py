@@ -79,7 +79,7 @@ def selection_probabilities(
         Whether to continue an unfinished computation from the checkpoints in ``folder``.
     executor : concurrent.futures.Executor, optional
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``. Threads need
-        the least memory, and the compiled code of a tile does not hold Python's global interpreter lock.
+        the least memory. They run in parallel, because the compiled code releases Python's global interpreter lock.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function with the number of finished plans and the number of
         all plans. There is one plan for each tile and realization. For each tile, the search for the targets in reach
@@ -96,8 +96,8 @@ def selection_probabilities(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if a name or a required identifier is unknown, if a number is out of
-        range, if a subpriority is given, or if the folder is in use, contains another computation, or is not
+        If the catalog or the tiling is empty, if a name or the identifier of a required target is unknown, if a number
+        is out of range, if a subpriority is given, or if the folder is in use, contains another computation, or is not
         writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
@@ -105,9 +105,9 @@ def selection_probabilities(
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if identifiers occur twice, if no target meets a requirement, if an option has no
-        effect, if the tiles were placed for fields of another size, or if a table of tiles looks like a catalog of
-        targets; on resuming, if the versions of the software differ or files are damaged.
+        If no target was observed, if identifiers occur twice, if no target has the kind or category that a requirement
+        counts, if an option has no effect, if the tiles were placed for fields of another size, or if a table of tiles
+        looks like a catalog of targets; on resuming, if the versions of the software differ or files are damaged.
 
     See Also
     --------

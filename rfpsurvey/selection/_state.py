@@ -19,7 +19,8 @@ class State:
     available : ndarray of uint8, shape (n_targets,)
         Remaining visits of each target before the first tile; 1 for standards and sky positions that tiles may use.
     spends : ndarray of bool, shape (n_targets,), or None
-        Whether a visit to each target reduces its remaining visits; None if this is true for all targets.
+        For each target, whether a visit reduces the number of its remaining visits; None stands for True for all
+        targets.
     n_realizations : int
         Number of realizations.
     """

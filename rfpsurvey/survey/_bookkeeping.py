@@ -75,8 +75,8 @@ class Bookkeeping:
         classes = category_classes(category, self.wanted)
         if len(classes[1]) > 1:
             self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
-        # the number of the last pass in which each target was visited; if passes are planned one after the other, this
-        # is the pass of the tile that was recorded last, and no array is required
+        # the index of the last pass in which each target was visited; if passes are planned one after the other, this
+        # is the pass of the tile that `enter` records, and no array is required
         self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
 
     def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:

@@ -209,7 +209,7 @@ class Folder(RequestFolder):
 
 
 def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> bytes:
-    """Return the content of a file of a survey; raise an error if its checksum differs from that in the index."""
+    """Return the content of a file of a survey; raise an error if it does not match its checksum in the index."""
     try:
         content = (path / name).read_bytes()
     except FileNotFoundError:
@@ -217,7 +217,7 @@ def read_verified(path: Path, name: str, known: dict[str, tuple[int, str]]) -> b
     except OSError as error:
         raise InputError(f"{path / name} is damaged ({error.strerror or error})") from None
     if (len(content), hashlib.sha256(content).hexdigest()) != known.get(name):
-        raise InputError(f"{path / name} is damaged (its checksum differs from the checksum of the finished file)")
+        raise InputError(f"{path / name} is damaged (its checksum differs from the checksum recorded in the index)")
     return content
 
 

@@ -57,7 +57,10 @@ centers of overlapping tiles, and the pass of each tile.
 
 
 def make_rounds(vectors: np.ndarray, reach_rad: float, passes: np.ndarray, order: str) -> list[np.ndarray]:
-    """Return the rows of the tiles of each round; the centers of these tiles are farther apart than ``reach_rad``."""
+    """Return, for each round, the rows of its tiles.
+
+    The centers of two tiles of the same round are at least ``reach_rad`` apart.
+    """
     if len(vectors) == 0:
         return []
     index = SkyIndex(vectors)

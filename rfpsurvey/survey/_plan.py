@@ -77,9 +77,9 @@ def plan_survey(
         processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
         the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
-        Requested number of visits of each target, 0 to 255; by default, the visits of the catalog, or one visit. A tile
-        observes a target at most once. For a `PartitionedCatalog`, the values must be in the order in which its method
-        ``read`` returns the targets.
+        Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
+        catalog lacks this column, one visit of each target is requested. A tile observes a target at most once. For a
+        `PartitionedCatalog`, the values must be in the order in which its method ``read`` returns the targets.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
@@ -184,7 +184,7 @@ def prepare_request(
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
-            f"allocator must be a name, such as the name of an entry point, if other processes plan tiles, got "
+            f"allocator must be a name, such as the name of an entry point, unless the executor uses threads, got "
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
@@ -220,7 +220,7 @@ def prepare_request(
 
 
 def _warn_of_lacks(request) -> None:
-    """Issue warnings for problems of the request that would occur in every tile."""
+    """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
     if request.source.has_twins:
         warn("some targets have the same id as another target")
     asked = {one.what: one for one in request.options.requirements if one.minimum}

@@ -15,7 +15,7 @@ TILES = {
     "tile": "identifier of the tile",
     "ra": "right ascension of the field center (ICRS)",
     "dec": "declination of the field center (ICRS)",
-    "position_angle": "position angle of +y, from north toward east",
+    "position_angle": "position angle of the +y axis, from north toward east",
     "hour_angle": "hour angle of the field center at the midpoint of the exposure",
     "time": "midpoint of the exposure (UTC)",
     "round": "round in which the tile is planned; tiles of one round do not share targets",

@@ -138,14 +138,14 @@ def _read(folder, tile, job) -> Done | None:
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"its file lacks {', '.join(lacking)}")
-    except InputError as error:  # the checksum of the damaged file is correct only if the index was also changed
+    except InputError as error:  # the checksum is correct; therefore, the index was also changed
         folder.distrust(tile, str(error))
         return None
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
-        folder.distrust(tile, "its stored result was planned when a different set of targets still required a visit")
+        folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
         return None
     counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)

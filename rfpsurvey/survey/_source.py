@@ -75,7 +75,7 @@ class InMemory:
         return None if column is None else self.to_slots(column)
 
     def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Return the values, which are in the order of the rows of the catalog, in the order of slots."""
+        """Reorder values from the order of the rows of the catalog to the order of slots."""
         return values[self._index.order]
 
     @property
@@ -101,7 +101,7 @@ class InMemory:
         return self._catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return the values, which are in the order of slots, in the order of the rows of the catalog."""
+        """Reorder values from the order of slots to the order of the rows of the catalog."""
         out = np.empty_like(values)
         out[self._index.order] = values
         return out

@@ -49,12 +49,12 @@ class Survey:
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
         (number of tiles up to the end of this pass), ``priority`` and, if there are several categories, ``category``
-        (``all`` stands for all values of a column), ``n_targets``, ``n_requested`` and ``n_observed`` (requested
-        visits, and visits made), ``n_complete`` (targets with all requested visits), ``completeness`` (``n_observed``
-        divided by ``n_requested``).
+        (``all`` stands for all values of a column), ``n_targets`` (targets with at least one requested visit),
+        ``n_requested`` (requested visits), ``n_observed`` (successful visits), ``n_complete`` (targets that received
+        all requested visits), ``completeness`` (``n_observed`` divided by ``n_requested``).
     outcomes : QTable
-        Table with a row for each target: ``target_id``, ``requested`` and ``observed`` (numbers of requested visits,
-        and of visits made), ``outcome`` (an index of ``Survey.OUTCOMES``).
+        Table with a row for each target: ``target_id``, ``requested`` (number of requested visits), ``observed``
+        (number of successful visits), ``outcome`` (an index of ``Survey.OUTCOMES``).
     folder : Path, optional
         Folder that contains the visits.
     parts : tuple of ndarray, optional
@@ -64,7 +64,8 @@ class Survey:
         ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
         bound of ``n_visits`` in any plan without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
         (computing time until the end of the iteration). If there are more than eight priorities, the table contains
-        eight of them. The entry ``joint`` of the summary contains the values after the last iteration.
+        only eight, from the highest to the lowest priority. The entry ``joint`` of the summary contains the values
+        after the last iteration.
 
     Examples
     --------
@@ -89,11 +90,12 @@ class Survey:
 
     @property
     def summary(self) -> dict:
-        """Numbers of tiles, targets, visits, fibers, collisions and outcomes; the model of collisions and positions.
+        """Numbers of tiles, targets, visits, fibers, collisions and outcomes, and a description of the model.
 
-        ``n_required`` is the number of required targets, and ``n_required_observed`` is the number of required targets
-        that were observed at least once. ``unmet`` is a list of sentences that name the required targets that were
-        never observed, with one sentence for each outcome.
+        ``model`` is a text that states how collisions and positions were computed. ``n_required`` is the number of
+        required targets, and ``n_required_observed`` is the number of required targets that were observed at least
+        once. ``unmet`` is a list of sentences that name the required targets that were never observed, with one
+        sentence for each outcome.
         """
         return self.tiles.meta["summary"]
 

@@ -20,7 +20,7 @@ __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "projection_
 N_FIELD = "NFIELD"
 COUNTS = {
     N_FIELD: ("n_in_field", "targets in the field with remaining visits"),
-    "NREACH": ("n_reachable", "targets of NFIELD in reach of a positioner"),
+    "NREACH": ("n_reachable", "targets in reach with remaining visits"),
     "NASSIGN": ("n_assigned", "positioners with a target"),
     "NSCIENCE": ("n_science", "positioners with a science target"),
     "NSTANDAR": ("n_standard", "positioners with a standard star"),

@@ -45,15 +45,15 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         n_pairs, arms = len(plane.arrays.neighbors), f"exact for arms that are {ARMS[plane.positioner.arm_model]}"
         if posed is None:
             looked = (
-                f"In each tile, distances are computed for those of {n_pairs} pairs of arms that are not far apart; the "
-                "distances are"
+                f"{n_pairs} pairs of arms can touch. In each tile, distances are computed only for pairs of arms that "
+                "are close to each other; the distances are"
             )
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])
             looked = (
-                f"Distances were computed for {n_near} of {n_pairs} pairs of arms, because all other pairs are far apart; "
-                "the distances are"
+                f"Distances were computed for {n_near} of {n_pairs} pairs of arms, because all other pairs are far "
+                "apart; the distances are"
             )
         collisions = f"Collisions: {TYPES[kind]}. {looked} {arms}"
     if instrument.distortion is None or projection == "tangent":

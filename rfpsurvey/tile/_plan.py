@@ -88,11 +88,11 @@ def plan_tile(
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
     conditions : ObservingConditions, optional
         Site, time or hour angle, wavelengths and weather, from which refraction is computed. The entry ``projection``
-        of the summary then states which model of the projection suffices, and the displacements of targets that each
-        simpler model neglects.
+        of the summary then states which model of the projection is accurate enough, and the displacements of targets
+        that each simpler model neglects.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
-        Model of the projection, as in `compare_projections`; ``auto`` is the fastest model that suffices. By default,
-        the model is ``full`` if conditions are given, and ``radial`` otherwise.
+        Model of the projection, as in `compare_projections`; ``auto`` is the fastest model that is accurate enough. By
+        default, the model is ``full`` if conditions are given, and ``radial`` otherwise.
     progress : bool or callable, optional
         Show the progress of the search by the allocator ``sdss`` or ``optimal`` on the standard error, or call a
         function with two numbers: the finished fraction of the search, and 1.
@@ -108,8 +108,9 @@ def plan_tile(
     Raises
     ------
     InputError
-        If the catalog is empty, does not overlap the field, or has no target in reach of a positioner; if a name or a
-        required identifier is unknown, or if a unit is missing; or if targets have proper motions but no epoch.
+        If the catalog is empty, does not overlap the field, or has no target in reach of a positioner; if a name or the
+        identifier of a required target is unknown, or if a unit is missing; or if targets have proper motions but no
+        epoch.
 
     Examples
     --------
@@ -254,7 +255,10 @@ def _objectives(levels: list) -> list:
 
 
 def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
-    """Issue a warning for each requirement on a category that no target has, unless the instrument defines it."""
+    """Issue a warning for each requirement on a category that no target has.
+
+    There is no warning if the option ``requirements`` is ``"instrument"``.
+    """
     if isinstance(options.requirements, str) or not options.requirements:
         return
     category = np.array([""]) if catalog.category is None else catalog.category

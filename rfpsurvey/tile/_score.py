@@ -86,8 +86,8 @@ def score_tile(
     -------
     Tile
         The tile, which has no table of outcomes. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber``
-        (number of positioners without the requested fiber type) and ``n_unusable`` (number of rows for disabled or
-        stuck positioners, which are not scored).
+        (number of positioners without the fiber type that their target requires) and ``n_unusable`` (number of rows for
+        disabled or stuck positioners, which are not scored).
 
     Raises
     ------
@@ -224,7 +224,7 @@ def _positioners(find: Finder, instrument: Instrument):
     if plane.id.dtype.kind == "i":  # columns of CSV files can have leading zeros
         names = np.array([str(int(v)) if v.isdecimal() else v for v in names.tolist()], dtype=str)
     index = {str(i): k for k, i in enumerate(plane.id)}
-    # blank text, and -1 unless it is an identifier, mean that the row assigns no positioner
+    # a row assigns no positioner if the identifier is blank, or is -1 and no positioner has the identifier -1
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
     names = names[rows].tolist()
     unknown = [v for v in names if v not in index]

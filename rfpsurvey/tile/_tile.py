@@ -165,7 +165,7 @@ class Tile:
 
     @cached_property
     def completeness(self) -> QTable | None:
-        """Table of the completeness of the field, with a row for each kind, category, and priority of science targets.
+        """Table of the completeness: a row for each kind, each category and, for science targets, each priority.
 
         Columns: ``kind``, ``category``, ``priority`` (``all`` stands for all values of a column), ``n_in_field``,
         ``n_reachable`` (number of requested targets that a positioner can reach), ``n_assigned``, ``n_observed``
@@ -182,11 +182,11 @@ class Tile:
     def idle(self) -> QTable | None:
         """Table of the positioners without a target, and the reasons; None for scored tiles, and tiles read from files.
 
-        Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets
-        of the allocator that the positioner could observe if there were no other positioners); ``n_free`` (number of
-        these targets that no positioner observes, which are called free targets); ``n_possible`` (number of free
-        targets at which the arm would not collide if no other arm moves); ``colliding_with`` (all arms and obstacles
-        with which the arm would collide at free targets, in the same format as in the table of the tile).
+        Columns: ``id``; ``reason`` (one of ``rfpsurvey.allocation.IDLE_REASONS``); ``n_in_reach`` (number of targets,
+        among those that the allocator received, that the positioner could observe if there were no other positioners);
+        ``n_free`` (number of these targets that no positioner observes, which are called free targets); ``n_possible``
+        (number of free targets at which the arm would not collide if no other arm moves); ``colliding_with`` (all arms
+        and obstacles with which the arm would collide at free targets, in the same format as in the table of the tile).
         """
         return None if self._idle is None else self._idle[0]
 
@@ -284,7 +284,7 @@ class Tile:
         _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
 
     def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
-        """Return an interactive view of the focal plane for a notebook, the same as in a report.
+        """Return, for a notebook, the interactive view of the focal plane that a report on the tile contains.
 
         The view is in a frame that can run the script of the view, but has no access to the notebook or the network.
 

@@ -153,7 +153,7 @@ def snap(centers: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: f
 
 
 def _add_needed(chosen: np.ndarray, allowed: np.ndarray, points: np.ndarray, radius: float) -> np.ndarray:
-    """Return the rows ``chosen`` of the allowed centers, and further allowed centers that cover more points."""
+    """Return the allowed centers in the rows ``chosen``, and further allowed centers that cover more points."""
     index, places = SkyIndex(points), SkyIndex(allowed)
     open_ = np.ones(len(points))
     for k in chosen:

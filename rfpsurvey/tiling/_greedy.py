@@ -64,7 +64,7 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
         center = problem.limits.move_inside(move(state, seed))
         if allowed is not None:
             return allowed.about(center)
-        # a tile at a maximum of the density between targets may contain no target
+        # if the maximum of the smoothed density lies between targets, a tile there may contain no target
         return center if len(problem.index.near(center, problem.radius, state.weight)) else seed
 
     return _run(state, seeds if allowed is None else (seeds, allowed), seek)
@@ -107,9 +107,9 @@ class _Candidates:
         return self.index.vectors[top[np.argmin(self.index.order[top])]]
 
     def about(self, center: np.ndarray) -> np.ndarray | None:
-        """Return the candidate with the largest sum within half a tile radius of a direction.
+        """Return the best candidate (with the largest sum) among those within half a tile radius of a direction.
 
-        If no candidate there has a sum above 0, the candidate with the largest sum of all is returned.
+        If none of these candidates has a sum above 0, the best of all candidates is returned.
         """
         near = self.index.near(center, 0.5 * self.state.problem.radius)
         if len(near) == 0 or self.sum[near].max() <= 0.5 * self.state.unit:

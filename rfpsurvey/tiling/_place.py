@@ -73,13 +73,13 @@ def place_tiles(
         Instrument, which defines the field radius and the positioners. It is not required if ``radius`` and
         ``fibers`` are given.
     method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss", "given"}, optional
-        ``hexagonal``: a hexagonal lattice without gaps around the center of the field, for up to a hemisphere.
-        ``spiral``: a Fibonacci spiral without gaps, for up to the whole sky. ``max_density``: each tile in turn is
-        placed where the number of remaining visits is largest. ``density_gradient``: each tile in turn starts where
-        targets are densest, and is moved to a maximum of their smoothed density. ``mean_shift``: each tile in turn is
-        moved repeatedly to the mean of its targets. These three methods place tiles for the targets of the highest
-        priority first. ``sdss``: tiles are placed together by network flow; by default, as many tiles as a hexagonal
-        lattice has. ``given``: the tiles in ``centers``, in their order.
+        ``hexagonal``: tiles on a hexagonal lattice cover the field, at most a hemisphere, without gaps. ``spiral``:
+        tiles on a Fibonacci spiral cover the field, at most the whole sky, without gaps. ``max_density``: each tile in
+        turn is placed where the number of remaining visits is largest. ``density_gradient``: each tile in turn starts
+        where targets are densest, and is moved to a maximum of their smoothed density. ``mean_shift``: each tile in
+        turn is moved repeatedly to the mean of its targets. These three methods place tiles for the targets of the
+        highest priority first. ``sdss``: tiles are placed together by network flow; by default, their number is that
+        of a hexagonal lattice that covers the targets. ``given``: the tiles in ``centers``, in their order.
     passes : int, optional
         Number of passes of the methods ``hexagonal`` and ``spiral``. Each pass covers the whole field with shifted
         tiles, even if no visits remain. If ``completeness`` or ``n_tiles`` is given, passes are instead added until
@@ -105,8 +105,8 @@ def place_tiles(
     exclude : Region or list of Region, optional
         Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
-        Requested number of visits of each target, shape (n,), or one number for all targets; by default, the visits of
-        the catalog, or one visit.
+        Requested number of visits of each target, shape (n,), or one number for all targets. The default is the column
+        ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function after each tile. If ``n_tiles`` is given, the
         arguments of the function are the number of tiles so far and ``n_tiles``; otherwise, the arguments are the

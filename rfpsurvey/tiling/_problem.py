@@ -14,7 +14,10 @@ __all__ = ["TilingProblem", "TilingState"]
 
 @dataclass(frozen=True)
 class TilingProblem:
-    """The problem of placing tiles; angles are in radians, and the *position* of a target is its index in ``index``."""
+    """The problem of placing tiles; angles are in radians.
+
+    The *position* of a target is its place in the spatial index ``index``.
+    """
 
     radius: float
     index: SkyIndex

@@ -193,7 +193,7 @@ class FocalPlaneFibers:
         return near[served]
 
     def _candidates(self, center, near, state):
-        """Return the targets that can be assigned, in the order of rows, and directions that blank sky must avoid."""
+        """Return the targets that can be assigned, sorted by their rows, and directions that blank sky must avoid."""
         others, rest = self.science is not None and bool(self.options.requirements), None
         if others:  # every tile may use standards and sky positions
             use = np.where(self.science, state.left > 0, True).astype(np.float64)

@@ -73,7 +73,7 @@ class Tiling:
             if len(bad):
                 raise InputError(
                     f"{name} must lie between {low} and {high} deg for every tile, got {angles[name][bad[0]]:g} for "
-                    f"tile {tile[bad[0]]}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else "")
+                    f"tile {tile[bad[0]]}" + (f"; further invalid values: {len(bad) - 1}" if len(bad) > 1 else "")
                 )
         number = _integers(self.table["pass"], tile)
         names, times = np.unique(tile, return_counts=True)
@@ -107,7 +107,7 @@ class Tiling:
 
     @property
     def summary(self) -> dict:
-        """Description of the method and quality of the tiling; empty for a list of tiles from another source."""
+        """Description of the method and quality of the tiling; empty if `place_tiles` did not place the tiles."""
         return self.table.meta.get("summary", {})
 
     @property
@@ -365,5 +365,5 @@ def _refuse_twins(tile, angles, number, table):
         k = twin[0]
         raise InputError(
             f"tiles {tile[first[k]]} and {tile[k]} are the same: pass {number[k]}, center {angles['ra'][k]:.6f} "
-            f"{angles['dec'][k]:+.6f} deg" + (f" (and {len(twin) - 1} more)" if len(twin) > 1 else "")
+            f"{angles['dec'][k]:+.6f} deg" + (f"; further repeated tiles: {len(twin) - 1}" if len(twin) > 1 else "")
         )

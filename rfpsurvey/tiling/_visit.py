@@ -13,9 +13,9 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
     """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.
 
     By default, a tile is omitted if none of its targets still requires a visit. If ``every`` is true, a tile is omitted
-    only if no visits to its targets were requested. The tile with the most remaining targets is observed next. Because
-    the number of remaining targets of a tile can only decrease, the targets are counted again only for the tile with
-    the largest earlier count. If this count has not changed, no other tile has more remaining targets.
+    only if no visits to its targets were requested. The tile with the most targets that still require a visit is
+    observed next. Because this number can only decrease, these targets are counted again only for the tile with the
+    largest earlier count. If this count has not changed, no other tile has more of these targets.
     """
     index, radius = state.problem.index, state.problem.radius
     state.chances = np.zeros(len(index))

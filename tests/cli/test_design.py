@@ -30,7 +30,8 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     code, out, err = run("design", *axes, "--workers", 2, "--output", output, "--plot", plot)
     assert (code, err) == (0, "")
     assert out.startswith(
-        "18 designs, definition of the loss: independent; on the Pareto front (coverage max, loss min)"
+        "18 designs, definition of the loss (fraction of lost fibers): independent; "
+        "on the Pareto front (coverage max, loss min)"
     )
     assert out.rstrip().endswith(f"wrote {output}\nwrote {plot}")
     found = QTable.read(output)
@@ -63,14 +64,14 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     options += ["--estimand", "collision_free", "--n-skies", 2, "--objective", "usable=max", "--objective", "loss=min"]
     code, out, _ = run("design", *options, "--output", tmp_path / "d.fits")
     assert code == 0
-    assert "definition of the loss: collision_free; on the Pareto front (usable max, loss min)" in out
+    assert "(fraction of lost fibers): collision_free; on the Pareto front (usable max, loss min)" in out
     found = QTable.read(tmp_path / "d.fits")
     assert len(found) == 16
     assert set(found["method"]) == {"optimal"}
     assert (found["targets"] == 2).all()
     code, out, _ = run("design")
     assert code == 0
-    assert "36 designs, definition of the loss: independent" in out
+    assert "36 designs, definition of the loss (fraction of lost fibers): independent" in out
     code, out, _ = run("design", "--ratio", 1, "--pitch", 25.6)
     assert code == 0
     assert "no sensitivities: at least one of central_arm" in out
@@ -121,7 +122,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     call = ["design", "--instrument", tmp_path / "mine.toml", "--output", output, "--plot", plot, "--spread", 0.1]
     code, out, err = run(*call, "--central-arm", 8.25)
     assert (code, err) == (0, "")
-    assert out.startswith("25 designs, definition of the loss: independent")
+    assert out.startswith("25 designs, definition of the loss (fraction of lost fibers): independent")
     found = QTable.read(output)
     assert np.ma.filled(found["instrument"], "").tolist().count("mine") == 1
     assert set(found["clearance"].value) == {2.0}
@@ -130,7 +131,7 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     assert "mine: central arm 8.25 mm, ratio 1, pitch 25.6 mm, clearance 2 mm" in out
     assert f"  smallest loss with at least this coverage: {better['best'][1]:.5g} (" in out
     assert "largest coverage with at most this loss: the value of this instrument" in out
-    assert re.search(r"by pitch 28\.16 mm \(\+10 %, edge of the scan\)", out)
+    assert re.search(r"by pitch 28\.16 mm \(\+10 %, at the edge of the scan\)", out)
     assert "mine" in plot.read_text()
     assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
     code, _, err = run(*call, "--central-arm", 8.3, "--resume")

@@ -121,7 +121,7 @@ def test_completeness_rises_to_what_the_summary_says(survey):
     assert curve[0].tolist() == [0, 0]
     assert curve[-1].tolist() == [3, survey.summary["completeness"]]
     assert (np.diff(curve[:, 1]) >= 0).all()
-    assert lines["targets complete"][-1, 1] == pytest.approx(survey.summary["completeness_targets"])
+    assert lines["fraction of complete targets"][-1, 1] == pytest.approx(survey.summary["completeness_targets"])
     last = survey.completeness[survey.completeness["pass"] == 2]
     for row in last[1:]:
         assert lines[f"priority {row['priority']}"][-1].tolist() == [3, row["completeness"]]

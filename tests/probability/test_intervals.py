@@ -281,7 +281,7 @@ def test_so_many_iterations_and_no_more(method, n):
 
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 def test_a_precision_out_of_reach_is_a_warning(method):
-    words = "after 40 iterations .the maximum. is .* too wide for the precision 0.0001"
+    words = "after 40 iterations .the maximum. is .* too wide for the requested standard error 0.0001"
     with pytest.warns(rs.RfpsurveyWarning, match=words):
         got = flat.collision_probability(sdss_like(1), method=method, precision=1e-4, max_iterations=40)
     assert got.n == 40

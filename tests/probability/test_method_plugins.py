@@ -76,7 +76,7 @@ def test_an_error_gives_an_interval(small):
         return {"value": 0.3, "standard_error": np.sqrt(0.3 * 0.7 / 100), "n": 100}
 
     with pytest.warns(
-        rs.RfpsurveyWarning, match="the standard error after 100 iterations is 0.046: the interval is too wid"
+        rs.RfpsurveyWarning, match="the standard error after 100 iterations is 0.046: the confidence interval is"
     ):
         found = flat.collision_probability(small, method=answer, confidence=0.9)
     low, high = binom_conf_interval(30, 100, confidence_level=0.9, interval="wilson")

@@ -235,7 +235,7 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
         ({"targets": np.zeros((3, 2))}, "got ndarray"),
         ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
         ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
-        ({"targets": np.zeros((0, 2)) * MM}, "at least one row, got none"),
+        ({"targets": np.zeros((0, 2)) * MM}, "at least one row .*, got none"),
         ({"targets": rs.Catalog(CENTER)}, "targets in a Catalog require an Instrument"),
         ({"targets": lambda rng: rng.random((3, 2))}, "the result of the function given as targets must be a Quantity"),
         ({"targets": lambda rng: rng.random((3, 3)) * MM}, "the function given as targets must have the shape"),

@@ -171,7 +171,7 @@ def test_entities_and_lost_rows_of_a_votable(tmp_path):
     path.write_text(VOTABLE.format(ROWS.replace("abc", "abcd")))
     assert "every value must fit into its column" in refusal(path)
     path.write_text(VOTABLE.format(ROWS).replace("<TABLE>", '<TABLE nrows="2">'))
-    assert "must be the value of the attribute nrows = 2, got 1" in refusal(path)
+    assert "must have as many rows as the attribute nrows states (2), got 1 rows" in refusal(path)
     path.write_text(VOTABLE.format(ROWS + ROWS))
     assert "must have as many rows as the file (2), got 1 rows" in refusal(path)
 

@@ -196,7 +196,8 @@ def test_the_reason_of_each_idle_positioner_is_shown(visit, files, tiles):
         assert words[code] in text
         if code == 4:
             for one in free[:8]:
-                assert f"Target {one['target_id']}: collides with {', '.join(one['colliding_with'].split())}." in text
+                others = ", ".join(one["colliding_with"].split())
+                assert f"Target {one['target_id']}: the arm would collide with {others}." in text
         seen.add(code)
     assert {2, 3, 4} <= seen
 

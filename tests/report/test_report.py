@@ -190,7 +190,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     free = np.sort(t["clearance"][~t["in_collision"] & np.isfinite(t["clearance"])].value)
     np.testing.assert_array_equal([full(row[heads.index("clearance mm")]) for row in rows], free[:25])
     (caption,) = [c["caption"] for c in page.tables if c["caption"].startswith("Positioners without a collision")]
-    assert f"Shown: 25 of {len(free)} rows; all are in tile.fits." in caption
+    assert f"Shown: 25 of {len(free)} rows; tile.fits contains all rows." in caption
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
 
@@ -223,7 +223,7 @@ def test_the_rows_of_a_page_can_be_limited(tile, tmp_path):
     page = Reader(written(tile, tmp_path, max_rows=30, data="tile.fits"))
     assert json.loads(page.text("script")[0])["max_rows"] == 30
     n = tile.summary["n_colliding"]
-    assert f"Shown: 30 of {n} rows; all are in tile.fits." in "".join(p["caption"] for p in page.tables)
+    assert f"Shown: 30 of {n} rows; tile.fits contains all rows." in "".join(p["caption"] for p in page.tables)
 
 
 @pytest.mark.parametrize("kind", ["tile", "survey"])
@@ -307,7 +307,7 @@ def test_no_row_is_left_out_in_silence(tmp_path):
     page = Reader(written(table, tmp_path, max_rows=100, data="all.fits"))
     _, rows = page.table("150 rows and 1 column.")
     assert [full(row[0]) for row in rows] == list(range(100))
-    assert page.tables[0]["caption"] == "150 rows and 1 column. Shown: 100 of 150 rows; all are in all.fits."
+    assert page.tables[0]["caption"] == "150 rows and 1 column. Shown: 100 of 150 rows; all.fits contains all rows."
     assert Reader(written(table, tmp_path)).tables[0]["caption"] == "150 rows and 1 column."
     assert "no rows" in written(QTable({"k": []}), tmp_path)
 

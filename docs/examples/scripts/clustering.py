@@ -99,7 +99,7 @@ def count(first, second):
 
 
 def count_weighted_pairs(points, weight_of):
-    """Return the number of pairs of points in each bin, weighted by pair; the rows are the same as in ``count``.
+    """Return the sum of the weights of the pairs of points in each bin; the rows are the same as in ``count``.
 
     The weight of the pair of the points i and j is ``weight_of(i, j)``. Each pair counts twice, as (i, j) and (j, i).
     """
@@ -211,7 +211,7 @@ def survey(catalog, tiles, seed=0):
 
 
 def main(n_passes=3, seed=0):
-    """Print the correlation function of one mock."""
+    """Print the correlation function of one mock catalog, as measured by each method."""
     catalog, in_slice = make_mock(seed)
     xy = np.random.default_rng(10**6).uniform(-HALF, HALF, (20_000, 2))
     random, tiles = rs.Catalog(to_sky(xy)), tiles_of(n_passes)

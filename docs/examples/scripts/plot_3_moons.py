@@ -24,7 +24,7 @@ galaxies = rs.synthetic_catalog(
 # reach a galaxy, the allocator can assign the galaxy to any of these positioners.
 xy = moons.projection(center).to_focal_plane(galaxies.within(center, moons.field_radius)).to_value(u.mm)
 reaching = np.bincount(np.diff(moons.focal_plane.arrays.reach(xy).indptr))
-print("galaxies that 0, 1, 2, ... positioners reach:", *reaching)
+print("number of galaxies that 0, 1, 2, ... positioners reach:", *reaching)
 
 # The rule of LAMOST assigns the nearest galaxy to each positioner and ignores collisions. The allocator "optimal"
 # chooses positioners that do not collide, and proves that no plan of a tile without collisions observes more galaxies.

@@ -25,9 +25,9 @@ targets = rs.Catalog(sky.coord, category=category, priority=priority, visits=vis
 
 tiles = rs.place_tiles(rs.Region.cap(center, 4 * u.deg), "desi", passes=4)
 print(tiles)
-# The allocator "repair" takes milliseconds per tile. Two threads plan tiles without common targets at the same time;
-# the result does not depend on the number of threads. For a long survey, add folder="desi_survey" and, after a crash,
-# resume=True.
+# The allocator "repair" takes milliseconds per tile. Two threads plan two tiles at the same time if the tiles
+# have no targets in common; the result does not depend on the number of threads. For a long survey, add
+# folder="desi_survey" and, after a crash, resume=True.
 with ThreadPoolExecutor(2) as executor:
     survey = rs.plan_survey(targets, "desi", tiles, allocator="repair", executor=executor)
 print(survey)

@@ -1,4 +1,4 @@
-// A calculator with sliders for the collision probability of a design: the surrogate of rfpsurvey/probability/_surrogate.py.
+// A calculator with sliders. It computes the collision probability of a design with the surrogate of probability/_surrogate.py.
 
 // The index of the first cubic B-spline that is not 0 at x, and the values of this spline and of the next three (de Boor's recurrence).
 function basis(knots, x) {
@@ -103,7 +103,7 @@ class CalculatorView {
       make("p", { class: "kind" }, "Collision probability"),
       make("p", { class: "large" }, problems.length ? "\u2013" : fixed(p, 4)),
       make("p", { class: problems.length ? "bad" : "count" }, problems.length ? `Outside the range of the surrogate: ${problems.join("; ")}.` :
-        p === 0 ? "The arms cannot touch." : `Root-mean-square error ${error}, largest known error ${this.surrogate.largest_error}.`),
+        p === 0 ? "The arms cannot touch." : `Errors of the surrogate: root mean square ${error}, largest known error ${this.surrogate.largest_error}.`),
       list([["Radii of the patrol area", `${fixed(Math.abs(l1 - l2), 2)} to ${fixed(l1 + l2, 2)} mm`], ["Minimum separation", fixed(2 * clearance, 2, " mm")],
         ["Patrol area divided by area per positioner", fixed(Math.PI * 4 * l1 * l2 / cell, 3)],
         ["Positioners per cm\u00b2", fixed(100 / cell, 4)]]));

@@ -143,7 +143,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     if (k < 0) k = this.compared?.target_id.indexOf(text) ?? -1;
     const free = k < 0 ? [...this.plan.free].find(([, targets]) => targets.some(([name]) => name === text))?.[0] ?? -1 : -1;
     if (k < 0 && free < 0) {
-      this.panel.replaceChildren(make("p", {}, `No positioner, and no target of this view, has the id ${text}.`));
+      this.panel.replaceChildren(make("p", {}, `This view contains no positioner and no target with the id ${text}.`));
       return;
     }
     this.choose(k < 0 ? free : k);
@@ -158,8 +158,8 @@ class FocalPlaneView extends FocalPlaneDrawing {
   }
 
   changeName(kind) {
-    if (kind === "first") return `target only with ${this.plan.name}`;
-    return kind === "second" ? `target only with ${this.compared.name}` : CHANGES[kind][0];
+    if (kind === "first") return `target only in the plan ${this.plan.name}`;
+    return kind === "second" ? `target only in the plan ${this.compared.name}` : CHANGES[kind][0];
   }
 
   // ---- selection
@@ -196,7 +196,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
         `remain as they are: ${names(possible)}. The allocator did not assign ${possible.length === 1 ? "it" : "them"}.`];
     }
     return [`Idle: at ${free === 1 ? "the only free target" : `each of the ${free} free targets`} in reach, the arm would collide.`,
-      ...targets.slice(0, 8).map(([name, , , , , others]) => `Target ${name}: collides with ${others.split(" ").join(", ")}.`)];
+      ...targets.slice(0, 8).map(([name, , , , , others]) => `Target ${name}: the arm would collide with ${others.split(" ").join(", ")}.`)];
   }
 
   facts(k, plan) {

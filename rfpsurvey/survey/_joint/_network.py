@@ -34,8 +34,9 @@ class Network:
     matrix: csr_array
     """Matrix with a row for each set and a column for each candidate.
 
-    The first sets are cliques; a plan uses at most one candidate of each clique. Each further set contains all
-    candidates with the same target.
+    The first sets are cliques, that is, sets of candidates that exclude each other, for example because their arms
+    collide. A plan uses at most one candidate of each clique. Each further set contains all candidates with the same
+    target.
     """
     most: np.ndarray
     """Largest number of candidates of each set that a plan may use."""

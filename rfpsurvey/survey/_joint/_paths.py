@@ -1,4 +1,8 @@
-"""The improvement of a plan of all tiles by augmenting paths, which move visits between tiles."""
+"""The improvement of a plan of all tiles by augmenting paths.
+
+Along an augmenting path, the first positioner moves to a target that requires a visit. Each further positioner, of any
+tile, moves to the target that the positioner before it has left.
+"""
 
 from collections.abc import Callable
 

@@ -56,7 +56,7 @@ class Together:
     def __init__(self, executor, progress):
         self._executor, self._progress = executor, progress
         self.rest = progress
-        """The value of ``progress`` with which the tiles are written after the search."""
+        """The value of ``progress`` for the step after the search, in which the tiles are written."""
 
     def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
         """Return a request with the plans of all tiles, and a table with a row for each iteration and priority."""

@@ -20,7 +20,7 @@ from rfpsurvey.survey._joint._paths import Paths
 
 __all__ = ["Search", "Step"]
 
-# Widths of the smooth maximum with which prices are computed, and the number of sweeps over all prices per width.
+# Stages of the computation of prices: width of the smooth maximum (see `RowPrices.improve`), and number of sweeps.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 # Fraction of the time limit that is available for computing the prices before the first iteration.
 FOR_PRICES = 0.15
@@ -68,7 +68,7 @@ class Search:
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
-        # If the patches of an iteration do not lower a bound, the bound is next computed with larger patches.
+        # If an iteration does not lower a bound, this bound is computed again only when the patches are larger.
         self._next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
@@ -177,7 +177,7 @@ class Search:
         self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))
 
     def _weights(self, level):
-        """Return the weight of each candidate: 1 if its visit belongs to the level, otherwise 0."""
+        """Return the weight of each candidate: 1 if its target belongs to a class of the level, otherwise 0."""
         return (self.network.rank <= self.levels[level]).astype(float)
 
     def _prices_of(self, level) -> RowPrices:
