@@ -51,13 +51,13 @@ class Catalog:
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
-        Number of times that a survey observes each target, 0 to 255; by default 1.
+        Number of visits (observations) that each target requires in a survey, 0 to 255; by default 1.
     epoch : Time, optional
         Epoch of the positions, scalar or shape (n,); by default ``coord.obstime``.
     meta : dict, optional
         Information on the origin of the catalog.
     n_dropped : int, optional
-        Number of rows that have already been removed because their coordinates are not finite.
+        Number of rows that were removed before this catalog was made, because their coordinates were not finite.
     extra : dict or Table, optional
         Further columns that results include, such as magnitudes. Columns contain numbers, text or booleans, with or
         without units. Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
@@ -157,7 +157,7 @@ class Catalog:
         return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())
 
     def _take(self, index, **changes):
-        """Return a catalog of the rows that ``index`` selects; ``changes`` are new values of fields."""
+        """Return a catalog of the rows that ``index`` selects; ``changes`` are new values of its attributes."""
         index = np.atleast_1d(np.arange(len(self))[index])
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in _PER_TARGET:

@@ -1,4 +1,4 @@
-"""Convert tables of other packages: DataFrames of pandas and Polars, Arrow tables, and structured arrays of NumPy."""
+"""Convert DataFrames of pandas and Polars, Arrow tables and structured arrays of NumPy to astropy tables."""
 
 import numpy as np
 from astropy.table import Table

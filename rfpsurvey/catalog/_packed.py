@@ -10,7 +10,7 @@ __all__ = ["unpack"]
 
 
 def unpack(packed: bytes) -> str:
-    """Return the ECSV text of a catalog in packed form."""
+    """Convert the bytes of a packed catalog to the text of an ECSV file."""
     blocks, at = [], 0
     while at < len(packed):
         size = int.from_bytes(packed[at : at + 4], "big")

@@ -52,7 +52,7 @@ def synthetic_catalog(
     cluster_size : float, optional
         Expected number of targets in a cluster (``clustered``).
     cluster_scale : Quantity, optional
-        Angular standard deviation of a cluster along each axis (``clustered``).
+        Standard deviation, as an angle, of the Gaussian profile of each cluster along each axis (``clustered``).
     rng : int, Generator or None, optional
         Seed or random number generator. With None, each call makes a different catalog.
 

@@ -19,7 +19,7 @@ EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
 def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
-    """Return the arguments of `Catalog` for a table.
+    """Read the columns of a table, and return them as a dict of arguments for `Catalog`.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
     option, default units are assumed only if no column of the table has a unit. A warning is then issued, except for
@@ -75,7 +75,7 @@ def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -
 
 
 def _names_in_results(table, columns, frame):
-    """Return the names of those columns of a table that all results contain under the same name and unchanged."""
+    """Return the names of the columns that all results contain anyway, with unchanged names and values."""
     columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
@@ -172,7 +172,10 @@ def _motion(find: Finder, *, equatorial: bool) -> dict:
     if names == [None, None]:
         return {}
     if not equatorial:
-        warn(f"the proper motions {names} are ignored, because they are not in the requested frame")
+        warn(
+            f"the proper motions {names} are ignored, because they refer to an equatorial frame, but the coordinates "
+            "are in another frame"
+        )
         return {}
     if None in names:
         raise find.missing("pmra" if names[0] is None else "pmdec")

@@ -32,7 +32,7 @@ __all__ = [
 class Arms:
     """The poses of the arms of all positioners, in mm and radians; NaN for arms that are absent.
 
-    An arm is absent if its positioner could move, but has no target and is not a parked obstacle.
+    An arm is absent if its positioner can move, has no target, and is not a parked obstacle.
     """
 
     find_angles: Callable[[], np.ndarray] | None
@@ -247,7 +247,10 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return the cosine and sine of the angle from fiber to capsule at each elbow; idle arms use their first fiber."""
+    """Return the cosine and sine of the angle, at each elbow, between the line to the fiber and the axis of the capsule.
+
+    For positioners without a target, the fiber is the first fiber of the positioner.
+    """
     if columns.fibers is None:
         return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))

@@ -113,7 +113,7 @@ def count_collisions(
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each positioner uses in all configurations, as in `find_collisions`.
     parked_obstacles : bool, optional
-        As in `find_collisions`.
+        Whether parked positioners count as obstacles, as in `find_collisions`.
     method : {"exact", "cuda"}, optional
         ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
@@ -180,7 +180,7 @@ def count_collisions(
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
-    """Return a function that counts the collisions of a chunk of given tips, and the arguments of its calls."""
+    """Return a function that counts collisions in a chunk of the given configurations, and the arguments of its calls."""
     shape = getattr(tips, "shape", ())
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
@@ -233,13 +233,14 @@ def _device(columns, setup):
 SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
 """For each method, the number of configurations per task, and a function that makes the counting function.
 
-The counting function has the arguments (points, side). It returns the counts of each configuration, the number of
-configurations in which each positioner is in collision, and the number of tips out of reach.
+The arguments of the counting function are the positions of the tips (mm) and the sides of the elbows (+1 or -1). It
+returns the counts of each configuration, the number of configurations in which each positioner is in collision, and the
+number of tips out of reach.
 """
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
-    """Return a function that counts the collisions of a chunk of draws from queues, and the arguments of its calls."""
+    """Return a function that draws a chunk of configurations and counts collisions, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(
             "configurations can be drawn only from the queues of the allocator 'balanced', got the allocator "
@@ -270,7 +271,7 @@ def _score_draws(plane, setup, idle, indptr, entries, size, rng):
 
 
 def queue_segments(plane, allocation):
-    """Return the start of each queue, and one segment for each of the m targets of all queues, shape (4, m).
+    """Return the index of the first target of each queue, and a segment for each of all m targets, shape (4, m).
 
     The segment is the segment of the arm that can collide if the positioner of the queue observes the target.
     """

@@ -34,8 +34,9 @@ def find_pairs(segments, pairs, limits):
 def make_scorer(columns, setup):
     """Return a function that counts the collisions of configurations on a GPU and keeps its data in GPU memory.
 
-    The function has the arguments (points, side). It returns the counts of each configuration, the number of
-    configurations in which each positioner is in collision, and the number of tips out of reach.
+    The arguments of the function are the positions of the tips (mm) and the sides of the elbows (+1 or -1). It returns
+    the counts of each configuration, the number of configurations in which each positioner is in collision, and the
+    number of tips out of reach.
     """
     _require_device()
     n, limits = len(columns.plane), setup.limits

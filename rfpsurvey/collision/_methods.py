@@ -17,7 +17,7 @@ __all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """One configuration of all arms, which is the input of a method."""
+    """One configuration of all arms, in which a method finds the colliding pairs."""
 
     plane: FocalPlane
     segments: np.ndarray
@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
 
 def exact(case: Configuration) -> Found:
-    """Find pairs by distances with a proven error limit; rational arithmetic decides borderline pairs."""
+    """Find colliding pairs by distances with a proven error limit; rational arithmetic decides borderline pairs."""
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
@@ -48,7 +48,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs by the smallest distance between ``n_points`` points on each arm; this method misses some pairs."""
+    """Find pairs of arms on which two of ``n_points`` sampled points per arm are close; this method misses some pairs."""
     _require_segments(case, "sampled")
     first, second = near_pairs(case)
     squared = np.empty(len(first))
@@ -57,7 +57,7 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Find pairs by the smallest distance between the areas that two arms sweep from their parked poses."""
+    """Find pairs of arms that sweep areas closer than the minimum separation on the way from their parked poses."""
     _require_segments(case, "sweep")
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]

@@ -66,8 +66,8 @@ def compare_allocators(
         (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
         collisions; for allocators that ignore requirements, the loss can be negative); ``gap`` (relative difference
         between the objective of the plan and its proven upper bound; NaN without a proven bound); ``seconds`` (time for
-        finding the targets in reach and for the allocation, without compilation). ``meta`` contains the unmet
-        requirements of each allocator, and the provenance.
+        finding the targets in reach and for the allocation, without compilation). ``meta`` contains the
+        requirements that the plan of each allocator does not meet, and the provenance.
     dict of str to Tile
         Tiles that the allocators planned; the keys are the names of the allocators. This dict is returned only if
         ``return_tiles`` is true.

@@ -70,7 +70,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return random fields for each instrument, with a given number of targets per positioner or a common density."""
+    """Return fields of random targets for each instrument, with equal numbers of targets per positioner or solid angle."""
     check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)
@@ -119,7 +119,7 @@ def plan_fields(
 
 
 def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:
-    """Return the options for each instrument, and issue each warning once for all instruments."""
+    """Return the options of all allocators for each instrument; the same warning is issued only once."""
     models = {field.instrument.name: field.instrument for field in fields}
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", RfpsurveyWarning)
@@ -130,7 +130,7 @@ def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[Allocati
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
-    """Plan a field with each allocator."""
+    """Plan a field with each allocator, and return one `Plan` per allocator."""
     found = []
     for options in allocators:
         if options.name in ALLOCATORS:

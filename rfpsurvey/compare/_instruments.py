@@ -142,8 +142,8 @@ def compare_instruments(
         (``targets`` divided by ``positioners``); ``assigned`` (number of fibers on science targets); ``assigned_part``
         (fraction of the positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision
         probability of the positioners that have a target or are parked obstacles, and its 95 % confidence interval);
-        ``pairs_per_positioner`` (number of colliding pairs divided by the number of these positioners); ``usable``
-        (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
+        ``pairs_per_positioner`` (number of colliding pairs per positioner that has a target or is a parked obstacle);
+        ``usable`` (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
         of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss``
         (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
         collisions; for ``optimal``, this is the fraction of targets lost to collisions; for allocators that ignore

@@ -109,8 +109,9 @@ def explore_designs(
         ``loss`` (fraction of the assigned fibers lost to collisions), ``loss_error`` (standard error of the loss),
         ``usable`` (number of assigned fibers per positioner that are not lost to collisions);
         ``positioners_per_area`` and ``usable_per_area`` (numbers of positioners and of usable fibers per area);
-        ``estimand`` and ``method`` of the loss; ``n_unproven`` (number of searches that the time limit ended; if it is
-        not 0, the loss can be too large and depends on the speed of the machine); ``loss_gap`` (upper limit of the
+        ``estimand`` (definition of the loss) and ``method`` (method that computed the loss); ``n_unproven`` (number of
+        realizations of the targets in which the search for a plan ended at the time limit; if it is not 0, the loss can
+        be too large and depends on the speed of the machine); ``loss_gap`` (upper limit of the
         number of fibers that better plans of the simulated lattice could add, divided by the number of fibers with a
         target; the limit follows from the bounds that the searches prove; NaN for ``repair``, which has no bounds);
         ``reason`` (why a design has no values); ``pareto`` (True if no other design is at least as good in both

@@ -33,7 +33,7 @@ Only the 91 positioners in this region are counted.
 
 
 class Loss(NamedTuple):
-    """The result of a method for a design."""
+    """The fraction of fibers that a design loses to collisions, with its error."""
 
     assigned: float
     """Number of fibers per positioner that would have a target if arms could pass through each other."""
@@ -41,13 +41,13 @@ class Loss(NamedTuple):
     """Fraction of the assigned fibers that is lost."""
     error: float
     n_unproven: int = 0
-    """Number of searches that the time limit ended."""
+    """Number of realizations of the targets in which the search for a plan ended at the time limit."""
     gap: float = 0.0
-    """Upper limit of the difference between this loss and the loss of complete searches; NaN if unknown."""
+    """Upper limit of the amount by which searches without a time limit could decrease the loss; NaN if unknown."""
 
 
 class Skies(NamedTuple):
-    """Random targets for a design."""
+    """Parameters of the random targets with which the loss of a design is computed."""
 
     each: float
     """Number of targets per positioner."""
@@ -125,7 +125,7 @@ def in_box(lattice: Lattice) -> bool:
 
 
 def _compare(lattice, skies, method):
-    """Compute the loss of plans by a method, relative to the numbers of fibers in plans that ignore collisions."""
+    """Compute the loss of the plans of the allocator ``method``, relative to the best plans that ignore collisions."""
     limit = skies.time_limit * u.s
 
     def look(points, plane, core):

@@ -23,9 +23,9 @@ def design_sensitivities(
     The values of a column are fitted by a sum of polynomials, one for each parameter that varies. A polynomial has
     degree four, or less if the parameter has fewer than five values. The share of a parameter is the variance of its
     polynomial divided by the variance of the column. This is the first-order Sobol index; it is exact on a grid with at
-    most five nodes per axis. The rest of the variance is due to interactions between parameters and to noise in the
-    values of the column. Random noise increases each share by about the number of coefficients divided by the number
-    of designs.
+    most five values of each parameter. The rest of the variance is due to interactions between parameters and to noise
+    in the values of the column. Random noise increases each share by at most about the number of coefficients of the
+    polynomial divided by the number of designs.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def design_sensitivities(
         Table with a row for each pair of an explained column and a parameter that varies, and a row ``rest`` for the
         unexplained variance of each column. Columns: ``figure`` (the explained column), ``parameter``, ``share`` (0 to
         1; NaN for values that do not vary), and ``slope`` (change of the values in percent if the parameter grows by
-        one percent). The slope is computed at the mean of the scan, from a fit that is linear in all parameters.
+        one percent). The slope is computed at the mean of all designs, from a fit that is linear in all parameters.
 
     Raises
     ------

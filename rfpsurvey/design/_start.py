@@ -26,7 +26,7 @@ class Start:
     """Motor step, in radians."""
 
     def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
-        """Return the designs with the design of the instrument, the row of this design, and a record for ``meta``."""
+        """Return the designs including the design of the instrument, its row number, and a description for ``meta``."""
         same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
         added = not same.any()
         record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}

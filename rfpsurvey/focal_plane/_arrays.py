@@ -1,4 +1,4 @@
-"""The columns of a focal plane as read-only arrays without units (mm, radians), and the input of collision kernels."""
+"""The columns of a focal plane as read-only arrays without units (mm, radians), and data for collision kernels."""
 
 from copy import copy
 from functools import cached_property
@@ -47,7 +47,7 @@ class FocalPlaneArrays:
     equal_arms : ndarray of bool, shape (n,)
         Whether the two arms of each positioner have the same length.
     arm_reach : ndarray of float, shape (n,)
-        Largest distance from the center of a positioner to a point of its arm that can collide, mm.
+        Largest distance from the center of a positioner to a part of its arms that can collide, mm.
     usable : ndarray of bool, shape (n,)
         Whether each positioner may have a target: it is neither disabled nor stuck.
     stuck : ndarray of float, shape (n, 2)
@@ -70,9 +70,9 @@ class FocalPlaneArrays:
     neighbors : ndarray of int, shape (k, 2)
         Row numbers of the pairs of positioners whose arms may collide, with a margin for rounding errors.
     obstacle_pairs : ndarray of int, shape (k, 2)
-        Pairs (positioner, obstacle) that can touch, as row numbers; circles are numbered first, then polygons.
+        Pairs (positioner, obstacle) that can touch, as row numbers; circles have lower numbers than polygons.
     n_sharing : ndarray of int, shape (n,)
-        For each positioner, the number of other positioners with overlapping patrol areas (an upper limit).
+        For each positioner, an upper limit of the number of other positioners whose patrol areas overlap its own.
     separation, clearance, length : float
         Minimum separation of two arms, clearance of an arm, and length of the segment that can collide, mm. The length
         is 0 for the arm models ``elbow_to_tip`` and ``fiber_tip``, which have no fixed length.
@@ -205,7 +205,7 @@ class FocalPlaneArrays:
         return self.first_index
 
     def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
-        """Return the arrays for positioners that use the fiber types with the indices ``fiber`` (None: no change)."""
+        """Return the arrays for the case that positioner i uses fiber type number ``fiber[i]`` (None: no change)."""
         if fiber is None:
             return self
         for name in SHARED:
@@ -341,7 +341,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def joints(self) -> Joints | None:
-        """Zero points and limits of joints; None if the columns of zero points, fibers and limits are all None."""
+        """Zero points and limits of joints; None if the focal plane has no columns for them and no ``fiber_xy``."""
         plane = self.plane
         own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
         lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length

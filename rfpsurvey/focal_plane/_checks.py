@@ -123,7 +123,7 @@ def _check_fibers(plane, n):
         bad = np.flatnonzero(np.where(has, ~((length > 0) & (length < 1e6)), length >= 1e6))
         if len(bad):
             raise InputError(
-                f"fiber_xy of {name!r} must be finite, away from the elbow and within 1 km of the elbow for each "
+                f"fiber_xy of {name!r} must be finite, not (0, 0) mm and within 1 km of the elbow for each "
                 f"positioner with this fiber, got {points[bad[0]].tolist()} mm for positioner {plane.id[bad[0]]}"
             )
 

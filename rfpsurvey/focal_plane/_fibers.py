@@ -52,7 +52,8 @@ class Joints:
     ----------
     inner, outer : ndarray of float, shape (k, n)
         Smallest and largest distance from fiber to center of the positioner that the limits of phi allow, mm. The
-        values are 0 and infinity if limits of this distance are not necessary, or cannot replace the limits of phi.
+        values are 0 and infinity where the limits of phi do not restrict this distance, or cannot be replaced by limits
+        of this distance.
     free : dict of float to ndarray of bool, shape (n,)
         Whether joint limits allow all points from ``inner`` to ``outer``, for the handedness 1 (right) and -1 (left).
     """
@@ -79,7 +80,7 @@ class Joints:
             self.free[side] |= self._cut(l1, l2, side)
 
     def zeros(self, own, fiber):
-        """Return, for theta and phi, the differences between the angles of the kernels and the joint angles."""
+        """Return, for theta and phi, the angle that the kernels use minus the joint angle."""
         phi = self.phi_zero[own]
         return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
 
@@ -100,7 +101,10 @@ class Joints:
         return angles
 
     def from_kernel(self, theta, phi, own, fiber):
-        """Convert kernel angles to joint angles from the lower limit (-180 deg without a limit) to 360 deg above it."""
+        """Convert kernel angles to joint angles.
+
+        The joint angles are in the range of 360 deg that starts at the lower joint limit (at -180 deg without a limit).
+        """
         found = []
         for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
@@ -121,7 +125,7 @@ class Joints:
         return (high - low >= 2 * np.pi) & allowed.reshape(-1, len(low)).all(axis=0)
 
     def _cut(self, l1, l2, side):
-        """Replace limits of phi by limits of the distance from fiber to center; return where this is possible.
+        """Replace limits of phi by limits of the distance from fiber to center; return which positioners allow it.
 
         The replacement is possible if theta has no limits and if the allowed values of phi form one interval. The
         points in reach then form a ring, because the distance between fiber and center depends only on phi.
@@ -130,7 +134,7 @@ class Joints:
         offset = np.broadcast_to(self.phi_zero if self.angle is None else self.phi_zero + self.angle, l2.shape)
         start = -np.pi if side < 0 else 0.0
         with np.errstate(invalid="ignore"):
-            # phi from the start of the range for this handedness, which becomes [0, pi]; ``last`` may exceed 2 pi
+            # phi is measured from ``start``, so that its range for this handedness is [0, pi]; ``last`` may exceed 2 pi
             first = np.mod(phi_low + offset - start, 2 * np.pi)
             last = first + (phi_high - phi_low)
         before, after = first <= np.pi, last >= 2 * np.pi

@@ -139,7 +139,7 @@ class FocalPlane:
         if len(pairs) == 0:
             return 1
         distance = np.hypot(*(self.arrays.xy[pairs[:, 0]] - self.arrays.xy[pairs[:, 1]]).T)
-        # Distances above 4/3 of the largest distance of a pair are replaced by infinity; the result is the same.
+        # Distances to the nearest center above 4/3 of ``distance.max()`` become infinite; the result is the same.
         nearest = nearest_within(self.arrays.xy, 4 / 3 * distance.max())
         return 3 if distance.max() > 1.5 * np.median(nearest) else 2
 

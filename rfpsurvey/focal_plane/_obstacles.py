@@ -29,7 +29,7 @@ def find_polygons(columns) -> Polygons:
 
 
 def find_obstacle_pairs(columns) -> np.ndarray:
-    """Return the pairs (positioner, obstacle) that can touch; circles are numbered first, then polygons."""
+    """Return the pairs (positioner, obstacle) that can touch; circles have lower numbers than polygons."""
     circles = columns.obstacles
     if columns.obstacle_polygons:
         around = [(*one.mean(axis=0), np.hypot(*(one - one.mean(axis=0)).T).max()) for one in columns.obstacle_polygons]

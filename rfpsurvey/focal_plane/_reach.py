@@ -130,7 +130,7 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 
 def find_reach(plane, points, accepts) -> Reach:
-    """Return the pairs of targets at ``points`` (mm) and positioners in reach; `accepted_types` makes ``accepts``."""
+    """Return the pairs of targets at ``points`` (mm) and positioners in reach; `accepted_types` returns ``accepts``."""
     kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
     parts = []
     for kind in kinds.tolist():
@@ -142,7 +142,7 @@ def find_reach(plane, points, accepts) -> Reach:
 
 
 def _merge(parts, n) -> Reach:
-    """Combine the reachable pairs of several groups of targets; each group is given with the rows of its targets."""
+    """Combine the reachable pairs of groups of targets; ``parts`` has (rows of the targets, pairs) for each group."""
     size = np.zeros(n, dtype=np.int64)
     for rows, pairs in parts:
         size[rows] = np.diff(pairs.indptr)

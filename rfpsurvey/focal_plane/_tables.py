@@ -1,4 +1,4 @@
-"""A focal plane as a table with a row for each positioner, each obstacle and each circle that hides fibers."""
+"""A focal plane as a table: a row for each positioner, each circular obstacle and each circle that hides fibers."""
 
 from dataclasses import fields
 
@@ -19,7 +19,7 @@ JOINTS = {
 }
 """Names of the columns with the zero points and the limits of joints."""
 SINGLE = ("id", "spectrograph", "fiber_type", "disabled", "central_arm", "eccentric_arm")
-"""Names of the columns that are arguments of `FocalPlane`; the last two are lengths."""
+"""Names of columns that have the name of an argument of `FocalPlane`; the last two columns contain lengths."""
 PAIRS = {"stuck": ("stuck_theta", "stuck_phi"), **JOINTS}
 """Names of the two columns of each argument of `FocalPlane` that has two angles per positioner."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}

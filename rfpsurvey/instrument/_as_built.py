@@ -61,7 +61,7 @@ class AsBuilt:
         Returns
         -------
         Instrument
-            The instrument. Its ``notes`` state the number of rows that are not used.
+            The instrument. Its ``notes`` state how many rows are not used because they describe other devices.
 
         Raises
         ------
@@ -133,11 +133,11 @@ class AsBuilt:
         folder : str or path-like
             Folder with ``positionerTable.csv`` and ``wokCoords.csv`` and, optionally, ``fiberAssignments.csv`` (fibers
             of each robot), ``fiducialCoords.csv`` (obstacles), ``focalPlaneModel.csv`` (radial maps) and
-            ``wokOrientation.csv``, whose values must be 0.
+            ``wokOrientation.csv`` (shift and tilt of the wok; values other than 0 are neglected, with a warning).
         site : {"APO", "LCO"}, optional
             Site of the rows to use; it is required if ``positionerTable.csv`` has rows of several sites.
         disabled : sequence of str, optional
-            Names of the holes of robots to disable; these robots take no target and are parked.
+            Robots to disable, as the names of their holes; these robots take no target and are parked.
 
         Returns
         -------

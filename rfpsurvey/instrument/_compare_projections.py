@@ -34,7 +34,7 @@ ROUNDING = 1e-9 * u.mm
 
 @dataclass(frozen=True, eq=False)
 class ProjectionComparison:
-    """Displacements of targets on the focal plane if a model of the projection neglects an effect.
+    """Displacements of targets on the focal plane that models of the projection neglect.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class ProjectionComparison:
         targets on the focal plane relative to the full model), ``max_on_sky`` (the largest displacement as an angle),
         and ``sufficient`` (whether ``max`` is at most the tolerance).
     tolerance : Quantity or None
-        Largest displacement that is negligible; None if it is unknown.
+        Largest negligible position error on the focal plane; None if it is unknown.
     drift : Quantity
         Largest distance between a target and its mean position during the exposure. No model of the projection can
         remove this distance.
@@ -127,8 +127,8 @@ def compare_projections(
         Hour angles of the field center, which replace the time or hour angle of the conditions. The result then
         includes the displacements at all of these hour angles.
     tolerance : Quantity, optional
-        Largest displacement that is negligible. By default, the tolerance of the conditions or, if they have none, a
-        tenth of the diameter of the instrument's fibers.
+        Largest negligible position error on the focal plane. By default, the tolerance of the conditions or, if they
+        have none, a tenth of the diameter of the instrument's fibers.
 
     Returns
     -------

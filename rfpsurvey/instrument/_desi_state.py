@@ -138,12 +138,12 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndar
     try:
         outline = find_outline(polygons[most])
     except (InputError, KeyError, IndexError, TypeError, ValueError):
-        return found, None, f"{text} The polygons with the name {most!r} form no outline."
+        return found, None, f"{text} The polygons with the name {most!r} do not form a valid outline."
     text += f" The outline for with_arm_model consists of the polygons with the name {most!r}"
     return (
         found,
         outline,
-        f"{text}, also for {number_of(others, 'positioner')} with other polygons." if others else f"{text}.",
+        f"{text}, which also replace other polygons of {number_of(others, 'positioner')}." if others else f"{text}.",
     )
 
 

@@ -155,8 +155,8 @@ ENTRIES = {
     "optics.fiber_diameter": LENGTH,
     "optics.factor": _number("a number above 0", TINY),
     "optics.radial_map": Kind(
-        "a table that contains, under each fiber type or the key any, a table with form and coefficients (and, "
-        "optionally, radius and unit_tangent above 0)",
+        "a table whose keys are fiber types (or the single key any) and whose values are tables with form and "
+        "coefficients (and, optionally, radius and unit_tangent above 0)",
         lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
     ),
     "observing.targets_per_fiber": _number("a number above 0", TINY),

@@ -146,7 +146,7 @@ def _solid_angle(instrument, outline: np.ndarray) -> float:
     along = (np.arange(N_PIECES) / N_PIECES)[:, None]
     points = (outline[:, None] + along * (np.roll(outline, -1, axis=0) - outline)[:, None]).reshape(-1, 2)
     radius = np.maximum(np.hypot(*points.T), 1e-6)
-    # ratio of the solid angle to the area of a disc that extends from the center to each point
+    # for each point, the solid angle divided by the area of the disc around the center that extends to the point
     dilation = 4 * np.sin(field_angles(instrument, radius) / 2) ** 2 / radius**2
     after = np.roll(points, -1, axis=0)
     triangles = (points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]) / 2
@@ -178,7 +178,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
     """Return the mean difference between the radii of a field and of a regular shape in the best orientation.
 
-    The radii of both are relative to their mean. A circle has 0 corners.
+    The radii of the field are divided by their mean, and so are the radii of the shape. A circle has 0 corners.
     """
     if n_corners == 0:
         return float(np.abs(radius - 1).mean())

@@ -220,8 +220,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
 
             - ``positioners`` and ``usable_positioners``: numbers of all positioners, and of positioners that are
               neither disabled nor stuck.
-            - ``fibers``: dict of each fiber type to the number of positioners with a fiber of this type. The type is
-              ``""`` if fiber types are not distinguished.
+            - ``fibers``: dict that maps each fiber type to the number of positioners with a fiber of this type. The
+              type is ``""`` if fiber types are not distinguished.
             - ``spectrographs`` and ``obstacles``: numbers of spectrographs and of obstacles.
             - ``field_shape``: shape of the convex hull of the centers (circle, hexagon, square, triangle or irregular).
             - ``field_radius`` and ``focal_plane_radius``: distance from the center to the outermost point in reach, as

@@ -70,7 +70,7 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
     if dots.is_dir():
         files = find_pfs_files(dots)
         if files is None:
-            raise InputError(f"{dots}: the folder must have a file black_dots*.csv, got none")
+            raise InputError(f"{dots}: the folder must have a file black_dots_mm*.csv, got none")
         return read_pfs(nominal, **{**files, **_given(fiducials=fiducials, interference=interference, cobras=cobras)})
     circles = read_dots(dots)
     offset = (circles[:, :2] - nominal_centers()).mean(axis=0)
@@ -177,7 +177,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     return (
         f"{len(rows)} cobras have limits because of a fiducial. Each limit is a condition on both joint angles. "
         f"As an approximation, the range of theta is restricted for {by_theta.sum()} cobras and the range of phi for "
-        f"{(~by_theta).sum()} cobras, which excludes more poses than the limits."
+        f"{(~by_theta).sum()} cobras. These ranges exclude more poses than the original limits."
     )
 
 

@@ -18,7 +18,8 @@ PITCH = 8.0
 BOARDS = ("4A 12A 4B 14B 12B 8B 8A", "3A 11A 3B 13B 11B 7B 7A", "2A 10A 2B 14A 10B 6B 6A", "1A 9A 1B 13A 9B 5B 5A")
 FIRST_HALF = 29  # number of cobras on board A of a module; the other cobras are on board B
 HOLES = 651
-# Holes of a slit that contain no fiber of a cobra: engineering fibers and empty holes.
+# Numbers of the holes of a slit without a fiber of a cobra: holes with engineering fibers, and empty holes. The slits
+# of the first two spectrographs have three more empty holes.
 ENGINEERING = (1, 45, 92, 137, 184, 229, 273, 316, 336, 382, 426, 471, 515, 560, 607, 651)
 EMPTY = (44, 91, 93, 136, 183, 185, 228, 272, *range(317, 336), 383, 427, 470, 472, 516, 559, 561, 608)
 EMPTY_IN_FIRST_TWO = (280, 309, 359)

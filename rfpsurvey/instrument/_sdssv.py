@@ -274,7 +274,7 @@ def _obstacles(folder, site, nominal, ids, notes):
 
 
 def _maps(folder, site, nominal, notes):
-    """Return the radial map of each fiber type, with the largest field angle and the factor of the preset."""
+    """Return the radial map of each fiber type, with the largest field angle and scale factor of the preset."""
     rows = _optional(folder, "focalPlaneModel.csv", site, ("direction", "waveCat", "R", *COEFFICIENTS), notes)
     if rows is None:
         return nominal

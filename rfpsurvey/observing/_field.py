@@ -9,8 +9,9 @@ from rfpsurvey.projection import FieldProjection, RadialMap
 
 __all__ = ["ObservedField"]
 
-# Half the distance (rad) between the points whose images define the orientation of the field; largest number of
-# iterations of the inverse projection; largest change of a unit vector that can be a rounding error.
+# STEP: half the distance (rad) between the points whose images define the orientation of the field.
+# MOST_STEPS: largest number of iterations of the inverse projection.
+# ROUNDING: largest change of a unit vector that can be a rounding error.
 STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
 
 
@@ -18,9 +19,9 @@ class ObservedField:
     """Projection of a field onto the focal plane for given observing conditions; arrays have no units.
 
     The telescope follows the field center at the guide wavelength: the image of the center is at (0, 0) mm. The rotator
-    removes the rotation of the field: the field is oriented such that, close to its center, the mean rotation relative
-    to ``basis`` is 0. Refraction also compresses the field; therefore, the direction of north can differ from its
-    nominal position angle.
+    removes the rotation of the field, so that the mean rotation of directions close to the field center, relative to
+    ``basis``, is 0. Refraction also compresses the field, mainly in the vertical direction. Therefore, the direction of
+    north can differ from its nominal position angle, although the mean rotation is 0.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def test_from_desi_mirrors_the_polygons_of_most_positioners(tmp_path, closed):
     path = tmp_path / "desi-exclusion_2020-01-01T00:00:00.json"
     path.write_text(json.dumps({"default": shapes, "other": other}))
     desi = rs.Instrument.from_desi(tmp_path)
-    assert "also for 1 positioner with other polygons" in desi.notes
+    assert "also replace other polygons of 1 positioner" in desi.notes
     assert desi.values["positioner.full_outline"]["status"] == "derived"
     assert_legacy(desi.with_arm_model("outline").focal_plane.positioner.outline, sign=-1)
 
@@ -156,4 +156,4 @@ def test_polygons_that_cross_give_a_clearance_but_no_outline(tmp_path):
     desi = rs.Instrument.from_desi(tmp_path / "f.ecsv", exclusions=tmp_path / "e.json")
     assert desi.focal_plane.positioner.clearance == 1 * u.mm
     assert desi.arm_models == ("elbow_to_tip", "fiber_tip")
-    assert "form no outline" in desi.notes
+    assert "do not form a valid outline" in desi.notes

@@ -90,7 +90,7 @@ def test_the_base_is_good(tmp_path):
         (
             "optics.radial_map",
             figure("3"),
-            "radial_map must be a table that contains, under each fiber type or the key any, a",
+            "radial_map must be a table whose keys are fiber types ",
         ),
         ("optics.radial_map", figure("{ any = { form = 1, coefficients = [1] } }"), "radial_map must be a table"),
         ("optics.radial_map", figure('{ any = { form = "theta", coefficients = 1 } }'), "optics.radial_map must be"),

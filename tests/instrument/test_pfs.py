@@ -299,7 +299,7 @@ def test_files_that_do_not_exist_are_refused(folder, tmp_path):
         rs.Instrument.from_pfs(folder / "none.csv")
     with pytest.raises(InputError, match="there is no such file"):
         rs.Instrument.from_pfs(folder / DOTS, cobras=folder / "none.xml")
-    with pytest.raises(InputError, match=r"must have a file black_dots\*\.csv"):
+    with pytest.raises(InputError, match=r"must have a file black_dots_mm\*\.csv"):
         rs.Instrument.from_pfs(tmp_path)
 
 
