@@ -228,7 +228,7 @@ def test_epochs_matter_only_where_something_moves():
 def test_proper_motions_of_another_frame_are_not_used_without_a_word():
     """The proper motions were ignored without a warning."""
     table = QTable({"l": [1] * u.deg, "b": [2] * u.deg, "pmra": [1] * u.mas / u.yr, "pmdec": [1] * u.mas / u.yr})
-    with pytest.warns(rs.RfpsurveyWarning, match="not in the requested frame"):
+    with pytest.warns(rs.RfpsurveyWarning, match="but the coordinates are in another frame"):
         assert not rs.Catalog.from_table(table, frame="galactic").has_proper_motion
 
 

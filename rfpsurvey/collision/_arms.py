@@ -247,7 +247,7 @@ def to_columns(plane, fiber_type):
 
 
 def capsule_angles(columns, assigned):
-    """Return the cosine and sine of the angle, at each elbow, between the line to the fiber and the axis of the capsule.
+    """Return the cosine and sine of the angle at each elbow, from the direction of the fiber to that of the capsule.
 
     For positioners without a target, the fiber is the first fiber of the positioner.
     """

@@ -180,7 +180,7 @@ def count_collisions(
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
-    """Return a function that counts collisions in a chunk of the given configurations, and the arguments of its calls."""
+    """Return a function that counts the collisions of given configurations, and the arguments of its calls."""
     shape = getattr(tips, "shape", ())
     if not isinstance(tips, u.Quantity) or len(shape) != 3 or shape[1:] != (len(plane), 2):
         kind = f"the shape {shape}" if isinstance(tips, u.Quantity) else type(tips).__name__
@@ -240,7 +240,7 @@ number of tips out of reach.
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
-    """Return a function that draws a chunk of configurations and counts collisions, and the arguments of its calls."""
+    """Return a function that draws configurations and counts their collisions, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(
             "configurations can be drawn only from the queues of the allocator 'balanced', got the allocator "

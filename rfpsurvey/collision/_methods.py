@@ -48,7 +48,7 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find pairs of arms on which two of ``n_points`` sampled points per arm are close; this method misses some pairs."""
+    """Find colliding pairs by the distances between ``n_points`` points on each arm; this method misses some pairs."""
     _require_segments(case, "sampled")
     first, second = near_pairs(case)
     squared = np.empty(len(first))
@@ -57,7 +57,7 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Find pairs of arms that sweep areas closer than the minimum separation on the way from their parked poses."""
+    """Find pairs of arms by the distance between the areas that the arms sweep from their parked poses."""
     _require_segments(case, "sweep")
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]

@@ -70,7 +70,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 
 
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
-    """Return fields of random targets for each instrument, with equal numbers of targets per positioner or solid angle."""
+    """Return fields of random targets for each instrument, with the same density per positioner or per solid angle."""
     check_whole(number, "n_realizations")
     if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)

@@ -143,14 +143,14 @@ def compare_instruments(
         (fraction of the positioners assigned to science targets); ``probability``, ``low``, ``high`` (collision
         probability of the positioners that have a target or are parked obstacles, and its 95 % confidence interval);
         ``pairs_per_positioner`` (number of colliding pairs per positioner that has a target or is a parked obstacle);
-        ``usable`` (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by the area
-        of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field); ``loss``
-        (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that ignores
-        collisions; for ``optimal``, this is the fraction of targets lost to collisions; for allocators that ignore
-        requirements, the loss can be negative); ``gap`` (relative difference between the objective of a plan and its
-        proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time for finding
-        the targets in reach and for the allocation of a field, without compilation). ``meta`` contains the provenance,
-        and states which columns can be compared between instruments.
+        ``usable`` (number of fibers on science targets without a collision); ``usable_per_area`` (``usable`` divided by
+        the area of the footprint); ``usable_per_solid_angle`` (``usable`` divided by the solid angle of the field);
+        ``loss`` (fraction by which ``usable`` is smaller than the number of science fibers of the best plan that
+        ignores collisions; for ``optimal``, this is the fraction of targets lost to collisions; for allocators that
+        ignore requirements, the loss can be negative); ``gap`` (relative difference between the objective of a plan and
+        its proven upper bound, maximum over the fields; NaN without a proven bound); ``seconds`` (median time for
+        finding the targets in reach and for the allocation of a field, without compilation). ``meta`` contains the
+        provenance, and states which columns can be compared between instruments.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class Lattice:
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """Arguments of the collision probability: central arm / pitch, ratio of the arms, and minimum separation / pitch."""
+        """Ratios on which the collision probability depends: central arm / pitch, arm ratio, separation D / pitch."""
         central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
         return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
 
