@@ -132,7 +132,7 @@ def _codes(problem):
 
 
 def _without_obstacles(problem, reach, crowded):
-    """Omit pairs whose arm touches an obstacle with every possible elbow; only ``crowded`` positioners are tested."""
+    """Omit pairs whose arm touches an obstacle in each possible pose; only ``crowded`` positioners are tested."""
     plane = problem.focal_plane
     pairs = plane.arrays.obstacle_pairs
     pairs = pairs[crowded[pairs[:, 0]]]

@@ -80,8 +80,12 @@ class CollisionReport:
         return partners  # these are in ascending order, because the pairs are sorted
 
     def _repr_html_(self) -> str:
-        facts = {"pairs": len(self.pairs), "collisions with obstacles": len(self.obstacle_pairs), "rate": self.rate}
-        return to_html(self, {**facts, "rate of assigned positioners": self.rate_assigned})
+        facts = {
+            "pairs": len(self.pairs),
+            "collisions with obstacles": len(self.obstacle_pairs),
+            "collision rate": self.rate,
+        }
+        return to_html(self, {**facts, "collision rate of assigned positioners": self.rate_assigned})
 
     def __repr__(self):
         return (

@@ -53,7 +53,11 @@ class Quadrature:
 
     @cached_property
     def environments(self) -> tuple[np.ndarray, np.ndarray]:
-        """Row of one positioner for each environment, and the index of the environment of each positioner."""
+        """The result of ``environments``: a representative positioner of each group of positioners, and all groups.
+
+        The positioners of a group have the same arrangement of neighbors. The first array contains the row of one
+        positioner for each group, and the second array contains the index of the group of each positioner.
+        """
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))

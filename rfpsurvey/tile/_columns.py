@@ -49,7 +49,7 @@ OUTCOMES_COLUMNS = {
     **TARGET_COLUMNS,
     "x": "position of the target in the focal plane",
     "y": "position of the target in the focal plane",
-    "outcome": "outcome of the target",
+    "outcome": "observed, or the reason why the target is not observed",
     "positioner": "identifier of the positioner of the target",
 }
 COMPLETENESS = {
