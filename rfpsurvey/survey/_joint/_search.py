@@ -211,7 +211,7 @@ class Search:
             self.bounds[level] = min(self.bounds[level], np.floor(total))
 
     def _class_weights(self, most):
-        """Return the weights of all classes, such that higher priorities take precedence; idle arms have the weight 0."""
+        """Return weights of the classes, such that higher priorities take precedence; idle arms have the weight 0."""
         n = self.network.n_classes
         ratio = min(float(most + 1), STEEPEST ** (1.0 / max(n - 1, 1)))
         return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
