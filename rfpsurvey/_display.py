@@ -20,7 +20,7 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
     facts : dict
         Names and values of properties of the result. Values that are not numbers or short text are omitted.
     table : QTable, optional
-        The table to show.
+        Table whose first rows are shown.
 
     Returns
     -------

@@ -50,7 +50,7 @@ def pixels_near(nside: int, distance: Callable, margin: float) -> np.ndarray:
     distance : callable
         Function that returns the distances (radians) of unit vectors from the object.
     margin : float
-        Largest distance, radians.
+        Largest distance of a pixel center from the object, in radians.
 
     Returns
     -------

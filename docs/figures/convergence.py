@@ -17,7 +17,8 @@ for stop, color in (("convergence", "#D55E00"), ("interval", "#0072B2")):
     options = {"method": "monte_carlo", "targets": targets, "precision": Precision(0.002, stop=stop)}
     found = [rs.collision_probability(plane, rng=k, **options) for k in range(60)]
     error = np.sqrt(np.mean([(e.value - truth) ** 2 for e in found]))
-    label = f"{stop}: root mean square error {error / 0.002:.1f} \N{MULTIPLICATION SIGN} the requested standard error"
+    label = f"stop={stop!r}: root mean square error {error / 0.002:.1f}"
+    label += " \N{MULTIPLICATION SIGN} the requested standard error"
     ax.plot([e.n for e in found], [e.value for e in found], "o", color=color, ms=4, label=label)
 ax.axhspan(truth - 0.002, truth + 0.002, color="0.85", label="truth \N{PLUS-MINUS SIGN} requested standard error")
 ax.set(xlabel="iterations", ylabel="collision probability", xscale="log")

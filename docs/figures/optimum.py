@@ -42,7 +42,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73")
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
 number, seconds, gap = zip(*SIZES, strict=True)
 left.loglog(number, seconds, "o-", color=COLORS[0])
-left.set(xlabel="positioners", ylabel="seconds", ylim=(0.1, 300))
+left.set(xlabel="number of positioners", ylabel="time (s)", ylim=(0.1, 300))
 left.axhline(60, color="0.6", ls=":")
 for n, s, g in SIZES:
     text = "proven" if g == 0 else f"gap {100 * g:.2f} %"

@@ -59,15 +59,15 @@ def with_visits(targets, visits: int):
 LINES = {
     "n_realizations": "realizations",
     "n_tiles": "tiles",
-    "n_targets": "targets",
+    "n_targets": "targets with requested visits",
     "n_unreachable": "targets that no tile can reach",
     "n_never_observed": "targets never observed",
     "n_sometimes_observed": "targets sometimes observed",
     "n_always_observed": "targets always observed",
-    "mean_probability": "mean probability",
-    "n_assigned": "assigned fibers",
-    "n_lost": "targets lost to collisions",
-    "n_observed": "visits observed",
+    "mean_probability": "mean selection probability",
+    "n_assigned": "assigned fibers, all realizations",
+    "n_lost": "  lost to collisions",
+    "n_observed": "visits observed, all realizations",
 }
 
 

@@ -18,8 +18,8 @@ def convert(
     format: Annotated[  # noqa: A002
         str | None,
         typer.Option(
-            help="Format: confsummary, fiberassign, pfsdesign or table. By default, the extension of the "
-            "file name determines the format."
+            help="Format of the new file: confsummary, fiberassign, pfsdesign or table. By default, the extension of "
+            "the file name determines the format."
         ),
     ] = None,
     overwrite: _options.OverwriteOption = False,

@@ -18,7 +18,7 @@ def reproduce(
     folder: Annotated[
         Path, typer.Option(help="Folder for the tables, the figures, and the list of the claims of the paper.")
     ] = Path("reproduction"),
-    quick: Annotated[bool, typer.Option("--quick", help="Use few designs and repeats, for a short test.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Run a short test with few designs and repetitions.")] = False,
     workers: Annotated[
         int | None, typer.Option(help="Number of threads; by default, the number of cores.", min=1)
     ] = None,

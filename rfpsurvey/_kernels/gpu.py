@@ -108,7 +108,7 @@ def count(
 
 @cuda.jit
 def list_pairs(segments, first, second, reject2, limit, found, squared, n):
-    """List the pairs (by their index in ``first`` and ``second``) with squared distances below ``limit``."""
+    """List the index k of each pair (``first[k]``, ``second[k]``) whose squared distance is below ``limit``."""
     k = cuda.grid(1)
     if k >= first.size:
         return

@@ -19,7 +19,7 @@ class Links(NamedTuple):
     own: np.ndarray
     """Positioner of each candidate."""
     target: np.ndarray
-    """Target of each candidate, or -1."""
+    """Target of each candidate, or -1 for an idle arm."""
     rank: np.ndarray
     """Class of the target of each candidate; smaller numbers are more important."""
     t_indptr: np.ndarray

@@ -27,7 +27,7 @@ class Entries(NamedTuple):
     halves: np.ndarray
     weight: np.ndarray
     total: np.ndarray
-    """Sum of the weights of each queue."""
+    """Sum of the weights of the entries of each queue."""
     free: np.ndarray
     """Probability that the pose of an entry does not collide, under the condition that the entry is in use."""
     hit: np.ndarray

@@ -1,4 +1,4 @@
-"""Read tables and documents from files of limited size; error messages are single sentences."""
+"""Read tables, and TOML and JSON documents, of limited size; error messages are single sentences."""
 
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units

@@ -39,7 +39,7 @@ class Allocation:
     parked_obstacles : bool
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     seconds : dict of str to float
-        Computing time of each stage in seconds.
+        Computing times in seconds: ``reach`` (finding the targets in reach) and ``allocation`` (all later steps).
     xy : Quantity, shape (n_targets, 2)
         Positions on the focal plane: first all given targets, then the observed sky positions in gaps between the
         targets.
@@ -56,7 +56,7 @@ class Allocation:
     unmet : tuple of Shortfall
         Requirements that are not met; ``str`` converts each element to a sentence.
     meta : dict
-        Information about the search for the allocation.
+        Information from the allocator about its search, such as the number of moved positioners; may be empty.
 
     Examples
     --------
@@ -151,7 +151,7 @@ class Allocation:
 
     def _repr_html_(self) -> str:
         facts = {level.name: f"{level.value:g} (upper bound {level.bound:g})" for level in self.levels}
-        return to_html(self, {**facts, "gap": self.gap, "requirements that are not met": len(self.unmet)})
+        return to_html(self, {**facts, "relative gap to bound": self.gap, "unmet requirements": len(self.unmet)})
 
     def __repr__(self):
         n, m = len(self.target_of_positioner), len(self.positioner_of_target)

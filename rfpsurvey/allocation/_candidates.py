@@ -34,7 +34,7 @@ class Candidates:
     A requirement per spectrograph has one row for each spectrograph.
     """
     preselection: Preselection
-    """Reachable pairs from which the candidates were made; some pairs may have been omitted."""
+    """Reachable pairs (positioner, target) from which the candidates were made; `preselect` may have omitted pairs."""
     idle_pairs: np.ndarray | None = None
     """Pairs of positioners whose idle arms collide, shape (2, m); None if the pairs were not computed."""
 
@@ -121,7 +121,10 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
 
 
 def list_candidates(problem, reach, both):
-    """Return columns of all candidates: each target in reach with each possible elbow position, and the idle arms."""
+    """Return ``start`` and the positioner, target, elbow and squared distance of all candidates, including idle arms.
+
+    There is one candidate for each target in reach and each possible elbow position.
+    """
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))

@@ -48,7 +48,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     Returns
     -------
     bound : float
-        Upper bound of the total weight.
+        Upper bound of the total weight of any plan.
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner, or -1 if its cluster was not solved.
     """
@@ -86,7 +86,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
 
 
 def _solve_cluster(matrix, rows, start, value, deadline):
-    """Solve the integer program of one cluster; return an upper bound of its total weight, and the variables."""
+    """Solve the integer program of one cluster; return an upper bound of its weight, and its variables' values."""
     if left(deadline) == 0:
         return np.inf, None
     size = np.diff(start)

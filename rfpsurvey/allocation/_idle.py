@@ -87,7 +87,7 @@ def _separate(candidates, members, state, deadline):
 
 
 def _fewest(program, pairs, idle, now, x, deadline):
-    """Return the variables of the plan with the fewest collisions of idle arms, among all plans as good as ``x``."""
+    """Return the variables of the plan with the fewest collisions of idle arms, among plans as good as plan ``x``."""
     place = program.index[idle[pairs]]  # -1 for positioners that are not members
     cost = np.zeros(program.n)
     both = place[:, (place >= 0).all(axis=0)]

@@ -62,7 +62,7 @@ class _Pursuit:
         return np.minimum(self.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
-        """Return the variables that maximize a goal, and an upper bound of the goal."""
+        """Return the variables that maximize a goal (a weighted sum of objectives), and an upper bound of the goal."""
         x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
         self.n_programs += 1
         if not self.integral and x is not None:

@@ -76,7 +76,7 @@ class Program:
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]
 
     def reaches(self, x: np.ndarray) -> np.ndarray:
-        """Return the value of each objective for a plan."""
+        """Return the value of each objective for the plan with the variables ``x``."""
         return np.round(self.matrix @ x)
 
     def goal(self, first: int, weights: np.ndarray) -> np.ndarray:
@@ -104,7 +104,7 @@ class Program:
         return maximize((matrix, low, high), goal, most, deadline, integral=integral, gap=gap, presolve=presolve)
 
     def _may_presolve(self, matrix) -> bool:
-        """Return whether the presolve of the solver is fast enough; the estimate is the same on all computers."""
+        """Return whether the presolve of the solver is fast enough; the estimated time is the same on all computers."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 

@@ -70,7 +70,7 @@ class AllocationOptions:
         Any other name refers to an allocator that an installed package provides. A function is called with an
         `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
-        Numbers of targets that the plan must contain, such as ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
+        Minimum and maximum numbers of targets per plan, as in ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
         are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` ignore
         requirements, but report requirements that are not met.

@@ -50,7 +50,7 @@ class Prices:
         return weights - self.matrix.T @ self.price
 
     def bound(self, weights: np.ndarray) -> float:
-        """Return an upper bound of the total weight of a plan."""
+        """Return an upper bound of the total weight of any plan."""
         bound = float(kernels.bound_of(self.options.start, self.values(weights), self.price))
         return bound + ROUNDING * (len(self.options.start) + float(self.price.sum()))
 

@@ -242,13 +242,13 @@ class AllocationProblem:
         Returns
         -------
         ndarray of int, shape (k,)
-            Spectrograph of each pair.
+            Number of the spectrograph for each pair of a positioner and its target.
         """
         table = self.focal_plane.spectrograph
         return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
 
     def only(self, targets: np.ndarray) -> Reach:
-        """Return the reachable pairs of some targets.
+        """Return the reachable pairs (positioner, target) of the marked targets.
 
         Parameters
         ----------
@@ -258,7 +258,7 @@ class AllocationProblem:
         Returns
         -------
         Reach
-            The pairs.
+            The pairs of the marked targets.
         """
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 

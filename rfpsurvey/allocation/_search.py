@@ -202,7 +202,7 @@ def _whole(bound):
 
 
 def _offset(problem, names):
-    """Return the index of the first class among the objectives."""
+    """Return the index of the objective of the most important class in the list of all objectives."""
     return len(names) - len(problem.classes) - (not problem.science.all())
 
 

@@ -42,7 +42,7 @@ def maximize(
     first: np.ndarray | None = None,
     nodes: int | None = None,
 ):
-    """Return the variables that maximize a goal, and an upper bound of the goal.
+    """Return the variables that maximize a goal (a weighted sum of the variables), and an upper bound of the goal.
 
     The variables are None if no solution is found before the deadline.
 

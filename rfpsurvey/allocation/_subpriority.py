@@ -20,7 +20,7 @@ def id_numbers(ids: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray of uint64, shape (n,)
-        The numbers.
+        The number of each identifier.
     """
     ids = np.asarray(ids)
     if ids.dtype.kind in "iu":
@@ -103,7 +103,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     Returns
     -------
     ndarray of float, shape (n,)
-        The subpriorities.
+        Subpriority of each target.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray of int, shape (n,)
-        The rows.
+        Rows of the targets; the target with the largest subpriority is first.
     """
     order = np.argsort(-values, kind="stable")
     if (np.diff(values[order]) == 0).any():

@@ -30,7 +30,7 @@ class TileCandidates(NamedTuple):
     column: np.ndarray
     """Cliques as compressed rows (``indptr``, ``column``): a plan uses at most one candidate of each clique."""
     shortened: np.ndarray
-    """Whether some candidates were omitted, for each positioner."""
+    """Whether some candidates of each positioner were omitted."""
     pairs: tuple[np.ndarray, np.ndarray]
     """Positioner and target of each reachable pair."""
 
@@ -70,7 +70,7 @@ class GivenPlan:
     Parameters
     ----------
     target_of : ndarray of int, shape (n_positioners,)
-        Target of each positioner, or -1.
+        Target of each positioner, or -1 for no target.
     side : ndarray of int, shape (n_positioners,)
         Elbow of each positioner: +1 is right, -1 is left.
     """
@@ -79,7 +79,7 @@ class GivenPlan:
         self.target_of, self.side = target_of, side
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
-        """Return the plan."""
+        """Return the given plan as the answer of an allocator."""
         return AllocationAnswer(self.target_of, elbow_names(self.side.astype(float)))
 
 
@@ -94,7 +94,7 @@ class WeightedProblem(NamedTuple):
     weight: np.ndarray
     indptr: np.ndarray
     column: np.ndarray
-    """Sets of candidates as compressed rows."""
+    """Sets of candidates as compressed rows (``indptr``, ``column``); ``most`` limits how many of a set are used."""
     most: np.ndarray
     """Largest number of candidates of each set that a plan may use."""
     first: np.ndarray | None
@@ -113,7 +113,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     Parameters
     ----------
     problem : WeightedProblem
-        The problem.
+        The candidates with their weights, the sets, and the limits of the search.
 
     Returns
     -------
@@ -179,7 +179,7 @@ class RowPrices(Prices):
         self.price = np.zeros(len(most))
 
     def bound(self, weights: np.ndarray) -> float:
-        """Return an upper bound of the total weight of a plan.
+        """Return an upper bound of the total weight of any plan.
 
         Parameters
         ----------
@@ -189,7 +189,7 @@ class RowPrices(Prices):
         Returns
         -------
         float
-            Upper bound of the total weight.
+            Upper bound of the total weight of any plan.
         """
         total = float(self.price @ self.most)
         best = np.maximum.reduceat(self.values(weights), self.start[:-1])
@@ -197,7 +197,7 @@ class RowPrices(Prices):
         return total + float(best.sum()) + ROUNDING * (len(self.start) + total + float(np.abs(best).sum()))
 
     def improve(self, weights: np.ndarray, sweeps: tuple, is_over) -> float:
-        """Adjust the prices to reduce the upper bound of the total weight of a plan, and return this bound.
+        """Adjust the prices to reduce the upper bound of the total weight of any plan, and return this bound.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class RowPrices(Prices):
         Returns
         -------
         float
-            Upper bound of the total weight.
+            Upper bound of the total weight of any plan.
         """
         n = len(self.price)
         best, best_price = self.bound(weights), self.price.copy()

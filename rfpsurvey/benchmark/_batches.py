@@ -31,7 +31,7 @@ def benchmark_batches(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Name of a preset, instrument or focal plane.
+        An instrument, a focal plane, or the name of a preset.
     sizes : sequence of int, optional
         Numbers of configurations whose collisions are counted in one call. At most 256 different configurations are
         made; larger batches repeat these configurations. The positions of all tips are kept in memory, for example

@@ -86,7 +86,7 @@ def benchmark_collisions(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Name of a preset, instrument or focal plane.
+        An instrument, a focal plane, or the name of a preset.
     methods : sequence of str, optional
         Methods of `~rfpsurvey.find_collisions` and, for comparison, ``every_pair`` (distant pairs are not
         excluded first), ``endpoints`` (no test for crossings) and ``shapely`` (if it is installed). By default, all

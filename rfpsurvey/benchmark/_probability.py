@@ -47,7 +47,7 @@ def benchmark_probability(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Name of a preset, instrument or focal plane. The random targets are the default targets of
+        An instrument, a focal plane, or the name of a preset. The random targets are the default targets of
         `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
         Efforts of each method: the numbers of iterations, realizations or points for which the method is run. Give 0
@@ -156,7 +156,7 @@ def benchmark_densities(
     Parameters
     ----------
     instrument : str, Instrument or FocalPlane, optional
-        Name of a preset, instrument or focal plane.
+        An instrument, a focal plane, or the name of a preset.
     precision : float, optional
         Standard error of each collision probability, except for the empirical density.
     n_allocations : int, optional

@@ -384,7 +384,7 @@ class Catalog:
         center : SkyCoord or str
             Center of the circle; text is read as in `plan_tile`.
         radius : Quantity
-            Angular radius.
+            Angular radius of the circle.
 
         Returns
         -------

@@ -22,7 +22,7 @@ class SkyIndex:
     Parameters
     ----------
     vectors : ndarray, shape (n, 3)
-        Unit vectors.
+        Unit vectors of the directions to sort.
     """
 
     def __init__(self, vectors: np.ndarray):
@@ -48,9 +48,9 @@ class SkyIndex:
         Parameters
         ----------
         center : ndarray, shape (3,)
-            Unit vector.
+            Unit vector of the center of the circle.
         radius_rad : float
-            Angular radius, in radians.
+            Angular radius of the circle, in radians.
         left : ndarray, shape (n,), optional
             Value for the direction at each position, such as a number of remaining visits. Directions with the value 0
             are omitted.

@@ -81,11 +81,11 @@ class CollisionReport:
 
     def _repr_html_(self) -> str:
         facts = {
-            "pairs": len(self.pairs),
+            "colliding pairs of positioners": len(self.pairs),
             "collisions with obstacles": len(self.obstacle_pairs),
-            "collision rate": self.rate,
+            "collision rate (assigned and parked)": self.rate,
         }
-        return to_html(self, {**facts, "collision rate of assigned positioners": self.rate_assigned})
+        return to_html(self, {**facts, "collision rate (assigned only)": self.rate_assigned})
 
     def __repr__(self):
         return (

@@ -49,7 +49,7 @@ class Plan:
     n_usable: int
     n_pairs: int
     probability: np.ndarray
-    """1 for positioners in collision, 0 for other positioners, NaN for positioners that are not counted."""
+    """For each positioner: 1 if it is in collision, 0 if it is not, NaN if it is not counted."""
     gap: float
     seconds: float
 

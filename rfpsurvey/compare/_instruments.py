@@ -57,7 +57,7 @@ PARTS = {
         "reach_2",
         "reach_3",
     ),
-    "fibers of a field": (
+    "targets and fibers per field": (
         "allocator",
         "targets",
         "targets_per_positioner",

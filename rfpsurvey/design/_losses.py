@@ -55,7 +55,7 @@ class Skies(NamedTuple):
     """Number of realizations of the targets over which losses are averaged."""
     rng: np.random.Generator
     time_limit: float
-    """Time limit of a search, in seconds."""
+    """Time limit of each search for a plan, in seconds."""
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:

@@ -43,7 +43,7 @@ class LossOptions:
         Number of realizations of the targets over which ``conditional``, ``optimal`` and ``repair`` average the loss.
         In each realization, 91 positioners are counted.
     time_limit : Quantity, optional
-        Time limit of each search of ``optimal``.
+        Time limit of each search for a plan by the method ``optimal``.
 
     Raises
     ------
@@ -100,5 +100,5 @@ class LossOptions:
 
     @property
     def seconds(self) -> float:
-        """Time limit of each search of a design, in seconds."""
+        """Time limit of each search for a plan, in seconds."""
         return to_scalar(self.time_limit, u.s, "time_limit", low=0)

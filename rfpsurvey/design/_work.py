@@ -22,7 +22,7 @@ class Task:
     step: float
     """Motor step, in radians."""
     targets: float
-    """Number of targets, per positioner or per mm^2."""
+    """Number of targets: per mm^2 if ``by_area`` is true, otherwise per positioner."""
     by_area: bool
     n_skies: int
     time_limit: float
@@ -52,7 +52,7 @@ class Task:
             return
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
         if method == "surrogate" and not in_box(lattice):
-            row["reason"] = "the parameters are outside the range of the surrogate"
+            row["reason"] = "the parameters are outside the range of the method 'surrogate'"
             return
         found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
         row["method"] = method

@@ -124,7 +124,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def annuli(self) -> np.ndarray:
-        """Patrol areas in the form that the kernel ``reachable_pairs`` requires."""
+        """Patrol areas of all positioners, in the form that the kernel ``reachable_pairs`` requires."""
         return locked(reach.annuli(self.geometry.cx, self.geometry.cy, self.inner_radius, self.outer_radius))
 
     @cached_property
@@ -228,7 +228,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def grid(self) -> tuple:
-        """Grid of square cells, with the positioners that reach into each cell."""
+        """Grid of square cells on the focal plane, with the positioners that reach into each cell."""
         return make_grid(self.xy, self.largest_radius)
 
     @cached_property
@@ -279,7 +279,7 @@ class FocalPlaneArrays:
 
     @cached_property
     def bounds(self) -> arms.Bounds:
-        """Limits of the squared distance (mm^2) between the center and the fiber tip of each positioner."""
+        """Lower and upper limits of the squared distance (mm^2) from the center to the fiber tip of each positioner."""
         return self.bounds_of(None)
 
     def bounds_of(

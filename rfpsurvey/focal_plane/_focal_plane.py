@@ -278,7 +278,7 @@ class FocalPlane:
             Number of points in the rectangle around the footprint; one random point lies in each cell of a square grid.
             With 2**20 points, the standard error of each fraction is below 0.0005.
         rng : int or Generator, optional
-            Seed or generator of the points.
+            Seed or random number generator for the positions of the points.
 
         Returns
         -------
@@ -330,9 +330,9 @@ class FocalPlane:
             Number of cells; the cells nearest the origin are used. Cells at the same distance are used in the order of
             their angle from +x, counter-clockwise.
         radius : Quantity, optional
-            Keep centers at most this far from the origin.
+            Largest distance of a center from the origin; centers farther away are omitted.
         inner_radius : Quantity, optional
-            Keep centers at least this far from the origin.
+            Smallest distance of a center from the origin; nearer centers are omitted.
         vacant : list of tuple of int, optional
             Cells (q, k) without a positioner.
         rows_along : {"x", "y"}, optional

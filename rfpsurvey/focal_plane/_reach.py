@@ -78,7 +78,7 @@ class Reach:
         Parameters
         ----------
         keep : ndarray of bool, shape (n_pairs,)
-            Whether to keep each pair.
+            Whether each pair is kept.
 
         Returns
         -------
@@ -130,7 +130,10 @@ def accepted_types(plane, fiber_type, n) -> np.ndarray:
 
 
 def find_reach(plane, points, accepts) -> Reach:
-    """Return the pairs of targets at ``points`` (mm) and positioners in reach; `accepted_types` returns ``accepts``."""
+    """Return the pairs of targets at ``points`` (mm) and positioners in reach.
+
+    The argument ``accepts`` is the bit mask of fiber types of each target, as `accepted_types` returns it.
+    """
     kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
     parts = []
     for kind in kinds.tolist():
@@ -142,7 +145,7 @@ def find_reach(plane, points, accepts) -> Reach:
 
 
 def _merge(parts, n) -> Reach:
-    """Combine the reachable pairs of groups of targets; ``parts`` has (rows of the targets, pairs) for each group."""
+    """Combine the reachable pairs of groups of targets; each item of ``parts`` is (rows of the targets, pairs)."""
     size = np.zeros(n, dtype=np.int64)
     for rows, pairs in parts:
         size[rows] = np.diff(pairs.indptr)

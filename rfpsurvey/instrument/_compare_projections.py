@@ -122,7 +122,7 @@ def compare_projections(
     conditions : ObservingConditions
         The observing conditions.
     position_angle : Quantity, optional
-        Position angle of +y, from north toward east.
+        Position angle of the +y axis of the focal plane, from north toward east.
     hour_angles : Quantity, optional
         Hour angles of the field center, which replace the time or hour angle of the conditions. The result then
         includes the displacements at all of these hour angles.
@@ -188,7 +188,7 @@ def choose_projection(
 
 
 def _field(instrument, plane, conditions):
-    """Return the parameters of `field_of_model` that follow the name of the model."""
+    """Return all arguments of `field_of_model` except the name of the model."""
     focal_length, radius = plane.plate_scale.to_value(u.mm / u.rad), instrument.field_radius.to_value(u.rad)
     return plane.plain.basis, focal_length, instrument.distortion, conditions, radius
 
@@ -215,7 +215,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     table = QTable(
         {
             "model": list(MODELS),
-            "neglects": ["radial map", "refraction", "dispersion", "change during the exposure", ""],
+            "neglects": ["radial map", "refraction", "dispersion", "changes of refraction during the exposure", ""],
             "median": u.Quantity([np.median(values[:, :n_spread]) for values in moved.values()]),
             "p95": u.Quantity([np.percentile(values[:, :n_spread], 95) for values in moved.values()]),
             "max": largest,

@@ -111,13 +111,13 @@ def _from_model(preset, table, path, state, exclusions, moment):
     if exclusions is not None:
         widths, outline, text = read_polygons(exclusions, polygons, len(ids))
         positioner = replace(positioner, clearance=float(np.median(widths)) * u.mm)
-        source = "half width of the phi polygons, median of all positioners"
+        source = "median half width of the phi polygons of all positioners"
         entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
         notes.append(text)
         if outline is None:
             dropped.append(FULL_OUTLINE)
         else:
-            source = "convex parts of the polygons of most positioners"
+            source = "the most common polygons, divided into convex parts"
             entries[FULL_OUTLINE] = _entry(outline.to_dict(), exclusions, source, "mm")
     plane = _plane(
         path,
@@ -135,10 +135,10 @@ def _from_model(preset, table, path, state, exclusions, moment):
     entries |= {
         "layout.centers": _entry(len(ids), path, "OFFSET_X and OFFSET_Y of rows of the type POS"),
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL"),
-        "positioner.central_arm": _entry(float(np.median(r1)), path, "LENGTH_R1, median", "mm"),
-        "positioner.eccentric_arm": _entry(float(np.median(r2)), path, "LENGTH_R2, median", "mm"),
-        "positioner.theta_range": _entry(_limits(plane.theta_range), state or path, "MIN_T, MAX_T, medians", "deg"),
-        "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "MIN_P, MAX_P, medians", "deg"),
+        "positioner.central_arm": _entry(float(np.median(r1)), path, "median of LENGTH_R1", "mm"),
+        "positioner.eccentric_arm": _entry(float(np.median(r2)), path, "median of LENGTH_R2", "mm"),
+        "positioner.theta_range": _entry(_limits(plane.theta_range), state or path, "medians of MIN_T, MAX_T", "deg"),
+        "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "medians of MIN_P, MAX_P", "deg"),
     }
     return _built(preset, plane, entries, " ".join(notes), dropped=dropped)
 

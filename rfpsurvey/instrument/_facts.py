@@ -107,7 +107,7 @@ def fact_texts(facts: dict) -> dict[str, str]:
         if name in STATUSES:
             label, text = f"{name} values", str(len(value))
         elif isinstance(value, dict):
-            text = ", ".join(f"{kind or 'one type'} {count}" for kind, count in value.items())
+            text = ", ".join(f"{kind or 'one type:'} {count}" for kind, count in value.items())
         elif isinstance(number, int | str):
             text = str(number)
         elif np.isnan(number):

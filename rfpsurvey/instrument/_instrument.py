@@ -48,7 +48,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
     Parameters
     ----------
     name : str
-        Short name.
+        Short name of the instrument, such as ``lamost``.
     focal_plane : FocalPlane
         Focal plane with the positioners.
     plate_scale : Quantity, optional
@@ -56,7 +56,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
         Radial map or distortion map of the field, or a dict with one map for each fiber type.
     title : str, optional
-        Full name.
+        Full name of the instrument.
     layout : {"nominal", "as built"}, optional
         Whether the centers are a nominal lattice or were measured on the instrument as built.
     targets_per_fiber : float, optional

@@ -80,18 +80,18 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
     values = {name: v for name, v in nominal.values.items() if not name.startswith("layout.")}
     values["positioner.handedness"] = _entry("left", "published", ANGLES)
     values["layout.ids"] = _entry("cobraId", "published", MAP)
-    values["layout.spectrographs"] = _entry("by fiber", "published", MAP)
+    values["layout.spectrographs"] = _entry("spectrograph of the fiber of each cobra", "published", MAP)
     values["layout.dots"] = _entry(N, "published", dots.name)
     notes, columns = [_note_on_dots(dots, circles, offset)], {}
     if arms is None:
-        values["layout.centers"] = _entry("dots minus their mean offset", "derived", dots.name)
+        values["layout.centers"] = _entry("positions of the dots minus their mean offset", "derived", dots.name)
         values["layout.dot_offset"] = _entry([round(float(v), 6) for v in offset], "derived", dots.name, "mm")
     else:
         names = ", ".join(path.name for path in to_paths(cobras))
         columns, defects = _arm_columns(arms, positioner)
         values.pop("positioner.theta_range", None)
         for name in ("centers", "arms", "zero_points", "joint_limits"):
-            values[f"layout.{name}"] = _entry("by cobra", "published", names)
+            values[f"layout.{name}"] = _entry("values for each cobra", "published", names)
         notes.append(f"Centers, arms and joint limits are taken from {names}. {defects}")
     if fiducials is not None:
         path = to_path(fiducials)

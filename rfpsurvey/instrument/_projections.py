@@ -25,7 +25,7 @@ class Projections:
         center : SkyCoord
             Field center.
         position_angle : Quantity, optional
-            Position angle of +y, from north toward east.
+            Position angle of the +y axis of the focal plane, from north toward east.
         conditions : ObservingConditions, optional
             Observing conditions. If None, refraction and dispersion are neglected.
 
@@ -53,9 +53,9 @@ class Projections:
         Parameters
         ----------
         ra, dec : float
-            Field center, ICRS, in radians.
+            Right ascension and declination (ICRS) of the field center, in radians.
         angle : float
-            Position angle of +y from the north of ICRS, in radians.
+            Position angle of the +y axis of the focal plane, from ICRS north toward east, in radians.
         conditions : ObservingConditions, optional
             Observing conditions. If None, refraction and dispersion are neglected.
 

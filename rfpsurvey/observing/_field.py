@@ -39,7 +39,7 @@ class ObservedField:
     Attributes
     ----------
     basis, focal_length, distortion, conditions
-        The parameters.
+        The values of the parameters with these names.
     frames : list of ndarray, shape (3, 3)
         Directions of +x, +y and the field center at each instant of the exposure, in the frame (east, north, zenith).
 

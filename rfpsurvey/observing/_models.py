@@ -35,7 +35,7 @@ def model_of(model: str | None, conditions: ObservingConditions | None) -> str:
 def field_of_model(
     model: str, basis: np.ndarray, focal_length: float, distortion: object, conditions=None, radius: float = 0.0
 ) -> FieldProjection | ObservedField:
-    """Return the projection of a field by a model; the other parameters are the same as in `ObservedField`."""
+    """Return the projection of a field by a model; the parameters after ``model`` are those of `ObservedField`."""
     if model in STATIC:
         return FieldProjection(basis, focal_length, None if model == "tangent" else distortion)
     if model != "full":
@@ -50,8 +50,8 @@ def displacements(
 ) -> dict[str, np.ndarray]:
     """Return, for each model, the distances (mm) between the images of targets in this model and in the model ``full``.
 
-    ``points`` (n, 2) are positions of fibers (mm); ``field`` contains the parameters of `field_of_model` that follow
-    the name of the model.
+    ``points`` (n, 2) are positions of fibers (mm); ``field`` contains all arguments of `field_of_model`
+    except the name of the model.
     """
     full = field_of_model("full", *field)
     out = {name: [] for name in names}

@@ -33,9 +33,9 @@ class FieldTargets(NamedTuple):
     """The targets of a field, one per row."""
 
     vectors: np.ndarray
-    """ICRS unit vectors, shape (n, 3)."""
+    """Directions of the targets as ICRS unit vectors, shape (n, 3)."""
     id: np.ndarray
-    """Identifiers, shape (n,), integers or text."""
+    """Identifiers of the targets (integers or text), shape (n,)."""
     columns: TargetColumns
     others: np.ndarray | None = None
     """Unit vectors of other targets, which are not assigned; blank sky positions must avoid these targets."""
@@ -65,7 +65,7 @@ class FieldPlan(NamedTuple):
     """Priority, category and additional columns of the targets, if the catalog has them. For blank sky, the value is
     NaN, empty text, False or -1, depending on the type of the column."""
     seconds: dict
-    """Computing time of each stage in seconds."""
+    """Computing time of each stage of the pipeline, in seconds."""
 
 
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:

@@ -8,7 +8,7 @@ __all__ = ["OUTCOMES", "Outcome", "category_classes", "outcome_codes", "priority
 
 
 class Outcome(IntEnum):
-    """Outcome of a target."""
+    """Whether a target is observed and, if not, the reason."""
 
     NOT_REQUESTED = 0
     OBSERVED = 1

@@ -34,7 +34,7 @@ float lambda_eff; float coord_epoch; short spectrographId; short fiberId; float 
 float bp_mag; float gaia_g_mag; float rp_mag; float h_mag; long catalogid; long carton_to_target_pk; char cadence[400];
 char firstcarton[400]; char program[400]; char category[400]; long sdssv_boss_target0; long sdssv_apogee_target0;
 double delta_ra; double delta_dec;"""
-"""Types and names of the columns of a new file."""
+"""Types and names of the columns of the table FIBERMAP in a new file."""
 NATIVE = {
     "positioner": "holeId",
     "fiber_type": "fiberType",

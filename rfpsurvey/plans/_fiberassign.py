@@ -43,7 +43,7 @@ TYPES = {
     "FIBERASSIGN_Y": "f4",
     "PRIORITY": "i4",
 }
-"""Columns of a new file, with their types."""
+"""Columns of the table FIBERASSIGN in a new file, with their NumPy types."""
 UNITS = {"TARGET_RA": u.deg, "TARGET_DEC": u.deg, "PMRA": u.mas / u.yr, "PMDEC": u.mas / u.yr}
 UNITS |= {"FIBERASSIGN_X": u.mm, "FIBERASSIGN_Y": u.mm}
 REQUIRED = ("LOCATION", "TARGETID", "FIBERSTATUS", "TARGET_RA", "TARGET_DEC", "FIBERASSIGN_X", "FIBERASSIGN_Y")
@@ -58,7 +58,7 @@ COMMON = {
     "pm_dec": "PMDEC",
     "priority": "PRIORITY",
 }
-"""Name of each common column in a plan and in a fiberassign file; ``x`` and ``FIBERASSIGN_X`` have opposite signs."""
+"""Name of each column in a plan, and its name in a fiberassign file; ``x`` and ``FIBERASSIGN_X`` differ in sign."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}

@@ -40,7 +40,7 @@ FORMATS = {
     "pfiNominal": "2E",
     "fiberStatus": "J",
 }
-"""Columns of a new design, with their FITS formats."""
+"""Columns of the table DESIGN in a new file, with their FITS formats."""
 FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
 FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
 GUIDE_STARS = {
@@ -53,10 +53,10 @@ GUIDE_UNITS = {
 }  # fmt: skip
 GUIDE_COMMENTS = {"TEL_ELEV": "[degree] elevation of the telescope", "GS_CATID": "catalog of the guide stars"}
 COMMENTS = {
-    "RA": "[degree] field center",
-    "DEC": "[degree] field center",
+    "RA": "[degree] right ascension of the field center",
+    "DEC": "[degree] declination of the field center",
     "POSANG": "[degree] position angle of the PFI",
-    "ARMS": "arms to expose",
+    "ARMS": "spectrograph arms to expose",
     "DSGN_NAM": "name of the design",
     "DAMD_VER": "version of the data model",
     "W_PFDSGN": "identifier of the design",

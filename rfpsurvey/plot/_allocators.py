@@ -60,7 +60,7 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     pieces = (
         (usable, "usable science fibers", {"color": ARM}),
         (science - usable, "lost to collisions", {"color": COLLISION, "edgecolor": "white", "hatch": HATCH}),
-        (missing, "missing for requirements", {"facecolor": "white", "edgecolor": IDLE, "hatch": "...."}),
+        (missing, "fibers missing for requirements", {"facecolor": "white", "edgecolor": IDLE, "hatch": "...."}),
     )
     left, handles = np.zeros(n), []
     for sizes, label, style in pieces:
@@ -75,10 +75,14 @@ def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object
     blind = table.meta.get("blind_science")
     if blind:
         ax.axvline(blind, color=OUTLINE, linestyle="--", linewidth=1)
-        handles.append(legend_line(color=OUTLINE, linestyle="--", label="science fibers, collisions ignored"))
+        handles.append(legend_line(color=OUTLINE, linestyle="--", label="science fibers if collisions are ignored"))
     ax.set_yticks(rows, list(table["allocator"]))
     ax.invert_yaxis()
-    ax.set(xlim=(0, 1.16 * max(left.max(), blind or 0, 1)), xlabel="fibers", title=table.meta.get("instrument", ""))
+    ax.set(
+        xlim=(0, 1.16 * max(left.max(), blind or 0, 1)),
+        xlabel="number of fibers",
+        title=table.meta.get("instrument", ""),
+    )
     legend_below(ax, handles, columns=2)
     return ax
 

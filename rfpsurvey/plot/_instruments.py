@@ -70,7 +70,7 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
         if np.isfinite(lost):
             ax.annotate(f"{lost:.3f}", (1, height), (5, 0), textcoords="offset points", va="center", fontsize="small")
     header = {"fontsize": "small", "fontstyle": "italic", "linespacing": 1.0}
-    ax.annotate("fraction\nlost", (1, 1), (5, 3), "axes fraction", "offset points", **header)
+    ax.annotate("fraction\nlost to\ncollisions", (1, 1), (5, 3), "axes fraction", "offset points", **header)
     ax.set_yticks(y, labels)
     ax.set(ylim=(y.min() - 0.6, 0.6), xlim=(0, 1), xlabel="fraction of the positioners")
     legend_below(ax, handles)

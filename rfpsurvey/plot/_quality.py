@@ -300,7 +300,7 @@ def _draw_histogram(ax, table, name, assigned):
         ax.set_yscale("log")
         ax.set_ylim(bottom=0.7)
     ax.set_xlabel(labeled(table, name))
-    ax.set_ylabel("science targets")
+    ax.set_ylabel("number of science targets")
     legend_below(ax, handles)
 
 

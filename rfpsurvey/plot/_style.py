@@ -57,7 +57,7 @@ FADED, FAINT = "#A8A8A8", "#8A8A8A26"
 OUTLINE = "#222222"
 MARKERS = "osD^vP*X"
 OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
-"""Legend entries of circles that are not filled."""
+"""Style of legend entries that show a circle without a fill."""
 HATCH = "//////"
 """Hatch of arms, disks and bars that show collisions or fibers lost to collisions."""
 LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")

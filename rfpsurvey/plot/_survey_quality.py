@@ -98,7 +98,7 @@ def _draw_outcomes(ax, survey):
     around = 0.6 + max(4 - len(counts), 0) / 2
     ax.set_ylim(y.min(initial=0) - around, around)
     ax.set_xlim(0, 1.35 * max(counts.values(), default=1))  # make room for the numbers
-    ax.set_xlabel("targets of the catalog")
+    ax.set_xlabel("number of targets of the catalog")
 
 
 def _draw_fibers(ax, survey):
@@ -125,7 +125,7 @@ def _draw_fibers(ax, survey):
     around = 0.6 + max(4 - len(passes), 0) / 2
     ax.set_xlim(-around, len(passes) - 1 + around)
     ax.set_xlabel("pass")
-    ax.set_ylabel("fibers of all tiles")
+    ax.set_ylabel("fibers, all tiles of the pass")
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     legend_below(ax, handles, columns=2)
 

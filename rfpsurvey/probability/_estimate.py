@@ -38,7 +38,7 @@ class Estimate:
     per_positioner : ndarray of float, shape (n_positioners,)
         Probability that each positioner is in collision if it is counted; NaN if it is never counted.
     method : str
-        The method that was used.
+        Name of the method that was used.
     estimand : str
         The estimated quantity, ``allocated`` or ``independent``.
     seconds : float

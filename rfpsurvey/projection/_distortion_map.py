@@ -49,7 +49,8 @@ class DistortionMap:
     mirrored : bool, optional
         Whether +x of the polynomials is -x of the projection. This is true for the tables of DESI, in which +x is west.
     residuals : QTable, optional
-        Residuals of the fit for each setting, in the columns ``adc1``, ``adc2``, ``n``, ``median``, ``rms``, ``max``.
+        Residuals of the fit. Each row describes one setting of the prisms: ``adc1``, ``adc2``, the number ``n`` of
+        residuals, and their ``median``, ``rms`` and ``max``.
 
     Raises
     ------

@@ -25,7 +25,7 @@ class FieldProjection:
     Attributes
     ----------
     basis, focal_length, distortion
-        The parameters of the projection.
+        The values of the parameters with these names.
 
     Examples
     --------

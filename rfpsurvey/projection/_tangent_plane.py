@@ -36,7 +36,7 @@ class TangentPlane:
         Length on the focal plane per angle on the sky, at the field center. The plate scale can be omitted if
         ``distortion`` is given, because the distortion determines the plate scale.
     rotation : Quantity, optional
-        Position angle of +y, measured from north toward east.
+        Position angle of the +y axis of the focal plane, from north toward east.
     distortion : RadialMap, DistortionMap, or dict of str to one of them, optional
         Radial map or distortion map, or a dict with one map for each fiber type.
 
@@ -98,7 +98,7 @@ class TangentPlane:
         focal_length : Quantity
             Focal length of the telescope.
         rotation : Quantity, optional
-            Position angle of +y.
+            Position angle of the +y axis of the focal plane, from north toward east.
 
         Returns
         -------

@@ -14,7 +14,7 @@ from rfpsurvey.report._text import text_of
 
 __all__ = ["calculator_data", "is_designs", "page_of_designs"]
 
-CAPTION = "The designs."
+CAPTION = "The designs of the scan."
 WORDS = (
     "Each point is a design. The color and the marker show the ratio of the arms or, if all ratios are equal, the "
     "parameter with the largest number of different values. Large points with an edge, connected by a line, are the "

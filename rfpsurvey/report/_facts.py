@@ -16,23 +16,23 @@ __all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objec
 
 TILE = {
     "n_targets": "targets in the catalog",
-    "n_dropped": "  dropped, no finite coordinates",
+    "n_dropped": "  removed (coordinates not finite)",
     "n_in_field": "  in the field",
-    "n_set_aside": "  not requested (sky, standard)",
+    "n_set_aside": "  not requested (sky, standards)",
     "n_reachable": "  in reach of a positioner",
-    "n_rows_ignored": "rows without an assignment",
+    "n_rows_ignored": "table rows without an assignment",
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
     "n_out_of_reach": "  with a target out of reach",
     "n_wrong_fiber": "  without the required fiber type",
-    "n_unusable": "rows for disabled or stuck positioners",
+    "n_unusable": "rows not scored: disabled or stuck",
     "n_parked": "  parked, as obstacles",
-    "n_idle": "  idle, no obstacles",
+    "n_idle": "  idle, not as obstacles",
     "n_colliding": "  in collision",
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
     "collision_rate": "collision rate",
-    "collision_rate_assigned": "  of assigned positioners",
+    "collision_rate_assigned": "  of assigned positioners only",
 }
 TILING = {
     "n_tiles": "tiles",
@@ -43,16 +43,16 @@ TILING = {
     "mean_depth": "mean number of fields that cover a position",
     "n_samples": "positions at which the coverage is measured",
     "fibers": "fibers per tile",
-    "n_targets": "targets requested",
+    "n_targets": "targets with requested visits",
     "n_beyond_declination": "  outside the limits of declination",
-    "n_on_tiles": "  on a tile",
+    "n_on_tiles": "  on at least one tile",
     "n_requested": "visits requested",
     "n_observed": "  observed",
     "completeness": "completeness",
     "completeness_means": "definition of the completeness",
     "fiber_use": "fraction of the fibers used",
-    "n_isolated": "isolated targets",
-    "completeness_isolated": "  completeness",
+    "n_isolated": "targets with no other target too close",
+    "completeness_isolated": "  completeness of these targets",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 LEVELS = {"requirements": "fibers missing for requirements", "required targets": "required targets assigned"}
@@ -63,7 +63,7 @@ ZERO_IS_LEFT_OUT = (
     "  collisions with obstacles",
     "  to standard stars",
     "  to sky",
-    "number of unmet requirements, summed over all tiles",
+    "unmet requirements, sum over tiles",
 )
 
 
@@ -122,21 +122,21 @@ def survey_facts(survey: "Survey") -> dict:
     s = survey.summary
     facts = {
         "tiles": s["n_tiles"],
-        "  rounds": s["n_rounds"],
-        "targets requested": s["n_targets"],
+        "  rounds of non-overlapping tiles": s["n_rounds"],
+        "targets with requested visits": s["n_targets"],
         "visits requested": s["n_visits_requested"],
         "  observed": s["n_visits_observed"],
         "completeness": s["completeness"],
-        "  fraction of targets complete": s["completeness_targets"],
+        "  fraction of completed targets": s["completeness_targets"],
         "fibers assigned": s["n_assigned"],
-        "  to science": s["n_science"],
+        "  to science targets": s["n_science"],
         "  to standard stars": s.get("n_standard", 0),
         "  to sky": s.get("n_sky", 0),
         "  fraction of all fibers": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
-        "number of unmet requirements, summed over all tiles": s["n_unmet"],
+        "unmet requirements, sum over tiles": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
@@ -158,10 +158,10 @@ def estimate_facts(estimate: "Estimate") -> dict:
         "collision probability": f"{estimate.value:.{digits}f}",
         f"  {100 * estimate.meta['confidence']:g} % interval": interval,
         "  standard error": "" if formula else f"{estimate.standard_error:.2g}",
-        "  of assigned positioners": f"{estimate.value_assigned:.{digits}f}",
+        "  of assigned positioners only": f"{estimate.value_assigned:.{digits}f}",
         "colliding pairs per positioner": "" if formula else f"{estimate.pairs_per_positioner:.5f}",
         "iterations": estimate.n or "",
-        "effective trials": "" if formula else f"{estimate.n_effective:.0f}",
+        "effective number of trials": "" if formula else f"{estimate.n_effective:.0f}",
         "seconds": f"{estimate.seconds:.3f}",
     }
     return {label: value for label, value in lines.items() if value not in ("", "nan")}

@@ -124,8 +124,8 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
         "collisions. The time on the right is the computing time of the allocation."
     )
     picture = Picture("Numbers of fibers for each allocator.", plot_allocators(table), seen)
-    blocks = [picture, Rows("Allocators side by side.", table, where), Text(notes)]
-    sections = [Section("Side by side", blocks)]
+    blocks = [picture, Rows("Comparison of the allocators.", table, where), Text(notes)]
+    sections = [Section("Comparison", blocks)]
     if plans:
         still = [Text("The interactive view of the plans requires a browser that runs scripts.")]
         sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
@@ -149,13 +149,13 @@ def page_of_instruments(table: Table, where: str) -> Page:
         "collisions. Right: the collision probability with its 95 % interval."
     )
     blocks = [
-        Picture("Instruments side by side.", draw_instruments(table), seen),
+        Picture("Comparison of the instruments.", draw_instruments(table), seen),
         *(Rows(f"{title.capitalize()}.", part, where) for title, part in parts_of(table).items()),
         Text(meta["comparable"]),
     ]
     title = f"Comparison of {len(names)} instruments"
     provenance = {k: v for k, v in _without_private(meta).items() if k != "comparable"}
-    return Page("Comparison", title, lead, {}, [Section("Side by side", blocks)], provenance)
+    return Page("Comparison", title, lead, {}, [Section("Comparison", blocks)], provenance)
 
 
 def page_of_claims(table: Table, where: str) -> Page:

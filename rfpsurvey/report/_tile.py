@@ -61,7 +61,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
                 Facts("Request", _asked(tile)),
                 Facts("Result", tile_facts(tile)),
                 *_objectives(tile),
-                Facts("Times in seconds", summary["seconds"]),
+                Facts("Computing times in seconds", summary["seconds"]),
             ],
         ),
     ]
@@ -116,7 +116,7 @@ def _objectives(tile) -> list:
     values = {name: f"{value} (bound: {proof})" if proof else value for name, value, proof in objectives}
     if gap is not None:
         values["gap to the best plan"] = gap
-    return [Facts("Classes of targets, in order of priority", values)] if values else []
+    return [Facts("Fibers on each class of targets, in order of priority", values)] if values else []
 
 
 def _completeness(tile) -> list:

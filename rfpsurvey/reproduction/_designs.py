@@ -43,11 +43,14 @@ class Settings:
     progress: bool = False
     seed: int = 0
     error: float | None = None
-    """Standard error to reach for every design; by default 0.0001, or 0.002 in a quick run."""
+    """Standard error to reach for the collision probability of every design.
+
+    By default, it is 0.0001, or 0.002 in a quick run.
+    """
 
     @property
     def precision(self) -> float:
-        """Standard error to reach for every design."""
+        """Standard error to reach for the collision probability of every design."""
         usual = 2e-3 if self.quick else 1e-4
         return usual if self.error is None else self.error
 

@@ -8,11 +8,11 @@ from rfpsurvey.tile import describe, model_sentence
 __all__ = ["TARGETS", "realization_table"]
 
 REALIZATIONS = {
-    "realization": "number of the realization, and of its bit",
+    "realization": "number of the realization, and of its bit in BITWEIGHTS",
     "seed": "seed of the subpriorities and of the random numbers of the realization",
     "n_assigned": "number of positioners with a target, summed over all tiles",
     "n_lost": "number of targets lost to collisions, summed over all tiles",
-    "n_observed": "number of visits to science targets, except lost targets",
+    "n_observed": "number of visits to science targets, without lost targets, summed over all tiles",
 }
 TARGETS = {
     "target_id": "identifier of the target",
@@ -21,9 +21,9 @@ TARGETS = {
     "BITWEIGHTS": "bit r is 1 if realization r observed the target",
     "n_observed": "number of realizations that observed the target",
     "probability": "n_observed divided by the number of realizations",
-    "probability_error": "standard error of probability",
+    "probability_error": "standard error of the column probability",
     "weight": "inverse probability (n_realizations+1)/(n_observed+1)",
-    "weight_error": "standard error of weight",
+    "weight_error": "standard error of the column weight",
     "unreachable": "whether no positioner reaches the target in any tile",
     "never_observed": "whether no realization observed the target",
 }

@@ -30,7 +30,7 @@ TILES = {
     "n_colliding_pairs": "number of pairs of arms in collision",
     "n_obstacle_collisions": "number of collisions with obstacles",
     "n_unmet": "number of requirements that are not met",
-    "n_observed": "number of successful visits",
+    "n_observed": "number of successful visits to science targets",
     "collision_rate": "n_colliding divided by n_counted",
     "fiber_use": "n_assigned divided by the number of usable positioners",
     "completeness": "successful visits divided by requested visits, for the targets in the field",

@@ -26,10 +26,10 @@ COUNTS = {
     "NSTANDAR": ("n_standard", "positioners with a standard star"),
     "NSKY": ("n_sky", "positioners with a sky position"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
-    "NCOUNTED": ("n_counted", "positioners counted in the collision rate"),
+    "NCOUNTED": ("n_counted", "positioners that have a target or are parked"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
-    "NUNMET": ("n_unmet", "requirements not met"),
+    "NUNMET": ("n_unmet", "number of requirements that are not met"),
 }
 
 
@@ -37,9 +37,9 @@ VISITS = {
     "target_id": "identifier of the target",
     "target_row": "row in the catalog, -1 for blank sky",
     "positioner": "identifier of the positioner",
-    "in_collision": "whether the arm collides",
+    "in_collision": "whether the arm of the positioner collides",
     "observed": "whether the visit counts as an observation",
-    "fiber_type": "type of the fiber that is used",
+    "fiber_type": "fiber type of the fiber on the target",
     **TARGET_COLUMNS,
 }
 
@@ -89,7 +89,7 @@ class Model:
         cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
         if self.epoch is not None:
-            cards["REFEPOCH"] = (self.epoch, "epoch of the positions")
+            cards["REFEPOCH"] = (self.epoch, "epoch of the target positions")
         return tuple(cards.items())
 
 

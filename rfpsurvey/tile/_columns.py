@@ -16,41 +16,41 @@ __all__ = [
 ]
 
 TARGET_COLUMNS = {
-    "ra": "right ascension (ICRS)",
-    "dec": "declination (ICRS)",
-    "kind": "science, standard or sky",
-    "category": "category in the catalog",
-    "priority": "priority in the catalog; a larger value is more important",
+    "ra": "right ascension of the target (ICRS)",
+    "dec": "declination of the target (ICRS)",
+    "kind": "kind of the target: science, standard or sky",
+    "category": "category of the target in the catalog",
+    "priority": "priority of the target; targets with larger values are more important",
 }
 TILE_COLUMNS = {
     "id": "identifier of the positioner",
-    "spectrograph": "spectrograph of the fiber",
-    "x": "center of the positioner in the focal plane",
-    "y": "center of the positioner in the focal plane",
-    "status": "assigned, out_of_reach, parked, idle, disabled or stuck",
+    "spectrograph": "spectrograph that the fiber feeds",
+    "x": "x coordinate of the center of the positioner in the focal plane",
+    "y": "y coordinate of the center of the positioner in the focal plane",
+    "status": "status of the positioner: assigned, out_of_reach, parked, idle, disabled or stuck",
     "target_id": "identifier of the target",
     **TARGET_COLUMNS,
-    "fiber_type": "type of the fiber that is used",
+    "fiber_type": "fiber type of the fiber on the target",
     "theta": "angle of the central arm",
     "phi": "angle of the eccentric arm",
-    "elbow_x": "position of the elbow in the focal plane",
-    "elbow_y": "position of the elbow in the focal plane",
-    "tip_x": "position of the fiber in the focal plane",
-    "tip_y": "position of the fiber in the focal plane",
-    "in_collision": "whether the arm collides",
+    "elbow_x": "x coordinate of the elbow in the focal plane",
+    "elbow_y": "y coordinate of the elbow in the focal plane",
+    "tip_x": "x coordinate of the fiber in the focal plane",
+    "tip_y": "y coordinate of the fiber in the focal plane",
+    "in_collision": "whether the arm of the positioner collides",
     "colliding_with": "positioners and obstacles with which the arm collides",
-    "clearance": "distance to the nearest arm minus the minimum separation",
-    "arm_x": "end of the arm segment that can collide",
-    "arm_y": "end of the arm segment that can collide",
+    "clearance": "distance to the nearest other arm minus the minimum separation",
+    "arm_x": "x coordinate of the outer end of the arm segment that can collide",
+    "arm_y": "y coordinate of the outer end of the arm segment that can collide",
 }
-KEPT_COLUMN = "column of the catalog"
+KEPT_COLUMN = "copied from the catalog"
 OUTCOMES_COLUMNS = {
     "target_id": "identifier of the target",
     **TARGET_COLUMNS,
-    "x": "position of the target in the focal plane",
-    "y": "position of the target in the focal plane",
+    "x": "x coordinate of the target in the focal plane",
+    "y": "y coordinate of the target in the focal plane",
     "outcome": "observed, or the reason why the target is not observed",
-    "positioner": "identifier of the positioner of the target",
+    "positioner": "identifier of the positioner to which the target is assigned",
 }
 COMPLETENESS = {
     "kind": "kind of the counted targets, or 'all' for every kind",

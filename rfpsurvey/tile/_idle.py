@@ -22,9 +22,9 @@ IDLE_COLUMNS = {
     "n_possible": "number of free targets at which the arm would not collide",
     "colliding_with": "arms and obstacles with which the arm would collide at free targets",
     "target_id": "identifier of a free target in reach",
-    "x": "position of the target in the focal plane",
-    "y": "position of the target in the focal plane",
-    "kind": "science, standard or sky",
+    "x": "x coordinate of the target in the focal plane",
+    "y": "y coordinate of the target in the focal plane",
+    "kind": "kind of the target: science, standard or sky",
     "possible": "whether the arm can observe the target without a collision",
 }
 

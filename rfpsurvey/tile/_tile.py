@@ -269,12 +269,12 @@ class Tile:
         parameters = self.provenance["parameters"]
         cards = {
             "INSTRUME": (self.instrument, "instrument"),
-            "RA": (parameters.get("ra_deg"), "[deg] field center"),
-            "DEC": (parameters.get("dec_deg"), "[deg] field center"),
+            "RA": (parameters.get("ra_deg"), "[deg] right ascension of the field center"),
+            "DEC": (parameters.get("dec_deg"), "[deg] declination of the field center"),
             "POSANG": (parameters.get("position_angle_deg"), "[deg] position angle of +y, north toward east"),
-            "NORTHOF": (parameters.get("north_of"), "frame or equinox of north"),
+            "NORTHOF": (parameters.get("north_of"), "frame or equinox that defines north"),
             "RADESYS": ("ICRS", "frame of right ascensions and declinations"),
-            "REFEPOCH": (parameters.get("epoch"), "epoch of the positions"),
+            "REFEPOCH": (parameters.get("epoch"), "epoch of the target positions"),
             "ALLOCATR": (parameters.get("allocator"), "allocator"),
             "NASSIGN": (self.summary["n_assigned"], "positioners with a target"),
             "NCOLLIDE": (self.summary["n_colliding"], "positioners in collision"),

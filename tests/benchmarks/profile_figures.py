@@ -1,4 +1,4 @@
-"""Print the times of the page "Time of each stage": stages of calls, and the lower limits that this machine permits.
+"""Print the times of the page "Computing time of each stage": stages of calls, and their lower limits.
 
 python tests/benchmarks/profile_figures.py [tile] [collisions] [configurations] [survey] [start]
 

@@ -203,7 +203,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
     t.write(tmp_path / "t.ecsv")
     code, out, err = run("plan", tmp_path / "t.ecsv", "--center", "10.0 20.0")
     assert code == 0
-    assert re.search(r"dropped, no finite coordinates +1\n", out)
+    assert re.search(r"removed \(coordinates not finite\) +1\n", out)
     assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were removed\n"
 
 

@@ -34,8 +34,8 @@ def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp
     expected = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost", rng=5)
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["targets never observed"] == [str(expected.summary["n_never_observed"])]
-    assert lines["visits observed"] == [str(expected.summary["n_observed"])]
-    assert lines["mean probability"] == [f"{expected.summary['mean_probability']:.4f}"]
+    assert lines["visits observed, all realizations"] == [str(expected.summary["n_observed"])]
+    assert lines["mean selection probability"] == [f"{expected.summary['mean_probability']:.4f}"]
     assert "123 of 123 plans of tiles" in err
     assert f"wrote {output}" in out
     for path in (output, tmp_path / "work"):

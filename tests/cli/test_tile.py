@@ -57,7 +57,7 @@ def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_
     region, stars = rs.Region.parse("cap 95 23 2"), rs.Catalog.read(tycho)
     inside = tmp_path / "inside.fits"
     stars[region.contains(stars.coord)].write(inside)
-    assert values_of(out)["targets requested"] == str(len(rs.Catalog.read(inside)))
+    assert values_of(out)["targets with requested visits"] == str(len(rs.Catalog.read(inside)))
     code, survey, err = run("survey", inside, *options, *near[2:], "--tiles", path, "--order", "given")
     assert code == 0, err
     line = next(line for line in survey.splitlines() if line.startswith("completeness"))
@@ -80,7 +80,8 @@ def test_centers_of_a_file(tile, tycho, tmp_path):
 
 def test_excluded_regions(tile, tycho):
     counted = [
-        int(values_of(tile(tycho, *words)[1])["targets requested"]) for words in ([], ["--exclude", "cap 95 23 2"])
+        int(values_of(tile(tycho, *words)[1])["targets with requested visits"])
+        for words in ([], ["--exclude", "cap 95 23 2"])
     ]
     stars = rs.Catalog.read(tycho)
     out = rs.Region.parse("cap 95 23 2").contains(stars.coord).sum()

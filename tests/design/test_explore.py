@@ -211,7 +211,7 @@ def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front(
     assert table["pareto"].tolist() == [False, True, True]
     with pytest.warns(rs.RfpsurveyWarning, match="the reach of the arms exceeds 4 times the pitch"):
         assert np.isnan(explore(ratio=20)["coverage"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="outside the range of the surrogate"):
+    with pytest.warns(rs.RfpsurveyWarning, match="outside the range of the method 'surrogate'"):
         assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
     with pytest.warns(rs.RfpsurveyWarning, match="the number of targets per positioner exceeds 1000"):
         assert np.isnan(explore(target_density=2 / MM**2)["loss"][0])

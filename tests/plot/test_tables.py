@@ -112,7 +112,7 @@ def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
     assert bars == {
         "usable science fibers": [(0, 60), (0, 70)],
         "lost to collisions": [(60, 30), (70, 0)],
-        "missing for requirements": [(90, 0), (70, 5)],
+        "fibers missing for requirements": [(90, 0), (70, 5)],
     }
     assert ax.patches[0].get_height() == 0.5
     assert {t.get_text() for t in ax.texts} == {"60", "70", "12 ms", "4.6 s"}

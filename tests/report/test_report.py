@@ -268,7 +268,7 @@ def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
         foot = {key for key in facts if "_" in key}
         assert not keys & (set(facts) - foot)
         assert float(facts["radius of a field in degrees"]) == pytest.approx(tiling.summary["radius_deg"], rel=1e-3)
-    assert int(facts["targets requested"]) == tiling.summary["n_targets"]
+    assert int(facts["targets with requested visits"]) == tiling.summary["n_targets"]
 
 
 def test_claims_have_verdicts_and_their_experiments(tmp_path):
