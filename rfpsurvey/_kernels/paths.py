@@ -3,7 +3,7 @@
 A candidate is an assignment that a plan may use: a positioner with a target, or with its idle arm. A path begins at a
 target that requires a visit. A positioner that has another target is moved to this target, so that its previous target
 loses a visit. Another positioner, of any tile, is then moved to the previous target, and so on. The path ends with a
-positioner that had no target, or whose previous target is less important.
+positioner that had no target, or whose previous target is less important than the target at which the path begins.
 """
 
 from typing import NamedTuple

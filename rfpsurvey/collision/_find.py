@@ -107,7 +107,7 @@ def find_collisions(
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
     >>> rs.find_collisions(plane, [[12, 0], [14, 0]] * u.mm)
-    <CollisionReport: 1 pair, 0 with obstacles, 2 of 2 positioners>
+    <CollisionReport: 1 pair of arms, 0 with obstacles, 2 of 2 positioners in collision>
     """
     find = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)

@@ -89,8 +89,8 @@ class CollisionReport:
 
     def __repr__(self):
         return (
-            f"<CollisionReport: {number_of(len(self.pairs), 'pair')}, {len(self.obstacle_pairs)} with obstacles, "
-            f"{int(self.in_collision.sum())} of {int(self.counted.sum())} positioners>"
+            f"<CollisionReport: {number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles, "
+            f"{int(self.in_collision.sum())} of {int(self.counted.sum())} positioners in collision>"
         )
 
 

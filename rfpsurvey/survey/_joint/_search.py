@@ -1,7 +1,8 @@
 """The search for a joint plan: prices, integer programs for patches of the sky, and upper bounds.
 
-A *level* is a priority class together with all classes of higher priority. A plan may use only a limited number of
-candidates of each set. The *price* of a set is the Lagrange multiplier of this constraint in the upper bound.
+A *level* is a priority class together with all classes of higher priority. A *set* contains candidates that exclude
+each other, or all candidates with the same target; a plan may use only a limited number of candidates of each set. The
+*price* of a set is the Lagrange multiplier of this constraint in the upper bound.
 """
 
 from collections.abc import Callable
