@@ -88,10 +88,9 @@ class CollisionReport:
         return to_html(self, {**facts, "collision rate (assigned only)": self.rate_assigned})
 
     def __repr__(self):
-        return (
-            f"<CollisionReport: {number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles, "
-            f"{int(self.in_collision.sum())} of {int(self.counted.sum())} positioners in collision>"
-        )
+        n, m = int(self.in_collision.sum()), int(self.counted.sum())
+        pairs = f"{number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles"
+        return f"<CollisionReport: {pairs}, {n} of {m} positioners in collision>"
 
 
 def _ratio(flags, among):
