@@ -121,7 +121,7 @@ def test_kept_columns_are_described_in_files(tmp_path):
     for file, number in ((tmp_path / "tile.fits", 1), (tmp_path / "tile.fits", 2), (part, 1)):
         header = fits.getheader(file, number)
         name = next(key for key, value in header.items() if value == "g")
-        assert header[name.replace("TTYPE", "TCOMM")] == "column of the catalog"
+        assert header[name.replace("TTYPE", "TCOMM")] == "copied from the catalog"
     assert rs.Tile.read(tmp_path / "tile.fits") == tile
 
 
