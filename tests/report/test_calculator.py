@@ -57,7 +57,7 @@ def test_sliders_show_the_probability_and_what_changes_it(page):
     page.get_by_label("eccentric arm in mm", exact=True).fill("8.25")
     assert float(large.inner_text()) == pytest.approx(expected[2], abs=6e-5)
     assert float(page.get_by_label("eccentric arm in mm, as a number").input_value()) == 8.25
-    assert "error 0.0005" in page.locator(".result").inner_text()
+    assert "root mean square 0.0005" in page.locator(".result").inner_text()
 
 
 def test_a_design_outside_the_range_has_no_value_but_a_reason(page):

@@ -157,7 +157,7 @@ def test_targets_and_positioners_are_found_by_their_ids(page, tiles):
         assert f"Positioner {row['id']}" in page.locator(".panel").inner_text()
     page.get_by_label("Search for a positioner").fill("nothing has this id")
     page.keyboard.press("Enter")
-    assert "has the id nothing has this id" in page.locator(".panel").inner_text()
+    assert "no target with the id nothing has this id" in page.locator(".panel").inner_text()
 
 
 def test_filters_count_the_positioners_of_the_tile(page, tiles):
@@ -238,7 +238,7 @@ def test_differences_of_two_plans_are_those_of_their_tables(visit, files, tiles)
     assert page.evaluate(f"{VIEW}.id.map((_, k) => {VIEW}.change(k))") == kinds
     assert len(set(kinds)) == 4
     page.get_by_label("Show", exact=True).select_option("changed")
-    assert page.locator(".count").first.inner_text().startswith(f"{500 - kinds.count('same')} of 500 positioners")
+    assert page.locator(".count").first.inner_text().startswith(f"Shown: {500 - kinds.count('same')} of 500")
     page.get_by_label("Compared with").select_option("no other plan")
     assert page.evaluate(f"{VIEW}.compared") is None
     page.get_by_label("Plan", exact=True).select_option("lamost")
