@@ -18,8 +18,8 @@ JOINTS = {
     "phi_range": ("phi_min", "phi_max"),
 }
 """Names of the columns with the zero points and the limits of joints."""
-SINGLE = ("id", "spectrograph", "fiber_type", "disabled", "central_arm", "eccentric_arm")
-"""Names of columns that have the name of an argument of `FocalPlane`; the last two columns contain lengths."""
+PLAIN, LENGTHS = ("id", "spectrograph", "fiber_type", "disabled"), ("central_arm", "eccentric_arm")
+"""Names of columns that have the name of an argument of `FocalPlane`: columns without units, and lengths."""
 PAIRS = {"stuck": ("stuck_theta", "stuck_phi"), **JOINTS}
 """Names of the two columns of each argument of `FocalPlane` that has two angles per positioner."""
 CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
@@ -45,10 +45,10 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
             unit &= ~rows
             if rows.any():
                 columns[name] = np.column_stack([xy[rows], radius[rows]])
-    for name in SINGLE[:-2]:
+    for name in PLAIN:
         if name in names:
             columns[name] = to_plain(table[name][unit], f"column {name!r}")
-    for name in SINGLE[-2:]:
+    for name in LENGTHS:
         if name in names:
             columns[name] = _quantity(table, name, u.mm)[unit]
     for name, pair in PAIRS.items():
@@ -74,7 +74,7 @@ def _warn_of_ignored(names):
     pairs = [*PAIRS.values(), *((name, name.replace("_x", "_y", 1)) for name in names if name.startswith("fiber_x"))]
     pairs += [(name.replace("_y", "_x", 1), name) for name in names if name.startswith("fiber_y")]
     partner = {name: other for pair in pairs for name, other in (pair, pair[::-1])}
-    known = {"x", "y", *SINGLE, *CIRCLES.values(), *partner}
+    known = {"x", "y", *PLAIN, *LENGTHS, *CIRCLES.values(), *partner}
     for name in names:
         if name in partner and partner[name] not in names:
             warn(f"the column {name!r} is ignored, because there is no column {partner[name]!r}")
