@@ -20,6 +20,7 @@ from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusa
 MOST_VISITS = 255
 
 __all__ = [
+    "exact_text",
     "locked",
     "rows_of",
     "to_center",
@@ -31,6 +32,7 @@ __all__ = [
     "to_mm",
     "to_plain",
     "to_points_mm",
+    "to_priorities",
     "to_radian",
     "to_scalar",
     "to_seed",
@@ -46,6 +48,12 @@ def locked(array: np.ndarray) -> np.ndarray:
     view = np.asarray(array).view()
     view.flags.writeable = False
     return view
+
+
+def exact_text(value: float) -> str:
+    """Return the number as text with at most 15 digits, or with more digits if 15 digits do not determine the number."""
+    text = f"{value:.15g}"
+    return text if float(text) == value else repr(float(value))
 
 
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
@@ -225,6 +233,21 @@ def rows_of(mask: np.ndarray) -> str:
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
+
+
+def to_priorities(priority: object, name: str = "priority") -> np.ndarray:
+    """Return priorities as float64; raise an error if two integers could become the same number."""
+    values = to_plain(priority, name)
+    try:
+        numbers = values.astype(float)
+    except ValueError as error:
+        raise InputError(f"{name} must be numbers: {error}") from None
+    if values.dtype.kind in "iu" and values.size and (wide := np.abs(numbers) > 2.0**53).any():
+        raise InputError(
+            f"{name} must be integers from -2^53 to 2^53, or floating-point numbers, got {values[wide].flat[0]}; larger "
+            "integers are not distinct as 64-bit floating-point numbers"
+        )
+    return numbers
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:

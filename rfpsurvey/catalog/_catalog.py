@@ -13,7 +13,7 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_priorities, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
@@ -102,8 +102,11 @@ class Catalog:
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None:
+                if name == "priority":
+                    columns[name] = to_priorities(value)
+                    continue
                 try:
-                    columns[name] = to_plain(value, name).astype(float if name in ("priority", "visits") else str)
+                    columns[name] = to_plain(value, name).astype(float if name == "visits" else str)
                 except InputError:
                     raise
                 except (TypeError, ValueError) as error:

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._readers import is_number
-from rfpsurvey._units import rows_of, to_labels, to_plain
+from rfpsurvey._units import rows_of, to_labels, to_plain, to_priorities
 from rfpsurvey.errors import InputError, check_choice, refusal, short
 
 __all__ = ["ROLES", "Finder"]
@@ -169,6 +169,8 @@ class Finder:
         """Return the column with this role as float64; text that contains decimal numbers is converted."""
         name = self.name_of(role)
         values = self._plain(role)
+        if role == "priority" and values.dtype.kind in "iu":
+            values = to_priorities(values, f"column {name!r} ({role})")
         try:
             if values.dtype.kind == "U":
                 values = np.where(np.isin(np.char.lower(np.char.strip(values)), NOTHING), "nan", values)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey.pipeline import plan_field
 from rfpsurvey.survey._joint._fixed import candidates_of
@@ -102,7 +103,7 @@ def class_names(request) -> list[str]:
     wanted = request.open_state().left
     if priority is None or not (wanted > 0).any():
         return ["all"]
-    return [f"{value:.15g}" for value in np.unique(priority[wanted > 0])[::-1]]
+    return [exact_text(value) for value in np.unique(priority[wanted > 0])[::-1]]
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
