@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +10,14 @@ from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
-from rfpsurvey.allocation._clock import OutOfTimeError, left, share
+from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
+from rfpsurvey.allocation._methods import lamost
 from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._preselect import is_crowded
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reduction import reduced
@@ -31,17 +32,19 @@ LARGEST = 20_000
 # Fractions of the time that are reserved for the bound on plans that use omitted candidates, and for the integer
 # programs of clusters.
 FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
-# Fractions of the remaining time: for finding the candidates and their collisions, for adjusting the prices of one
+# Fractions of the remaining time: for finding the collisions of the candidates, for adjusting the prices of one
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
-FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
+FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
+# The plan of ``repair`` is made before the search if reach and candidates take more than the fraction LATE of the time
+# limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search does not
+# prove an optimum.
+LATE, LONG = 0.1, 12
+# Fraction of the time limit for a plan without the requirements.
+FOR_FREE = 0.5
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
-# Largest number of collisions of candidates: a constant, the number that is added for each second of the time limit,
-# and the maximum of the sum.
-PAIRS = (200_000, 350_000, 20_000_000)
-# Largest number of tests of two candidates for a collision: a constant, and the number that is added for each second of
-# the time limit. The estimate of this number assumes candidates for at most MOST_TARGETS targets per positioner.
-TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
+# Largest number of collisions of candidates.
+MOST_PAIRS = 20_000_000
 # Time in seconds that the search for candidates may always take, even if the time limit is shorter.
 AT_LEAST = 0.1
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
@@ -61,67 +64,155 @@ ROUNDING = 1e-4
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide."""
-    deadline = perf_counter() + problem.time_limit
-    everything, whole = _candidates_in_time(problem, deadline, collide=collide, squared_cost=squared_cost)
-    options = {"integral": integral, "squared_cost": squared_cost}
+    """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide.
+
+    If ``collide`` is true, the plan is at least as good as the plan of ``repair``, provided that the time limit is long
+    enough for ``repair``.
+    """
+    deadline, options = problem.deadline, {"integral": integral, "squared_cost": squared_cost}
+    answer = _without_requirements(problem, collide=collide, **options) if problem.groups and collide else None
+    if answer is not None:
+        return answer
+    before = lamost(problem).target_of_positioner if collide and is_crowded(problem, collide=True) else None
+    begin = now()
+    everything, whole = _candidates_in_time(problem, before, collide=collide, squared_cost=squared_cost)
+    spent = now() - begin
+    given, (problem, everything, kept) = problem, _with_used_classes(problem, everything)
+    is_hard = before is not None or left(deadline) < (1 - LATE) * problem.time_limit
+    is_hard |= everything.options.other.size > LONG * len(everything)
+    repaired = _repaired(everything, before, deadline) if collide and is_hard else None
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    used, found = _search(everything, share(halt, 1 - FOR_BOUND) if n_left_out else halt, collide=collide, **options)
+    is_over = repaired is not None and left(deadline) < spent
+    if is_over:
+        values = _values(everything, repaired)
+        used, found = everything, _Found(repaired, values, np.full(len(values), np.inf), True, {"model": "local moves"})
+    else:
+        end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
+        used, found = _search(everything, end, collide=collide, **options)
     chosen, bounds, bounding = found.chosen, found.bounds, used
     meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
     proven = found.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
+    if collide and n_left_out and not is_over:
         bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
         proven = (found.values >= bounds) & (relaxed.values >= bounds)
-    names = list(problem.values(np.full(0, -1)))
-    values = _values(used, chosen)
+    names, values = problem.level_names, _values(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
         limits = _matching_limits(problem, everything if whole else None, names)
         if collide:
+            if repaired is None:
+                repaired = _repaired(everything, before, max(deadline, now() + AT_LEAST))
+            used, chosen = _better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
             values = _values(used, chosen)
         bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
     bounds = np.maximum(bounds, values)
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
-        chosen = separate_idle_arms(everything, chosen, max(deadline, perf_counter() + AT_LEAST))
-    target_of = used.options.target[chosen]
-    levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
-    return AllocationAnswer(target_of, elbow_names(used.side[chosen]), None, levels, meta)
+        chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
+    levels = _levels(given, _offset(problem, names), kept, values, bounds)
+    return AllocationAnswer(used.options.target[chosen], elbow_names(used.side[chosen]), None, levels, meta)
 
 
-def _candidates_in_time(problem, deadline, *, collide, squared_cost):
+def _without_requirements(problem, **options):
+    """Return the best plan of the problem without its requirements; return None if it does not meet the requirements.
+
+    Requirements that are met anyway therefore have no influence on which of several equally good plans is returned.
+    """
+    free = replace(
+        problem,
+        options=replace(problem.options, requirements=()),
+        deadline=share(problem.deadline, FOR_FREE),
+    )
+    if not problem.meets_requirements(lamost(free).target_of_positioner):
+        return None
+    answer = decide(free, **options)
+    if not problem.meets_requirements(answer.target_of_positioner):
+        return None
+    levels = list(answer.levels)
+    levels.insert(problem.level_names.index("requirements"), Level("requirements", 0.0, 0.0))
+    return answer._replace(levels=levels)
+
+
+def _with_used_classes(problem, candidates):
+    """Remove the classes without candidates; return the problem, the candidates, and the numbers of the other classes.
+
+    Two classes always remain, because the objectives of a problem with one class have other names.
+    """
+    n, rank = len(problem.classes), candidates.options.rank
+    kept = np.unique(rank[rank < n])
+    if len(kept) < 2:
+        kept = np.union1d(kept, np.arange(min(n, 2)))
+    if len(kept) < n:
+        new = np.append(np.minimum(np.searchsorted(kept, np.arange(n)), len(kept) - 1), len(kept))
+        columns = {"classes": tuple(problem.classes[k] for k in kept), "rank": new[problem.rank]}
+        problem, few = replace(problem, **columns), replace(candidates.problem, **columns)
+        options = candidates.options._replace(rank=few.rank_of(candidates.options.target))
+        candidates = replace(candidates, problem=few, options=options)
+    return problem, candidates, kept
+
+
+def _levels(problem, offset, kept, values, bounds):
+    """Return the objectives of all classes from the values and bounds of the classes ``kept``.
+
+    ``offset`` is the index of the objective of the first class. A plan that is as good as the given plan in the earlier
+    classes contains no more targets of a class without candidates than the bound of these classes allows.
+    """
+    names, n = problem.level_names, len(kept)
+    if len(kept) < len(problem.classes):
+        slack = np.concatenate([[0.0], np.maximum(bounds - values, 0.0)[offset : offset + n]])
+        columns = np.zeros(len(problem.classes)), slack[np.searchsorted(kept, np.arange(len(problem.classes)))]
+        for column, some in zip(columns, (values, bounds), strict=True):
+            column[kept] = some[offset : offset + n]
+        values, bounds = (
+            np.concatenate([some[:offset], column, some[offset + n :]])
+            for some, column in zip((values, bounds), columns, strict=True)
+        )
+    return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
+
+
+def _repaired(everything, before, deadline):
+    """Return the plan of the allocator ``repair``; ``before`` is the plan of ``lamost``, or None."""
+    problem = everything.problem
+    if before is None:
+        before = lamost(problem).target_of_positioner
+    return repair_collisions(everything, pick(everything, trim(problem, before)), deadline)[0]
+
+
+def _better_of(used, chosen, everything, repaired, deadline):
+    """Return the better of two plans, the second of which uses candidates of ``everything``, and its candidates."""
+    values = tuple(_values(everything, repaired))
+    if values <= tuple(_values(used, chosen)):
+        return used, chosen
+    # the candidates ``used`` are fewer, but may lack some of the candidates of the second plan
+    again = repair_collisions(used, pick(used, everything.options.target[repaired]), deadline)[0]
+    return (used, again) if tuple(_values(used, again)) >= values else (everything, repaired)
+
+
+def _candidates_in_time(problem, before, *, collide, squared_cost):
     """Return the candidates, and whether the list of candidates is complete.
 
     If it takes too long to find all collisions, only the best targets of each positioner are used.
     """
     if not collide:
         return find_candidates(problem, collide=False, squared_cost=squared_cost), True
-    room = min(PAIRS[0] + PAIRS[1] * problem.time_limit, PAIRS[2])
-    count, pairs = (
-        np.bincount(problem.pairs.owner, minlength=problem.pairs.n_positioners),
-        problem.focal_plane.arrays.neighbors,
-    )
+    deadline = problem.deadline
     for most in (None, *FEWER):
         last = most == FEWER[-1]
-        size = np.minimum(count, MOST_TARGETS if most is None else most)
         sorting = 0.0 if most is None else (PAIR_SECONDS + SORT_SECONDS * most) * len(problem.pairs.owner)
-        if not last and (
-            sorting > FOR_CANDIDATES * left(deadline)
-            or (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit
-        ):
+        if not last and sorting > FOR_CANDIDATES * left(deadline):
             continue
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
-        seconds = np.inf if last else max(FOR_CANDIDATES * left(deadline), AT_LEAST)
+        limits = {} if last else {"seconds": max(FOR_CANDIDATES * left(deadline), AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
             found = find_candidates(
-                some, squared_cost=squared_cost, seconds=seconds, most_pairs=np.inf if last else room
+                some, squared_cost=squared_cost, keep_target=before if most is None else None, **limits
             )
         except OutOfTimeError:
             continue
@@ -154,7 +245,7 @@ def _chosen_in(everything, used, chosen):
 
 def _values(candidates, chosen):
     """Return the values of the objectives of a plan."""
-    return np.array(list(candidates.problem.values(candidates.options.target[chosen]).values()))
+    return candidates.problem.level_values(candidates.options.target[chosen])
 
 
 def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
@@ -257,7 +348,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
         return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
     if (found.values < found.bounds).any() and collide:
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
-        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, perf_counter() + FOR_LAST)))
+        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
     return used, found
 
 
@@ -286,10 +377,9 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
     n_left = np.diff(options.start)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
     known = chosen[chosen >= 0]
-    levels = problem.values(np.where(chosen < 0, -1, options.target[chosen]))
-    values = bounds = np.array(list(levels.values()))
+    values = bounds = problem.level_values(np.where(chosen < 0, -1, options.target[chosen]))
     # The requirements of a part also count the targets of the parts that are already solved.
-    adds = np.array([name != "requirements" for name in levels])
+    adds = np.array([name != "requirements" for name in problem.level_names])
     n_parts = n_programs = 0
     integers, complete = False, True
     parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
@@ -324,14 +414,14 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
     """Return the initial plan of a part, with upper bounds from a matching in which arms may collide."""
-    problem = candidates.problem
+    problem, options = candidates.problem, candidates.options
     if problem.groups:  # the initial plan may exceed the maximum of a requirement
         return Solution(None, np.full(n_levels, -np.inf), np.full(n_levels, np.inf), 0, False)
-    collides = np.isin(edges, start).all(axis=0).any()
+    in_use = np.zeros(len(candidates), dtype=bool)
+    in_use[start] = True
+    collides = (in_use[edges[0]] & in_use[edges[1]]).any()
     # Without requirements, the values only depend on the targets in use.
-    values, best = (
-        np.array(list(problem.values(candidates.options.target[used]).values())) for used in (start, blind[blind >= 0])
-    )
+    values, best = (problem.level_values(options.target[used]) for used in (start, blind[blind >= 0]))
     bounds = best if (values == best).all() else np.full(len(values), np.inf)
     return Solution(None if collides else start, values, bounds, 0, False)
 
