@@ -17,7 +17,7 @@ from rfpsurvey.allocation._plugin import find_method
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
-from rfpsurvey.allocation._subpriority import check_values, service_order, to_subpriorities
+from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
@@ -136,6 +136,8 @@ def allocate(
         else:
             values = check_values(subpriority, n, "subpriority")
         columns, order = columns._replace(subpriority=values), service_order(values, rows)
+    elif options.breaks_ties:
+        order = tie_order(points)
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
     rng = to_generator(rng)
     points = points.copy()  # the allocation must not change if the caller changes the positions

@@ -15,7 +15,7 @@ from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_cluster
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
-from rfpsurvey.allocation._methods import lamost
+from rfpsurvey.allocation._methods import lamost, with_cost
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._preselect import is_crowded
 from rfpsurvey.allocation._prices import Prices, weights_of
@@ -69,18 +69,24 @@ def decide(
     If ``collide`` is true, the plan is at least as good as the plan of ``repair``, provided that the time limit is long
     enough for ``repair``.
     """
-    deadline, options = problem.deadline, {"integral": integral, "squared_cost": squared_cost}
-    answer = _without_requirements(problem, collide=collide, **options) if problem.groups and collide else None
-    if answer is not None:
-        return answer
-    before = lamost(problem).target_of_positioner if collide and is_crowded(problem, collide=True) else None
+    given, deadline = problem, problem.deadline
+    if collide and problem.groups:
+        answer = _without_requirements(problem, integral=integral, squared_cost=squared_cost)
+        if answer is not None:
+            return answer
+        if problem.subpriority is None and any((group.targets & problem.science).any() for group in problem.groups):
+            # With subpriorities, the requirements change no more targets than necessary. The order of rows is random.
+            problem, squared_cost = replace(problem, subpriority=-np.arange(float(len(problem.xy)))), True
+    problem = with_cost(problem)
+    options = {"integral": integral, "squared_cost": squared_cost}
+    before = lamost(given).target_of_positioner if collide and is_crowded(problem, collide=True) else None
     begin = now()
     everything, whole = _candidates_in_time(problem, before, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
-    given, (problem, everything, kept) = problem, _with_used_classes(problem, everything)
+    problem, everything, kept = _with_used_classes(problem, everything)
     is_hard = before is not None or left(deadline) < (1 - LATE) * problem.time_limit
     is_hard |= everything.options.other.size > LONG * len(everything)
-    repaired = _repaired(everything, before, deadline) if collide and is_hard else None
+    repaired = _repaired(given, everything, before, deadline) if collide and is_hard else None
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
@@ -107,7 +113,7 @@ def decide(
         limits = _matching_limits(problem, everything if whole else None, names)
         if collide:
             if repaired is None:
-                repaired = _repaired(everything, before, max(deadline, now() + AT_LEAST))
+                repaired = _repaired(given, everything, before, max(deadline, now() + AT_LEAST))
             used, chosen = _better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
             values = _values(used, chosen)
@@ -132,7 +138,7 @@ def _without_requirements(problem, **options):
     )
     if not problem.meets_requirements(lamost(free).target_of_positioner):
         return None
-    answer = decide(free, **options)
+    answer = decide(free, collide=True, **options)
     if not problem.meets_requirements(answer.target_of_positioner):
         return None
     levels = list(answer.levels)
@@ -177,9 +183,8 @@ def _levels(problem, offset, kept, values, bounds):
     return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
 
 
-def _repaired(everything, before, deadline):
+def _repaired(problem, everything, before, deadline):
     """Return the plan of the allocator ``repair``; ``before`` is the plan of ``lamost``, or None."""
-    problem = everything.problem
     if before is None:
         before = lamost(problem).target_of_positioner
     return repair_collisions(everything, pick(everything, trim(problem, before)), deadline)[0]

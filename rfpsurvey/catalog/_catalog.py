@@ -61,6 +61,8 @@ class Catalog:
     extra : dict or Table, optional
         Further columns that results include, such as magnitudes. Columns contain numbers, text or booleans, with or
         without units. Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
+    numbered : bool, optional
+        Whether ``id`` contains row numbers; True if ``id`` is not given.
 
     Raises
     ------
@@ -89,6 +91,7 @@ class Catalog:
     meta: dict = field(default_factory=dict)
     n_dropped: int = 0
     extra: QTable | None = None
+    numbered: bool = False
 
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
@@ -133,7 +136,8 @@ class Catalog:
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
             warn(f"{n_bad} of {n} targets have no finite coordinates and were removed")
-        for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
+        numbered = self.id is None or bool(self.numbered)
+        for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra, "numbered": numbered}.items():
             object.__setattr__(self, name, value)
         for name, kind, what in (("n_dropped", int | np.integer, "a whole number"), ("meta", Mapping, "a dict")):
             if not isinstance(getattr(self, name), kind):

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -179,9 +180,10 @@ class Partitions:
         """Convert the table of a file to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
-            return Catalog._from_table(
+            catalog = Catalog._from_table(
                 table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
             )
+            return replace(catalog, numbered=True) if self._has_no_id else catalog
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 

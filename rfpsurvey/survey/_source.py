@@ -61,7 +61,12 @@ class InMemory:
         columns = {name: None if values is None else values[row] for name, values in columns.items()}
         extra = {name: values[row] for name, values in self._catalog.arrays.extra.items()}
         targets = FieldTargets(
-            self._index.vectors[slot], self._catalog.id[row], TargetColumns(**columns), others, extra
+            self._index.vectors[slot],
+            self._catalog.id[row],
+            TargetColumns(**columns),
+            others,
+            extra,
+            self._catalog.numbered,
         )
         return Field(slot, row, targets)
 
@@ -168,10 +173,10 @@ class Partitioned:
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
         slot, row, targets = zip(*found, strict=True)
-        vectors, ids, columns, others, extra = zip(*targets, strict=True)
+        vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
         columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
         extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
-        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra)
+        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0])
         return Field(_stack(slot), _stack(row), targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:

@@ -171,7 +171,7 @@ def plan_tile(
     columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
     vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as vectors[given]
-    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), extra=extra)
+    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), None, extra, catalog.numbered)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
