@@ -277,7 +277,8 @@ class AllocationOptions:
     @property
     def breaks_ties(self) -> bool:
         """Whether a hash decides between plans that are equally good, so that the order of targets has no influence."""
-        return self.allocator == "optimal" and self.subpriority is None
+        start = self.start if self.allocator == "repair" and isinstance(self.start, str) else None
+        return self.subpriority is None and "optimal" in (self.allocator, start)
 
     @property
     def record(self) -> dict:
