@@ -51,7 +51,7 @@ def locked(array: np.ndarray) -> np.ndarray:
 
 
 def exact_text(value: float) -> str:
-    """Return the number as text with at most 15 digits, or with more digits if 15 digits do not determine the number."""
+    """Return a number as text with at most 15 digits, or with more digits if 15 digits do not determine the number."""
     text = f"{value:.15g}"
     return text if float(text) == value else repr(float(value))
 
@@ -242,10 +242,10 @@ def to_priorities(priority: object, name: str = "priority") -> np.ndarray:
         numbers = values.astype(float)
     except ValueError as error:
         raise InputError(f"{name} must be numbers: {error}") from None
-    if values.dtype.kind in "iu" and values.size and (wide := np.abs(numbers) > 2.0**53).any():
+    if values.dtype.kind in "iu" and values.size and (wide := (values > 2**53) | (values < -(2**53))).any():
         raise InputError(
-            f"{name} must be integers from -2^53 to 2^53, or floating-point numbers, got {values[wide].flat[0]}; larger "
-            "integers are not distinct as 64-bit floating-point numbers"
+            f"{name} must be integers from -2^53 to 2^53, or floating-point numbers, got {values[wide].flat[0]}; "
+            "larger integers are not distinct as 64-bit floating-point numbers"
         )
     return numbers
 

@@ -56,9 +56,9 @@ __all__ = [
     "packages",
     "sentences",
     "service_order",
-    "tie_order",
     "solve_weighted",
     "subpriorities",
+    "tie_order",
     "to_subpriorities",
 ]
 

@@ -195,6 +195,7 @@ def assign(
         tell=tell,
         subpriority=columns.subpriority,
         deadline=deadline,
+        row=order if options.breaks_ties else None,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)

@@ -50,6 +50,17 @@ class Candidates:
         columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
         return _assemble(self.problem, self.preselection, *columns)
 
+    def renumbered(self, problem: AllocationProblem, row: np.ndarray) -> "Candidates":
+        """Return the candidates, without costs, for a problem in which target ``t`` has the row ``row[t]``."""
+        o = self.options
+        target, is_idle = np.append(row, -1)[o.target], np.zeros(len(self), dtype=bool)
+        is_idle[o.start[1:] - 1] = True
+        order = np.lexsort((target, -self.side, is_idle, o.own))  # the order of `list_candidates`
+        new = np.empty_like(order)
+        new[order] = np.arange(len(order))
+        columns = o.start, o.own, target[order], self.side[order], np.zeros(len(self)), new[self.pairs]
+        return _assemble(problem, self.preselection, *columns)
+
     def relaxed(self) -> "Candidates":
         """Return a copy without some of the collisions, so that its best plan gives an upper bound for all plans.
 

@@ -120,5 +120,6 @@ def _fewest(program, pairs, idle, now, x, deadline):
         matrix = vstack([matrix, csr_array(goal[None])], format="csr")
         low, high = np.append(low, goal @ found), np.append(high, np.inf)
         worth = np.append(-program.costs, np.zeros(m))
-        found = next(y for y in (maximize((matrix, low, high), worth, most, deadline, **settings)[0], found) if y is not None)
+        best, _ = maximize((matrix, low, high), worth, most, deadline, **settings)
+        found = found if best is None else best
     return found[: program.n]

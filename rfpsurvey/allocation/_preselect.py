@@ -10,7 +10,7 @@ from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import touching
 from rfpsurvey.focal_plane import Reach
 
-__all__ = ["Preselection", "is_crowded", "preselect", "replaceable"]
+__all__ = ["Preselection", "preselect", "replaceable"]
 
 # Each positioner keeps at least its N_BEST best targets, and N_SPREAD further targets of the same class as the last of
 # the best targets.
@@ -53,7 +53,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)
-    if not is_crowded(problem, collide=collide):
+    if not (count > np.maximum(n_rivals + 1, n_best + n_spread)).any():
         return Preselection(reach, np.zeros(len(problem.xy), dtype=np.int64), np.zeros((n, 1), dtype=bool), 0)
     code, n_codes = _codes(problem)
     most, n_spread = np.maximum(n_rivals + 1, n_best // n_codes), n_spread // n_codes
@@ -66,13 +66,6 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
         reach.indptr, reach.owner, reach.r2, problem.rank, code, n_codes, start, n_spread, wanted, keep, shortened
     )
     return Preselection(reach.where(keep), code, shortened.reshape(n, n_codes), len(keep) - n_kept)
-
-
-def is_crowded(problem: AllocationProblem, *, collide: bool) -> bool:
-    """Return whether `preselect` may omit targets, because a positioner reaches more targets than a plan can use."""
-    count = np.bincount(problem.pairs.owner, minlength=problem.pairs.n_positioners)
-    most = N_BEST + N_SPREAD if collide else 0
-    return bool((count > np.maximum(problem.focal_plane.arrays.n_sharing + 1, most)).any())
 
 
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):

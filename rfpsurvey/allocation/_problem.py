@@ -1,7 +1,7 @@
 """The allocation problem that every allocator receives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -80,6 +80,8 @@ class AllocationProblem:
         decreasing subpriority; the rows of blank positions follow.
     deadline : float, optional
         Time at which the time limit of the plan ends, on the clock of the built-in allocators.
+    row : ndarray of int, shape (n_targets,), optional
+        Row of each target in the order in which the targets were given, if the targets were sorted to break ties.
 
     Examples
     --------
@@ -114,6 +116,7 @@ class AllocationProblem:
     tell: Callable[[float, str], None] | None = None
     subpriority: np.ndarray | None = None
     deadline: float | None = None
+    row: np.ndarray | None = None
 
     def __post_init__(self):
         n = len(self.xy)
@@ -267,6 +270,24 @@ class AllocationProblem:
             The pairs of the marked targets.
         """
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
+
+    @cached_property
+    def as_given(self) -> "AllocationProblem":
+        """The same problem with the targets in the order in which they were given."""
+        if self.row is None:
+            return self
+        order, reach = np.argsort(self.row), self.pairs
+        size = np.diff(reach.indptr)[order]
+        begin = np.cumsum(size) - size
+        pairs = np.repeat(reach.indptr[order] - begin, size) + np.arange(size.sum())
+        names = ("xy", "rank", "kind", "category", "fiber_type", "is_required")
+        return replace(
+            self,
+            pairs=Reach(np.append(begin, size.sum()), reach.owner[pairs], reach.r2[pairs], reach.n_positioners),
+            watched=None if self.watched is None else np.append(self.row, -1)[self.watched],
+            row=None,
+            **{name: getattr(self, name)[order] for name in names},
+        )
 
     @cached_property
     def level_names(self) -> tuple[str, ...]:

@@ -17,10 +17,10 @@ from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._methods import lamost, with_cost
 from rfpsurvey.allocation._milp import Program
-from rfpsurvey.allocation._preselect import is_crowded
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reduction import reduced
+from rfpsurvey.allocation._subpriority import TIE_SEED
 from rfpsurvey.focal_plane import Reach, elbow_names
 
 __all__ = ["decide"]
@@ -35,9 +35,9 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # Fractions of the remaining time: for finding the collisions of the candidates, for adjusting the prices of one
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
-# The plan of ``repair`` is made before the search if reach and candidates take more than the fraction LATE of the time
-# limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search does not
-# prove an optimum.
+# The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the time
+# limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search does
+# not prove an optimum.
 LATE, LONG = 0.1, 12
 # Fraction of the time limit for a plan without the requirements.
 FOR_FREE = 0.5
@@ -76,54 +76,59 @@ def decide(
             return answer
         if problem.subpriority is None and any((group.targets & problem.science).any() for group in problem.groups):
             # With subpriorities, the requirements change no more targets than necessary. The order of rows is random.
-            problem, squared_cost = replace(problem, subpriority=-np.arange(float(len(problem.xy)))), True
+            order = np.sort(np.random.default_rng(TIE_SEED).random(len(problem.xy)))[::-1]
+            problem, squared_cost = replace(problem, subpriority=order), True
     problem = with_cost(problem)
     options = {"integral": integral, "squared_cost": squared_cost}
-    before = lamost(given).target_of_positioner if collide and is_crowded(problem, collide=True) else None
     begin = now()
-    everything, whole = _candidates_in_time(problem, before, collide=collide, squared_cost=squared_cost)
+    everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
     problem, everything, kept = _with_used_classes(problem, everything)
-    is_hard = before is not None or left(deadline) < (1 - LATE) * problem.time_limit
-    is_hard |= everything.options.other.size > LONG * len(everything)
-    repaired = _repaired(given, everything, before, deadline) if collide and is_hard else None
+    names, repaired, found = problem.level_names, None, None
+    is_hard = spent > LATE * problem.time_limit or everything.options.other.size > LONG * len(everything)
+    if collide and is_hard:
+        repaired = _repaired(given, everything, whole)
+        found = _best_without_search(everything, repaired, whole and not squared_cost, is_late=left(deadline) < spent)
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    is_over = repaired is not None and left(deadline) < spent
-    if is_over:
-        values = _values(everything, repaired)
-        used, found = everything, _Found(repaired, values, np.full(len(values), np.inf), True, {"model": "local moves"})
-    else:
+    is_searched = found is None
+    if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
         used, found = _search(everything, end, collide=collide, **options)
+    else:
+        used = everything
     chosen, bounds, bounding = found.chosen, found.bounds, used
     meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
     proven = found.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
-    if collide and n_left_out and not is_over:
+    if collide and n_left_out and is_searched:
         bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
         proven = (found.values >= bounds) & (relaxed.values >= bounds)
-    names, values = problem.level_names, _values(used, chosen)
+    values = _values(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
         limits = _matching_limits(problem, everything if whole else None, names)
         if collide:
             if repaired is None:
-                repaired = _repaired(given, everything, before, max(deadline, now() + AT_LEAST))
+                repaired = _repaired(given, everything, whole)
             used, chosen = _better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
             values = _values(used, chosen)
         bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
-    bounds = np.maximum(bounds, values)
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
         chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
-    levels = _levels(given, _offset(problem, names), kept, values, bounds)
-    return AllocationAnswer(used.options.target[chosen], elbow_names(used.side[chosen]), None, levels, meta)
+    target_of, side = used.options.target[chosen], used.side[chosen]
+    if repaired is not None and tuple(problem.level_values(repaired.target_of)) > tuple(values):
+        # the plan of ``repair`` uses a candidate that was left out
+        target_of, side = repaired
+        values = problem.level_values(target_of)
+    levels = _levels(given, _offset(problem, names), kept, values, np.maximum(bounds, values))
+    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 
 def _without_requirements(problem, **options):
@@ -183,24 +188,71 @@ def _levels(problem, offset, kept, values, bounds):
     return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
 
 
-def _repaired(problem, everything, before, deadline):
-    """Return the plan of the allocator ``repair``; ``before`` is the plan of ``lamost``, or None."""
-    if before is None:
-        before = lamost(problem).target_of_positioner
-    return repair_collisions(everything, pick(everything, trim(problem, before)), deadline)[0]
+class _Repaired(NamedTuple):
+    """The plan of the allocator ``repair``."""
+
+    target_of: np.ndarray
+    side: np.ndarray
+
+
+def _repaired(problem, everything, whole):
+    """Return the plan of the allocator ``repair``, whose ties depend on the order in which the targets were given.
+
+    If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
+    """
+    given, row = problem.as_given, problem.row
+    before = lamost(given).target_of_positioner
+    candidates, deadline = None, np.inf if whole else max(problem.deadline, now() + AT_LEAST)
+    if whole and everything.preselection.n_left_out:
+        try:
+            seconds = max(left(problem.deadline), AT_LEAST)
+            candidates = find_candidates(given, keep_target=before, seconds=seconds, most_pairs=MOST_PAIRS)
+        except OutOfTimeError:
+            deadline = max(problem.deadline, now() + AT_LEAST)
+    if candidates is None:
+        candidates = everything.renumbered(given, np.arange(len(problem.xy)) if row is None else row)
+    plan, _, _ = repair_collisions(candidates, pick(candidates, trim(given, before)), deadline)
+    target_of = candidates.options.target[plan]
+    return _Repaired(target_of if row is None else np.append(np.argsort(row), -1)[target_of], candidates.side[plan])
+
+
+def _best_without_search(everything, repaired, may_be_best, *, is_late):
+    """Return the plan of ``repair`` if no plan is better or if no time is left for a search; otherwise, return None."""
+    problem = everything.problem
+    values, best = problem.level_values(repaired.target_of), problem.level_values(match(everything))
+    is_best = may_be_best and not problem.groups and (values == best).all()
+    plan, is_whole = _plan_of(everything, repaired, np.inf)
+    if not ((is_best and is_whole) or is_late):
+        return None
+    meta = {"model": "local moves", "n_open": len(plan), "n_parts": 0, "n_programs": 0}
+    return _Found(plan, _values(everything, plan), best if is_best and is_whole else best + np.inf, True, meta)
+
+
+def _plan_of(candidates, repaired, deadline):
+    """Return the candidates of the plan of ``repair``, and whether there is a candidate for each of its targets.
+
+    Positioners whose candidate is missing receive other targets, or no target.
+    """
+    plan = pick(candidates, *repaired)
+    missing = ((plan < 0) & (repaired.target_of >= 0)).any()
+    if missing:
+        return repair_collisions(candidates, plan, deadline)[0], False
+    return np.where(plan < 0, candidates.options.start[1:] - 1, plan), True
 
 
 def _better_of(used, chosen, everything, repaired, deadline):
-    """Return the better of two plans, the second of which uses candidates of ``everything``, and its candidates."""
-    values = tuple(_values(everything, repaired))
-    if values <= tuple(_values(used, chosen)):
-        return used, chosen
-    # the candidates ``used`` are fewer, but may lack some of the candidates of the second plan
-    again = repair_collisions(used, pick(used, everything.options.target[repaired]), deadline)[0]
-    return (used, again) if tuple(_values(used, again)) >= values else (everything, repaired)
+    """Return the better of a plan of the candidates ``used`` and the plan of ``repair``, and its candidates."""
+    values, best = everything.problem.level_values(repaired.target_of), (used, chosen)
+    # the candidates ``used`` are fewer, but may lack some of the candidates of the plan of ``repair``
+    for some in (everything, used):
+        if tuple(values) > tuple(_values(*best)) or (some is used and best[0] is everything):
+            plan, _ = _plan_of(some, repaired, deadline)
+            if tuple(_values(some, plan)) >= tuple(_values(*best)):
+                best = some, plan
+    return best
 
 
-def _candidates_in_time(problem, before, *, collide, squared_cost):
+def _candidates_in_time(problem, *, collide, squared_cost):
     """Return the candidates, and whether the list of candidates is complete.
 
     If it takes too long to find all collisions, only the best targets of each positioner are used.
@@ -216,9 +268,7 @@ def _candidates_in_time(problem, before, *, collide, squared_cost):
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
         limits = {} if last else {"seconds": max(FOR_CANDIDATES * left(deadline), AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
-            found = find_candidates(
-                some, squared_cost=squared_cost, keep_target=before if most is None else None, **limits
-            )
+            found = find_candidates(some, squared_cost=squared_cost, **limits)
         except OutOfTimeError:
             continue
         return found, most is None
