@@ -35,9 +35,9 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # Fractions of the remaining time: for finding the collisions of the candidates, for adjusting the prices of one
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
-# The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the time
-# limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search does
-# not prove an optimum.
+# The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the
+# time limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search
+# does not prove an optimum.
 LATE, LONG = 0.1, 12
 # Fraction of the time limit for a plan without the requirements.
 FOR_FREE = 0.5
@@ -57,6 +57,8 @@ FEWER = (32, 8, 2, 1)
 PAIR_SECONDS, SORT_SECONDS = 4e-8, 8e-9
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
+# Information on a search that only uses local moves.
+LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 # Bounds of numbers of targets are rounded down, unless they are this close to the next whole number.
 ROUNDING = 1e-4
 
@@ -85,10 +87,15 @@ def decide(
     spent = now() - begin
     problem, everything, kept = _with_used_classes(problem, everything)
     names, repaired, found = problem.level_names, None, None
-    is_hard = spent > LATE * problem.time_limit or everything.options.other.size > LONG * len(everything)
-    if collide and is_hard:
+    is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
+    if collide and is_long and not is_late and whole and not squared_cost:
+        found = _local_optimum(replace(given, row=None), everything)
+    if collide and (is_long or is_late) and found is None:
         repaired = _repaired(given, everything, whole)
-        found = _best_without_search(everything, repaired, whole and not squared_cost, is_late=left(deadline) < spent)
+        if left(deadline) < spent:
+            plan, _ = _plan_of(everything, repaired, np.inf)
+            values = _values(everything, plan)
+            found = _Found(plan, values, np.full(len(values), np.inf), True, LOCAL)
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
@@ -216,16 +223,17 @@ def _repaired(problem, everything, whole):
     return _Repaired(target_of if row is None else np.append(np.argsort(row), -1)[target_of], candidates.side[plan])
 
 
-def _best_without_search(everything, repaired, may_be_best, *, is_late):
-    """Return the plan of ``repair`` if no plan is better or if no time is left for a search; otherwise, return None."""
-    problem = everything.problem
-    values, best = problem.level_values(repaired.target_of), problem.level_values(match(everything))
-    is_best = may_be_best and not problem.groups and (values == best).all()
+def _local_optimum(problem, everything):
+    """Return a plan from local moves if it is as good as the best plan that ignores collisions; otherwise, return None.
+
+    The plan does not depend on the order in which the targets were given.
+    """
+    repaired = _repaired(problem, everything, True)
+    best = everything.problem.level_values(match(everything))
     plan, is_whole = _plan_of(everything, repaired, np.inf)
-    if not ((is_best and is_whole) or is_late):
+    if problem.groups or not is_whole or (_values(everything, plan) < best).any():
         return None
-    meta = {"model": "local moves", "n_open": len(plan), "n_parts": 0, "n_programs": 0}
-    return _Found(plan, _values(everything, plan), best if is_best and is_whole else best + np.inf, True, meta)
+    return _Found(plan, best, best, True, LOCAL)
 
 
 def _plan_of(candidates, repaired, deadline):
