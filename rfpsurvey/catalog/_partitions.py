@@ -15,6 +15,7 @@ from rfpsurvey._readers import content_of, import_parquet
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
+from rfpsurvey.catalog._tables import catalog_roles
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short, warn
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
@@ -103,6 +104,7 @@ class PartitionedCatalog:
         object.__setattr__(self, "units", dict(self.units or {}))
         object.__setattr__(self, "fill", dict(self.fill or {}))
         self.parts.refuse_overlaps()
+        self.parts.finder.warn_of_doubt()
         self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
         if said is not None and said != str(len(self)):
             text = (
@@ -126,7 +128,8 @@ class PartitionedCatalog:
     @property
     def meta(self) -> dict:
         """Information on the origin of the catalog."""
-        return {"folder": self.folder.name, "n_partitions": len(self.parts.files)}
+        columns = self.parts.finder.statement(catalog_roles(self.frame), self.keep)
+        return {"folder": self.folder.name, "n_partitions": len(self.parts.files), "columns": columns}
 
     def read(self) -> Catalog:
         """Return the whole catalog, which must fit into memory, with the rows in the order of the partitions.
@@ -146,7 +149,9 @@ class PartitionedCatalog:
             merged = Table({name: _joined([table[name] for table in tables]) for name in self.parts.names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{self.folder}: each column must have the same type in all partitions: {error}") from None
-        return self.parts.to_catalog(merged, self.folder)
+        catalog = self.parts.to_catalog(merged, self.folder)
+        catalog.meta.update(self.meta)
+        return catalog
 
 
 @check_keywords

@@ -13,6 +13,7 @@ from rfpsurvey._readers import import_parquet, read_parquet, sentence
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
+from rfpsurvey.catalog._tables import EQUATORIAL
 from rfpsurvey.errors import InputError
 
 __all__ = ["Partitions", "read_or_name"]
@@ -28,6 +29,7 @@ ROLES = (
     "pmdec",
     "epoch",
     "priority",
+    "subpriority",
     "kind",
     "category",
     "fiber_type",
@@ -92,20 +94,25 @@ class Partitions:
         return np.concatenate([[0], np.cumsum(counts)])
 
     @cached_property
+    def finder(self) -> Finder:
+        """The finder of the columns of all partitions, which have the same columns."""
+        path = self.files[0][2]
+        names = read_or_name(path, lambda: import_parquet().read_schema(path)).names
+        return Finder(Table(names=names, dtype=["f8"] * len(names)), dict(self.catalog.columns), {})
+
+    @cached_property
     def names(self) -> list[str]:
         """Names of the columns that are read from each partition."""
-        path = self.files[0][2]
-        schema = read_or_name(path, lambda: import_parquet().read_schema(path))
-        find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.catalog.columns), {})
+        find, path = self.finder, self.files[0][2]
         names = [find.name_of(role) for role in ROLES]
-        equatorial = self.catalog.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms")
-        needed = ("ra", "dec") if equatorial else ("lon", "lat")
+        names += [] if find.format is None else [find.format.bits, *find.format.marks]
+        needed = ("ra", "dec") if self.catalog.frame.lower() in EQUATORIAL else ("lon", "lat")
         missing = [role for role in needed if names[ROLES.index(role)] is None]
         if missing:
             raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
-        lacking = [name for name in self.catalog.keep if name not in schema.names]
+        lacking = [name for name in self.catalog.keep if name not in find.table.colnames]
         if lacking:
-            raise InputError(f"keep must name columns of {path} ({', '.join(schema.names)}), got {lacking[0]!r}")
+            raise InputError(f"keep must name columns of {path} ({', '.join(find.table.colnames)}), got {lacking[0]!r}")
         return list(dict.fromkeys(name for name in (*names, *self.catalog.keep) if name is not None))
 
     @cached_property
@@ -172,8 +179,7 @@ class Partitions:
 
     @cached_property
     def _has_no_id(self) -> bool:
-        find = Finder(Table(names=self.names, dtype=["f8"] * len(self.names)), dict(self.catalog.columns), {})
-        return find.name_of("id") is None
+        return self.finder.name_of("id") is None
 
     def to_catalog(self, table: Table, path: Path) -> Catalog:
         """Convert the table of a file to a catalog; error messages contain the name of the file."""
