@@ -19,13 +19,12 @@ from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns
 from rfpsurvey.catalog._motion import move_coordinates, moving
-from rfpsurvey.catalog._time import to_time
+from rfpsurvey.catalog._time import known_epochs, to_time
 from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal, warn
 
 __all__ = ["Catalog"]
 
-_PER_TARGET = _tables.PER_TARGET
-_NUMBERS = ("priority", "visits", "subpriority")
+_PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
 
 
 @check_keywords
@@ -98,7 +97,7 @@ class Catalog:
 
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
-        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch")
+        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch", gaps=True)
         coord = to_direction(coord, "coord")
         coord = coord.reshape(1) if coord.isscalar else coord
         if coord.ndim != 1:
@@ -109,7 +108,7 @@ class Catalog:
             value = getattr(self, name)
             if value is not None:
                 try:
-                    columns[name] = to_plain(value, name).astype(float if name in _NUMBERS else str)
+                    columns[name] = to_plain(value, name).astype(str if name in TEXTS else float)
                 except InputError:
                     raise
                 except (TypeError, ValueError) as error:
@@ -128,9 +127,9 @@ class Catalog:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
             raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
-        keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
-        n_bad = int(n - keep.sum())
-        if n_bad:
+        epoch = None if epoch is None else known_epochs(epoch, moving(coord))
+        keep = np.isfinite(coord.data.lon.value) & np.isfinite(coord.data.lat.value)
+        if n_bad := int(n - keep.sum()):
             coord = coord[keep]
             columns = {name: value[keep] for name, value in columns.items()}
             extra = None if extra is None else extra[keep]
@@ -257,8 +256,9 @@ class Catalog:
 
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
+        extra = _tables.kept_columns(table, keep, columns, frame)
         found = _tables.read_columns(table, columns, units, frame, fill, keep, assume_units=assume_units)
-        return cls(**found, extra=_tables.kept_columns(table, keep, columns, frame))
+        return cls(**found, extra=extra)
 
     @classmethod
     @check_keywords
@@ -364,9 +364,8 @@ class Catalog:
             If the catalog has proper motions but no epoch.
         """
         time = to_time(time, "time")
-        if not self.has_proper_motion or len(self) == 0:
-            return self
-        if self.epoch is None and not moving(self.coord).any():
+        still = self.epoch is None and not moving(self.coord).any()
+        if still or not self.has_proper_motion or len(self) == 0:
             return self
         if self.epoch is None:
             remedy = "give Catalog(..., epoch=), a column of epochs, or --column epoch=J2016"

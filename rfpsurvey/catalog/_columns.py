@@ -271,8 +271,11 @@ class Finder:
         if self.format is not None and self.format.doubt and not set(self.format.columns) & self.given:
             warn(f"{self.format.doubt}; to use other columns, give columns= or --column")
 
-    def statement(self, roles: tuple[str, ...], keep: list[str] = ()) -> str:
-        """Return text that states the column of each role, and that lists the columns that are not used."""
+    def statement(self, roles: tuple[str, ...], keep: list[str] = (), coord: list[str] = ()) -> str:
+        """Return text that states the column of each role, and that lists the columns that are not used.
+
+        ``keep`` lists the columns that results include, and ``coord`` those that contain `SkyCoord` objects.
+        """
         names = {role: self.name_of(role) for role in roles}
         if names.get("kind", "") is None and self.format is not None:
             names["kind"] = self.format.bits
@@ -282,7 +285,8 @@ class Finder:
             for role, name in names.items()
             if name or role in ("priority", "visits")
         ]
-        unused = [name for name in self.table.colnames if name not in {*names.values(), *keep}]
+        said += [f"coord: {name}" for name in coord]
+        unused = [name for name in self.table.colnames if name not in {*names.values(), *keep, *coord}]
         more = len(unused) - MOST_LISTED
         unused = unused[:MOST_LISTED] + ([f"and {more} more"] if more > 0 else [])
         parts = [", ".join(said), f"kept: {', '.join(keep)}" if keep else ""]

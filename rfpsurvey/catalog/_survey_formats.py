@@ -40,7 +40,7 @@ def find_format(names: Iterable[str]) -> SurveyFormat | None:
 
 
 def _desi(lower: dict) -> SurveyFormat | None:
-    """Return the format of DESI target files (``PRIORITY_INIT``, ``NUMOBS_INIT``) or ledgers (``NUMOBS_MORE``)."""
+    """Return the format of DESI target files (``PRIORITY_INIT``, ``NUMOBS_INIT``) or DESI ledgers (``NUMOBS_MORE``)."""
     bits = next((name for key, name in lower.items() if BITS.fullmatch(key)), None)
     if bits is None and not lower.keys() & {"priority_init", "numobs_init", "numobs_more"}:
         return None

@@ -31,18 +31,20 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
     category = find.labels("category")
-    kind = find.labels("kind")
+    kind, visits = find.labels("kind"), find.complete("visits")
     if kind is not None:
         kind = np.char.lower(np.where(kind == "", "science", kind))
+    elif find.format is not None and find.format.bits is not None:
+        kind, visits = kinds_and_visits(_bits(find), visits)
     elif category is not None:
         kind = _kind_of_category(category)
     coord = _coordinates(find, frame)
-    visits = find.complete("visits")
-    if kind is None and find.format is not None and find.format.bits is not None:
-        kind, visits = kinds_and_visits(_bits(find), visits)
     find.warn_of_doubt()
     meta = _plain_meta(table.meta)
-    meta["columns"] = find.statement(catalog_roles(frame), [keep] if isinstance(keep, str) else keep or [])
+    roles = catalog_roles(frame)
+    if mixed := _sky_coords(find):
+        roles = [role for role in roles if role not in ("ra", "dec", "lon", "lat", "pmra", "pmdec")]
+    meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed)
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or is_plain):
@@ -118,9 +120,14 @@ def has_units(table: Table) -> bool:
     return any(getattr(column, "unit", None) is not None for column in table.columns.values())
 
 
+def _sky_coords(find: Finder) -> list[str]:
+    """Return the names of the columns of `SkyCoord` objects, or an empty list if columns of coordinates are given."""
+    given = {"ra", "dec", "lon", "lat"} & set(find.columns)
+    return [] if given else [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
+
+
 def _coordinates(find: Finder, frame: str) -> SkyCoord:
-    mixed = [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
-    if mixed and not {"ra", "dec", "lon", "lat"} & set(find.columns):
+    if mixed := _sky_coords(find):
         if len(mixed) > 1:
             raise InputError(
                 f"the table must have a single column of coordinates, got {', '.join(mixed)}; remove all but one"

@@ -163,6 +163,6 @@ def _from_catalog(instrument, targets, center):
 def _given(points, types=None, priority=None):
     if len(points) == 0:
         raise InputError(
-            "targets must have at least one row (a Catalog, at least one science target with requested visits), got none"
+            "targets must have at least one row (a Catalog, one science target with requested visits), got none"
         )
     return Source("given", points=points, types=types, priority=priority)

@@ -4,9 +4,9 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable, Table, vstack
-from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 import rfpsurvey as rs
+from rfpsurvey.errors import InputError, RfpsurveyWarning
 
 LRG, ELG, SKY, STD_FAINT, BAD_SKY, IN_BRIGHT_OBJECT, MWS = (1 << bit for bit in (0, 1, 32, 33, 36, 51, 61))
 FIRST_ID = 39627700000000000
@@ -147,6 +147,10 @@ def test_catalogs_state_which_column_has_which_role():
         "SDSS-V candidates: priority: priority (reversed sign), visits: none, fiber_type: fiberType"
     )
     assert about.endswith("not used: cadence")
+    mixed = QTable({"coord": rs.Catalog.from_table(sdssv()).coord, "priority": [1, 2], "ra": [1, 2]})
+    assert (
+        rs.Catalog.from_table(mixed).meta["columns"] == "priority: priority, visits: none, coord: coord; not used: ra"
+    )
     galactic = Table({"l": [1.0], "b": [2.0], "ra": [3.0], **{f"c{k}": [0] for k in range(30)}})
     galactic["l"].unit = galactic["b"].unit = "deg"
     about = rs.Catalog.from_table(galactic, frame="galactic").meta["columns"]
