@@ -96,7 +96,9 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
         parts = rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
-        print(f"columns: {parts.meta['columns']}")
+        for name in ("collection", "columns"):
+            if name in parts.meta:
+                print(f"{name}: {parts.meta[name]}")
         return parts
     common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # the value is an epoch, not the name of a column
     if common:

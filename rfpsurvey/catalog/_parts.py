@@ -59,6 +59,12 @@ class Partitions:
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
             if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
                 found.append((int(match[1]), int(match[2]), path))
+        tops = sorted({path.as_posix().partition("/Norder=")[0] for *_, path in found})
+        if len(tops) > 1:
+            raise InputError(
+                f"{self.catalog.folder} must contain one catalog, got partitions in {tops[0]} and {tops[1]}; open the "
+                "folder of one catalog"
+            )
         if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
             raise InputError(f"{self.catalog.folder}: a partition has an impossible order or pixel")
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
@@ -96,9 +102,17 @@ class Partitions:
     @cached_property
     def finder(self) -> Finder:
         """The finder of the columns of all partitions, which have the same columns."""
-        path = self.files[0][2]
-        names = read_or_name(path, lambda: import_parquet().read_schema(path)).names
+        names = self._schema
         return Finder(Table(names=names, dtype=["f8"] * len(names)), dict(self.catalog.columns), {})
+
+    @cached_property
+    def _schema(self) -> list[str]:
+        path = self.files[0][2]
+        return list(read_or_name(path, lambda: import_parquet().read_schema(path)).names)
+
+    def existing(self, columns: dict[str, str]) -> dict[str, str]:
+        """Return the entries of a dict from role to column whose column exists; ``ra`` and ``dec`` must exist."""
+        return {role: name for role, name in columns.items() if role != "id" or name in self._schema}
 
     @cached_property
     def names(self) -> list[str]:
@@ -185,6 +199,8 @@ class Partitions:
         """Convert the table of a file to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
+            if epoch := asked._properties.get("hats_coordinate_epoch"):
+                table.meta["ref_epoch"] = epoch
             return Catalog._from_table(
                 table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
             )
