@@ -101,8 +101,8 @@ class PartitionedCatalog:
         if not self.parts.files:
             files = "(files such as Norder=5/Dir=0/Npix=77.parquet)"
             raise InputError(f"{self.folder} must contain partitions {files}, got a folder without partitions")
-        object.__setattr__(self, "_properties", properties_of(self.folder, self.parts.files[0][2]))
-        named, said = columns_and_rows(self._properties)
+        object.__setattr__(self, "properties", properties_of(self.folder, self.parts.files[0][2]))
+        named, said = columns_and_rows(self.properties)
         object.__setattr__(self, "columns", {**self.parts.existing(named), **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
         object.__setattr__(self, "fill", dict(self.fill or {}))

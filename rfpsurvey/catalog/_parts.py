@@ -199,7 +199,7 @@ class Partitions:
         """Convert the table of a file to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
-            if epoch := asked._properties.get("hats_coordinate_epoch"):
+            if epoch := asked.properties.get("hats_coordinate_epoch"):
                 table.meta["ref_epoch"] = epoch
             return Catalog._from_table(
                 table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
