@@ -62,10 +62,8 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
         raise InputTypeError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {short(value)} without a unit"
         )
-    if isinstance(value, Masked):
-        value = value.filled(np.nan)
     try:
-        return np.array(value.to_value(unit), dtype=np.float64, order="C")
+        return np.array(_filled(value).to_value(unit), dtype=np.float64, order="C")
     except u.UnitConversionError:
         raise InputUnitsError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
 
@@ -104,21 +102,30 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 
 
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
-    """Return coordinates in the same frame, with proper motions but without distances and radial velocities."""
+    """Return coordinates in the same frame, with proper motions but without distances and radial velocities.
+
+    Masked coordinates and proper motions become NaN.
+    """
     if not isinstance(coord, SkyCoord):
         raise InputTypeError(f"{name} must be a SkyCoord, got {short(coord)}")
-    data = coord.data
+    data = coord.frame.data
     motion = data.differentials.get("s")
     place = data.without_differentials().represent_as(UnitSphericalRepresentation)
+    place = UnitSphericalRepresentation(_filled(place.lon), _filled(place.lat), copy=False)
     if motion is not None and not isinstance(motion, RadialDifferential):
         if not hasattr(motion, "d_lon_coslat"):
             full = data.represent_as(SphericalRepresentation, SphericalCosLatDifferential)
             motion = full.differentials["s"]
-        motion = UnitSphericalCosLatDifferential(motion.d_lon_coslat, motion.d_lat)
+        motion = UnitSphericalCosLatDifferential(_filled(motion.d_lon_coslat), _filled(motion.d_lat), copy=False)
         if motion.d_lat.unit.is_equivalent(u.mas / u.yr):
             place = place.with_differentials({"s": motion})
     kind = {"representation_type": "spherical", "differential_type": "sphericalcoslat"}
     return SkyCoord(coord.frame.realize_frame(place, **kind))
+
+
+def _filled(value: u.Quantity) -> u.Quantity:
+    """Return a Quantity without a mask, with NaN in place of masked values."""
+    return value.filled(np.nan * value.unit) if isinstance(value, Masked) else value
 
 
 def to_center(center: object, name: str = "center") -> SkyCoord:
@@ -127,6 +134,8 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
         center = to_direction(center, name)
         if not center.isscalar:
             raise InputError(f"{name} must be one direction, got the shape {center.shape}")
+        if not (np.isfinite(center.data.lon) and np.isfinite(center.data.lat)):
+            raise InputError(f"{name} must have finite coordinates, got {short(center)}")
         return center
     words = center.replace(",", " ").split()
     try:

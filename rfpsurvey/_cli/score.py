@@ -66,4 +66,5 @@ def score(
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
     tile = rs.score_tile(table, _app.instrument_of(table, instrument), **options)
+    print(f"columns: {tile.provenance['catalog']['columns']}")
     _app.finish(tile, output, plot, report, overwrite=overwrite)

@@ -195,7 +195,7 @@ def assign(
         tell=tell,
         subpriority=columns.subpriority,
         deadline=deadline,
-        row=order if options.breaks_ties else None,
+        row=order if columns.subpriority is None else None,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)

@@ -72,7 +72,7 @@ def _plain(column, name):
     unit = getattr(column, "unit", None)
     values, missing = getattr(column, "value", column), np.ma.getmaskarray(np.ma.asarray(column))
     if isinstance(column, Masked):
-        values, missing = column.unmasked.value, np.asarray(column.mask)
+        values, missing = getattr(column.unmasked, "value", column.unmasked), np.asarray(column.mask)
     values = np.asarray(values)
     if values.dtype.kind == "O":
         values, missing = _of_objects(values, missing, name)

@@ -6,7 +6,16 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_lonlat
 
-__all__ = ["move", "move_coordinates"]
+__all__ = ["move", "move_coordinates", "moving"]
+
+
+def moving(coord: SkyCoord) -> np.ndarray:
+    """Return whether each target has a known proper motion that differs from 0."""
+    motion = coord.data.differentials.get("s")
+    if motion is None:
+        return np.zeros(len(coord), dtype=bool)
+    motion = np.array([part.value for part in (motion.d_lon_coslat, motion.d_lat)])
+    return np.isfinite(motion).all(axis=0) & (motion != 0).any(axis=0)
 
 
 def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:

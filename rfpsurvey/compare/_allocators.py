@@ -117,6 +117,7 @@ def compare_allocators(
         unmet={method.name: tiles[method].summary["unmet"] for method in methods},
         blind_science=blind,
         instrument=provenance["instrument"]["name"],
+        catalog=provenance["catalog"],
         software=software,
         parameters=parameters,
     )

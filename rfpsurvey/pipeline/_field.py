@@ -120,8 +120,10 @@ def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocat
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
     seconds = perf_counter() - begin
     columns = targets.columns._replace(fiber_type=fiber_type)
+    values = columns.subpriority
     if options.subpriority is not None:
         values = to_subpriorities(options.subpriority, targets.id, targets.extra)
+    if values is not None:
         columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
     elif options.breaks_ties:
         others["order"] = tie_order(xy, None if targets.numbered else targets.id)

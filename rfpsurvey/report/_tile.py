@@ -91,6 +91,8 @@ def _asked(tile) -> dict:
         asked["center (ICRS)"] = f"{p['ra_deg']:.6f} {p['dec_deg']:+.6f} deg"
         asked["position angle"] = f"{p['position_angle_deg']:g} deg from the north of {p['north_of']}"
     asked["catalog"] = catalog.get("file") or catalog.get("synthetic") or "given in memory"
+    if catalog.get("columns"):
+        asked["columns of the catalog"] = catalog["columns"]
     asked["epoch"] = p.get("epoch") or "not stated"
     asked["requirements"] = p.get("requirements") or "none"
     if p.get("required"):

@@ -200,6 +200,9 @@ def prepare_request(
     tiles, joint = as_tiling(tiling), as_joint(order)
     if joint is not None:
         check_joint(asked)
+        first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
+        if first.subpriority is not None:
+            warn("the subpriorities of the catalog have no effect on a joint plan")
     if is_table(tiling):
         warn_of_targets(as_table(tiling)[0], len(source))
     request = make_request(

@@ -105,6 +105,9 @@ class Request:
         if self.is_required is not None:
             columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
             field = field._replace(targets=field.targets._replace(columns=columns))
+        if self.joint is not None:  # joint plans do not support subpriorities
+            columns = field.targets.columns._replace(subpriority=None)
+            field = field._replace(targets=field.targets._replace(columns=columns))
         name, *where = (column[tile] for column in self._places)
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]

@@ -27,7 +27,7 @@ class Field(NamedTuple):
     targets: FieldTargets
 
 
-COLUMNS = ("priority", "kind", "category", "fiber_type")
+COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 
 
 class InMemory:

@@ -56,7 +56,7 @@ COMPLETENESS = {
     "kind": "kind of the counted targets, or 'all' for every kind",
     "category": "category of the counted targets, or 'all' for every category",
     "priority": "priority of the counted targets, or 'all' for every priority",
-    "n_in_field": "number of targets in the field",
+    "n_in_field": "number of targets in the field, without science targets of which no visits are requested",
     "n_reachable": "number of targets in reach of a positioner",
     "n_assigned": "number of targets with a positioner",
     "n_observed": "number of targets with a positioner whose arm does not collide",

@@ -44,6 +44,7 @@ __all__ = ["plan_tile"]
 
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
+COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -152,21 +153,13 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    given = rows
-    if catalog.kind is not None and not options.requirements:
-        wanted = catalog.kind[rows] == "science"
-        given = rows[wanted if is_required is None else wanted | is_required[rows]]
-    if len(given) == 0:
-        raise InputError(
-            f"none of the {len(rows)} targets in the field is a science target; "
-            "requirements such as 'sky=20' also assign targets of other kinds"
-        )
+    given = rows[_wanted(catalog, rows, is_required, others=bool(options.requirements))]
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
         text += "; each row is planned as a separate target"
         warn(text)
-    columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
+    columns = {name: getattr(catalog, name) for name in COLUMNS}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
@@ -190,7 +183,7 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows, plan),
+        "kinds": counts_by_kind(catalog, rows, given, plan),
         "n_required": n_required,
         "n_required_observed": _n_required_observed(plan, columns["is_required"]),
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
@@ -227,6 +220,26 @@ def plan_tile(
         targets=TargetsOfField(catalog, rows, given, plan),
         software=packages(options),
     )
+
+
+def _wanted(catalog: Catalog, rows: np.ndarray, is_required: np.ndarray | None, *, others: bool) -> np.ndarray:
+    """Return a mask of the targets in the given rows that the allocator receives.
+
+    These are all required targets, the science targets with requested visits and, if ``others`` is true, the targets of
+    other kinds.
+    """
+    science = np.ones(len(rows), dtype=bool) if catalog.kind is None else catalog.kind[rows] == "science"
+    wanted = science if catalog.visits is None else science & (catalog.visits[rows] > 0)
+    if others:
+        wanted = wanted | ~science
+    if is_required is not None:
+        wanted = wanted | is_required[rows]
+    if not wanted.any():
+        what = "is a science target" + (" with requested visits" if science.any() else "")
+        remedy = "requirements such as 'sky=20' also assign targets of other kinds"
+        remedy = "the column of visits states 0 for all of them" if science.all() else remedy
+        raise InputError(f"none of the {len(rows)} targets in the field {what}; {remedy}")
+    return wanted
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:

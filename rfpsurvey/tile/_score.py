@@ -134,7 +134,9 @@ def score_tile(
     accepted_types(plane, asked, len(part))
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
-    ids = _target_ids(find, name)
+    others = _without(find, name)
+    ids = others.labels("id")
+    ids = np.arange(len(part)) if ids is None else ids
     parameters = {
         "allocator": "scored",
         "positions": positions,
@@ -202,6 +204,8 @@ def score_tile(
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
+    used = ("ra", "dec", "pmra", "pmdec", "epoch") if positions == "sky" else ("x", "y")
+    meta["columns"] = f"positioner: {name}, {others.statement(('id', 'fiber_type', *used))}"
     return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
 
 
@@ -264,11 +268,11 @@ def _assigned(table) -> np.ndarray:
     return to_flags(table["assigned"], "column 'assigned'")
 
 
-def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Return the identifiers of the targets; the column with the identifiers of positioners is ignored."""
+def _without(find: Finder, positioner_column: str) -> Finder:
+    """Return a finder that ignores the column with the identifiers of positioners."""
     names = [c for c in find.table.colnames if c != positioner_column]
-    ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
-    return np.arange(len(find.table)) if ids is None else ids
+    columns = {role: name for role, name in find.columns.items() if name.removeprefix("-") in names}
+    return Finder(find.table[names], columns)
 
 
 def _sky_deg(find: Finder) -> np.ndarray:
