@@ -22,8 +22,6 @@ IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "annuli
 """Names of the arrays that depend on the fiber type that each positioner uses."""
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
-N_EDGE = 90
-"""Number of points in the array ``edge``."""
 
 
 class FocalPlaneArrays:
@@ -46,8 +44,6 @@ class FocalPlaneArrays:
         Radii of the patrol area of the fiber that each positioner uses, mm.
     largest_radius : ndarray of float, shape (n,)
         Largest outer radius of the patrol areas of all fibers of each positioner, mm.
-    edge : ndarray of float, shape (90, 2)
-        Points on the boundary of the convex hull of all patrol areas, in equally spaced directions, mm.
     equal_arms : ndarray of bool, shape (n,)
         Whether the two arms of each positioner have the same length.
     arm_reach : ndarray of float, shape (n,)
@@ -146,14 +142,6 @@ class FocalPlaneArrays:
     @cached_property
     def largest_radius(self) -> np.ndarray:
         return locked(self.central_arm + self.longest_arm)
-
-    @cached_property
-    def edge(self) -> np.ndarray:
-        turn = 2 * np.pi * np.arange(N_EDGE) / N_EDGE
-        normals = np.column_stack([np.cos(turn), np.sin(turn)])
-        distance = sum(np.multiply.outer(*axis) for axis in zip(normals.T, self.xy.T, strict=True))
-        row = np.argmax(distance + self.largest_radius, axis=1)
-        return locked(self.xy[row] + self.largest_radius[row, None] * normals)
 
     @cached_property
     def arm_reach(self) -> np.ndarray:

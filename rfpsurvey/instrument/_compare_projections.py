@@ -1,6 +1,7 @@
 """Comparison of models of the projection of an instrument, to find the cheapest model that is accurate enough."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +10,7 @@ from astropy.table import QTable
 
 from rfpsurvey._units import to_center, to_scalar, to_unit
 from rfpsurvey.errors import InputError, check_keywords
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._instrument import Instrument, as_instrument
 from rfpsurvey.observing import (
     MODELS,
@@ -26,8 +28,8 @@ __all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
 
 # Default tolerance, as a fraction of the fiber diameter.
 FRACTION = 0.1
-# Number of centers of positioners for which displacements are computed.
-N_CENTERS = 240
+# Numbers of points for which displacements are computed: centers of positioners, and points at the edge of the field.
+N_CENTERS, N_EDGE = 240, 90
 # Factor by which points without an image on the sky are moved toward the field center until they have one.
 SHRINK = 0.998
 ROUNDING = 1e-9 * u.mm
@@ -233,12 +235,22 @@ def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int
     arrays = instrument.focal_plane.arrays
     order = np.argsort(np.hypot(*arrays.xy.T), kind="stable")
     rows = np.unique(np.linspace(0, len(order) - 1, N_CENTERS).round().astype(int))
-    points = np.array([np.vstack([arrays.xy[order[rows]], arrays.edge])] * len(kinds))
+    points = np.array([np.vstack([arrays.xy[order[rows]], _edge(instrument.focal_plane)])] * len(kinds))
     for own, kind in zip(points, kinds, strict=True):
         # the radial map of the fiber type can end inside the patrol areas
         while (beyond := np.isnan(static.unproject(own, kind)).any(axis=1)).any():
             own[beyond] *= SHRINK
     return points, len(rows)
+
+
+@lru_cache(maxsize=4)
+def _edge(plane: FocalPlane) -> np.ndarray:
+    """Return points (mm) on the boundary of the convex hull of all patrol areas, in equally spaced directions."""
+    arrays, turn = plane.arrays, 2 * np.pi * np.arange(N_EDGE) / N_EDGE
+    normals = np.column_stack([np.cos(turn), np.sin(turn)])
+    distance = sum(np.multiply.outer(*axis) for axis in zip(normals.T, arrays.xy.T, strict=True))
+    row = np.argmax(distance + arrays.largest_radius, axis=1)
+    return arrays.xy[row] + arrays.largest_radius[row, None] * normals
 
 
 def _by_type(instrument, conditions) -> bool:
