@@ -90,8 +90,8 @@ EquinoxOption = Annotated[
 EpochOption = Annotated[
     str | None,
     typer.Option(
-        help="Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the time "
-        "of the observing conditions; without such a time, targets are not moved."
+        help="Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the "
+        "time of the observing conditions; without such a time, targets are not moved."
     ),
 ]
 ColumnOption = Annotated[

@@ -186,7 +186,8 @@ def place_tiles(
     if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
         raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
-    summary["epoch"] = choose_epoch(catalog, None, None)[1]
+    if catalog.has_proper_motion:
+        summary["epoch"] = choose_epoch(catalog, None, None)[1]
     wanted = _wanted(catalog, visits, exclude)
     beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
     n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
