@@ -68,7 +68,8 @@ def score_tile(
         Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
-        Epoch to which sky positions are moved by their proper motions; by default, the time of the conditions.
+        Epoch to which sky positions are moved by their proper motions. By default, they are not moved, because the
+        positions of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
@@ -144,7 +145,7 @@ def score_tile(
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
-        used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
+        used, moved = choose_epoch(catalog, epoch, None)
         catalog = catalog if used is None else catalog.at_epoch(used)
         center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
         if position_angle is None:
