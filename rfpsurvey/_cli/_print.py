@@ -177,6 +177,8 @@ def print_summary(tile: "rs.Tile") -> None:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
+        if tile.summary.get("epoch") and values.get("epoch_asked") is None:
+            print(f"epoch: {tile.summary['epoch']}")
     elif "positions" in values:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:

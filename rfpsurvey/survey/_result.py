@@ -94,6 +94,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
         "unmet": _unmet(request.source, missed, why),
+        **({} if request.moved is None else {"epoch": request.moved}),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 

@@ -3,13 +3,12 @@
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import FK5, SkyCoord
-from astropy.time import Time
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
 
-__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
+__all__ = ["field_center", "field_value", "north_of_date", "where"]
 
 # names under which planners store the center and the orientation of a field, in columns or in the meta of a table
 FIELD = {
@@ -81,12 +80,3 @@ def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
         "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
         "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
     }
-
-
-def epoch_text(epoch: Time | None) -> str | None:
-    """Return the epoch of the positions as text for the provenance."""
-    if epoch is None:
-        return None
-    years = np.atleast_1d(epoch.jyear)
-    low, high = float(years.min()), float(years.max())
-    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"

@@ -22,7 +22,7 @@ from rfpsurvey.allocation import (
     packages,
     sentences,
 )
-from rfpsurvey.catalog import Catalog, as_catalog, to_time
+from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
 from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
@@ -36,7 +36,7 @@ from rfpsurvey.pipeline import (
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, where
+from rfpsurvey.tile._field import where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
@@ -82,8 +82,9 @@ def plan_tile(
     position_angle : Quantity, optional
         Position angle of the +y axis of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions (a number is a Julian year). With None, the targets
-        are not moved.
+        Epoch to which the targets are moved by their proper motions (a number is a Julian year). By default, the
+        time of the conditions; without such a time, the targets are not moved. The entry ``epoch`` of the summary
+        states to which epoch the targets were moved.
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
@@ -138,12 +139,10 @@ def plan_tile(
     _warn_of_unknown_categories(asked, catalog)
     is_required = mark_required(options.required, [catalog.id])
     n_required = 0 if is_required is None else int(is_required.sum())
-    if epoch is not None:
-        to_time(epoch, "epoch")
-        if not catalog.has_proper_motion:
-            warn("the epoch has no effect, because the targets have no proper motions")
-        near = catalog.arrays.rows_near(center, radius, epoch)
-        catalog = catalog[near].at_epoch(epoch)
+    used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
+    if used is not None:
+        near = catalog.arrays.rows_near(center, radius, used)
+        catalog = catalog[near].at_epoch(used)
         is_required = None if is_required is None else is_required[near]
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
@@ -189,6 +188,7 @@ def plan_tile(
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
         "projection": chosen,
+        "epoch": moved,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
     log.info("planned a tile of %s: %s", instrument.name, summary)

@@ -9,7 +9,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_center, to_flags, to_plain
-from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table
+from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import (
     InputError,
@@ -23,7 +23,7 @@ from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
+from rfpsurvey.tile._field import field_center, field_value, north_of_date, where
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
@@ -68,7 +68,8 @@ def score_tile(
         Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
-        Epoch to which sky positions are moved by their proper motions.
+        Epoch to which sky positions are moved by their proper motions. By default, they are not moved, because the
+        positions of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
@@ -134,7 +135,7 @@ def score_tile(
     accepted_types(plane, asked, len(part))
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
-    others = _without(find, name)
+    others, moved = _without(find, name), None
     ids = others.labels("id")
     ids = np.arange(len(part)) if ids is None else ids
     parameters = {
@@ -146,7 +147,8 @@ def score_tile(
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
-        catalog = catalog if epoch is None else catalog.at_epoch(epoch)
+        used, moved = choose_epoch(catalog, epoch, None)
+        catalog = catalog if used is None else catalog.at_epoch(used)
         center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
@@ -201,6 +203,7 @@ def score_tile(
         "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
+        "epoch": moved,
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

@@ -1,7 +1,7 @@
 """Placement of the tiles of a survey."""
 
 from rfpsurvey.tiling._centers import Centers
-from rfpsurvey.tiling._conditions import conditions_of_tiles, when_of
+from rfpsurvey.tiling._conditions import conditions_of_tiles, times_of_tiles, when_of
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
@@ -16,6 +16,7 @@ __all__ = [
     "as_tiling",
     "conditions_of_tiles",
     "place_tiles",
+    "times_of_tiles",
     "warn_of_targets",
     "when_of",
 ]

@@ -135,7 +135,7 @@ def given_plan(request, job: Job, plan: TilePlan) -> Job:
 
 def _model(request, options) -> Model:
     old = request.model
-    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units, old.epoch)
+    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units)
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
