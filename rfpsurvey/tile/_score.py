@@ -24,9 +24,14 @@ from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
+from rfpsurvey.tile._recorded import find_recorded, sentence_of
+from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
+
+MOST_OUT_OF_REACH = 0.2
+"""Fraction of targets out of reach from which on a warning states that plan and instrument do not match."""
 
 
 @check_keywords
@@ -47,7 +52,8 @@ def score_tile(
     """Find the collisions in assignments that another program planned.
 
     If a target is out of reach, the arm of its positioner is stretched toward the target as far as possible, and is
-    counted in the collision rate.
+    counted in the collision rate. Arms without a target are in the pose that a plan records: at its joint angles
+    ``theta`` and ``phi`` or, if it has none, at its fiber positions. Poses that are not recorded are assumed.
 
     Parameters
     ----------
@@ -79,15 +85,16 @@ def score_tile(
         Names and units of columns, as in `Catalog.from_table`; ``columns`` can also contain the keys ``positioner``,
         ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
-        Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
-        arms of equal length can be parked.
+        Whether positioners without a target are obstacles for other arms: in their recorded pose or, if it is unknown
+        and both arms have equal lengths, in the parked pose.
 
     Returns
     -------
     Tile
         The tile, which has no table of outcomes. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber``
-        (number of positioners without the fiber type that their target requires) and ``n_unusable`` (number of rows for
-        disabled or stuck positioners, which are not scored).
+        (number of positioners without the fiber type that their target requires), ``n_unusable`` (number of rows for
+        disabled or stuck positioners, which are not scored), ``n_recorded`` (number of usable positioners without a
+        target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses).
 
     Raises
     ------
@@ -120,7 +127,8 @@ def score_tile(
     columns = {**roles, **columns} if isinstance(columns, dict) else columns
     plane = instrument.focal_plane
     full = Finder(table, columns, units or {})
-    rows, who, name = _positioners(full, instrument)
+    owner, rows, name = _positioners(full, instrument)
+    who = owner[rows]
     if len(rows) == 0:
         raise InputError("the table must assign at least one positioner, got none")
     part = table[rows]
@@ -183,14 +191,23 @@ def score_tile(
     types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
+    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, tips, types)
+    posed = place_arms(
+        plane,
+        tips * u.mm,
+        handedness=recorded.handedness,
+        fiber_type=types,
+        parked_obstacles=parked_obstacles,
+        clip=True,
+        idle_angles=recorded.idle_angles,
+    )
     if _is_ours(part):  # arms that were already stretched when this tile was made remain out of reach
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
-    if 2 * n_out > len(part):
+    if n_out >= MOST_OUT_OF_REACH * len(part):
         warn(
-            f"{n_out} of {len(part)} targets are out of reach of their positioners: check instrument, field center, "
-            f"position angle and units"
+            f"{n_out} of {len(part)} targets are out of reach of their positioners: plan and instrument do not match; "
+            "check instrument, calibration, field center, position angle and units"
         )
     report = find_collisions(plane, posed)
     summary = {
@@ -199,6 +216,8 @@ def score_tile(
         "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
+        "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
+        "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
@@ -208,7 +227,7 @@ def score_tile(
 def _positioners(find: Finder, instrument: Instrument):
     """Return the assignments of a table.
 
-    The returned tuple contains the rows that assign a positioner, the index of the positioner of each of these rows,
+    The returned tuple contains the index of the positioner of each row (-1: none), the rows that assign a positioner,
     and the name of the column with the identifiers of the positioners.
     """
     plane = instrument.focal_plane
@@ -226,24 +245,23 @@ def _positioners(find: Finder, instrument: Instrument):
     index = {str(i): k for k, i in enumerate(plane.id)}
     # a row assigns no positioner if the identifier is blank, or is -1 and no positioner has the identifier -1
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
-    names = names[rows].tolist()
-    unknown = [v for v in names if v not in index]
+    owner = np.array([index.get(v, -1) for v in names.tolist()], dtype=int)
+    unknown = names[rows[owner[rows] < 0]].tolist()
     if unknown:
         nominal = is_plan(find.table) and instrument.layout == "nominal"
         hint = "; use the instrument as built, because its positioners have the ids of this plan" if nominal else ""
         raise InputError(
             f"column {name!r} names positioners that the instrument does not have: "
-            f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "
+            f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(rows)} rows); "
             f"examples of its ids are {plane.id[0]} and {plane.id[-1]}{hint}"
         )
-    who = np.array([index[v] for v in names], dtype=int)
-    twice, counts = np.unique(who, return_counts=True)
+    twice, counts = np.unique(owner[rows], return_counts=True)
     if (counts > 1).any():
         raise InputError(
             f"positioner {plane.id[twice[counts > 1][0]]} is assigned more than once; "
             f"if the table holds several fields, score one field at a time, for example with --select COLUMN=VALUE"
         )
-    return rows, who, name
+    return owner, rows, name
 
 
 def _is_ours(table) -> bool:
