@@ -99,8 +99,8 @@ def _consistent(angles, instrument, tips, types) -> np.ndarray | None:
     text = "the recorded angles are not used" if most else "the positions determine the poses of these arms"
     warn(
         f"the recorded joint angles of {differs.sum()} of {len(own)} positioners with a target place the fiber more "
-        f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; check that the instrument "
-        "is the one for which the plan was made"
+        f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; check that the "
+        "instrument is the one for which the plan was made"
     )
     return None if most else np.where(np.isin(np.arange(len(tips)), own[differs]), np.nan, angles)
 
