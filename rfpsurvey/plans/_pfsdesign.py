@@ -15,8 +15,18 @@ from astropy.table import QTable
 from rfpsurvey._readers import read_fits_units
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import pfs_fibers
-from rfpsurvey.plans._pfsdesign_write import FLUXES, FORMATS, NATIVE, PFI_ANGLE, design_id, wrapped, write
+from rfpsurvey.plans._pfsdesign_write import (
+    FLUXES,
+    FORMATS,
+    FROM_TILE,
+    NATIVE,
+    PFI_ANGLE,
+    design_id,
+    wrapped,
+    write,
+)
 from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._values import from_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -111,13 +121,17 @@ def read(path: Path) -> QTable:
         position_angle=wrapped(float(header.get("POSANG", 0.0)) + PFI_ANGLE),
         epoch=str(epochs[0]) if len(epochs) == 1 else None,
         **meta,
+        **from_keywords(header),
     )
 
 
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
-    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
-    names |= {*dict(plan.meta.get("formats", ()))} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
+    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE}
+    if plan.meta["format"] == "pfsdesign":
+        names |= {*FORMATS, *FLUXES, "filterName", *dict(plan.meta.get("formats", ()))}
+    else:
+        names |= {*FROM_TILE, "spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if plan.meta["format"] not in ("pfsdesign", "tile") and plan.meta["header"]:
         found.append("the keywords of the header")

@@ -30,18 +30,25 @@ class Recorded(NamedTuple):
 
 
 def find_recorded(
-    find: Finder, owner: np.ndarray, has_target: np.ndarray, instrument: Instrument, tips: np.ndarray, types: np.ndarray
+    find: Finder,
+    owner: np.ndarray,
+    has_target: np.ndarray,
+    instrument: Instrument,
+    places: np.ndarray,
+    types: np.ndarray,
+    tips: np.ndarray,
 ) -> Recorded:
     """Return the poses that a table records.
 
     ``owner`` is the index of the positioner of each row (-1: no positioner of the instrument), and ``has_target`` is
-    whether each row assigns a target. ``tips`` (mm) and ``types`` are the position of the target and the fiber type of
-    each positioner.
+    whether each row assigns a target. For each positioner, ``places`` (mm) is the recorded position of the target on
+    the focal plane, with which the angles must agree, ``types`` is the fiber type, and ``tips`` (mm) is the position of
+    the target that is scored.
     """
     plane = instrument.focal_plane
     angles = _angles(find, owner, has_target, len(plane))
     if angles is not None:
-        angles = _consistent(angles, instrument, tips, types)
+        angles = _consistent(angles, instrument, places, types)
     handedness = None if angles is None else _handedness(angles, plane, tips, types)
     idle = np.full((2, len(plane)), np.nan) if angles is None else angles
     by_angles = np.isfinite(idle).all(axis=0)
@@ -83,13 +90,13 @@ def _angles(find, owner, has_target, n) -> np.ndarray | None:
     return found
 
 
-def _consistent(angles, instrument, tips, types) -> np.ndarray | None:
+def _consistent(angles, instrument, places, types) -> np.ndarray | None:
     """Return angles without those that disagree with the positions of the targets; None if most of them disagree."""
     plane = instrument.focal_plane
-    own = np.flatnonzero(np.isfinite(angles).all(axis=0) & np.isfinite(tips).all(axis=1) & plane.arrays.usable)
+    own = np.flatnonzero(np.isfinite(angles).all(axis=0) & np.isfinite(places).all(axis=1) & plane.arrays.usable)
     if len(own) == 0:
         return angles
-    away = np.hypot(*(plane.forward(*(angles * u.rad), types).to_value(u.mm) - tips)[own].T)
+    away = np.hypot(*(plane.forward(*(angles * u.rad), types).to_value(u.mm) - places)[own].T)
     differs = away > TOLERANCE_MM
     if not differs.any():
         return angles
@@ -102,7 +109,7 @@ def _consistent(angles, instrument, tips, types) -> np.ndarray | None:
         f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; check that the "
         "instrument is the one for which the plan was made"
     )
-    return None if most else np.where(np.isin(np.arange(len(tips)), own[differs]), np.nan, angles)
+    return None if most else np.where(np.isin(np.arange(len(places)), own[differs]), np.nan, angles)
 
 
 def _handedness(angles, plane, tips, types) -> np.ndarray:

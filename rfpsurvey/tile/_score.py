@@ -19,11 +19,19 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.focal_plane import accepted_types
-from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
+from rfpsurvey.tile._field import (
+    epoch_text,
+    field_center,
+    field_value,
+    north_of_date,
+    recorded_equinox,
+    recorded_projection,
+    where,
+)
 from rfpsurvey.tile._recorded import find_recorded, sentence_of
 from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
@@ -71,7 +79,8 @@ def score_tile(
         Position angle of the +y axis of the focal plane, measured from north in the frame of the center; by default it
         is read from the column or meta entry ``position_angle`` or ``field_pa`` of the table.
     equinox : str, optional
-        Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
+        Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS, or of
+        the frame that a plan records with its position angle.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
         Epoch to which sky positions are moved by their proper motions.
@@ -79,8 +88,9 @@ def score_tile(
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
     conditions : ObservingConditions, optional
-        Observing conditions, from which the refraction of positions on the sky is computed. By default, refraction is
-        neglected.
+        Observing conditions, from which the refraction of positions on the sky is computed. By default, the conditions
+        and the model of the projection that a tile or a plan of this package records are used; without recorded
+        conditions, refraction is neglected.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; ``columns`` can also contain the keys ``positioner``,
         ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
@@ -153,16 +163,26 @@ def score_tile(
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
+        if center is None:
+            is_recorded = equinox is None and position_angle is None
+            center = north_of_date(field_center(part), recorded_equinox(part) if is_recorded else equinox)
+        center = to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
-        plain = instrument.projection(center, position_angle, conditions).plain
+        recorded, model = recorded_projection(part), None
+        if conditions is None:
+            model = recorded.get("projection")
+            if recorded.get("conditions") is not None:
+                conditions = ObservingConditions.from_record(recorded["conditions"])
+        plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
         xy = plain.project(catalog.arrays.vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
         parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
         if conditions is not None:
-            parameters.update(projection="full", conditions=conditions.record)
+            parameters.update(conditions=conditions.record)
+        if conditions is not None or chosen["model"] != "radial":
+            parameters.update(projection=chosen["model"])
     else:
         if None in xy_names:
             raise find.missing("x and y")
@@ -179,7 +199,7 @@ def score_tile(
                 f"these parameters are not used, because the table has positions on the focal plane: "
                 f"{', '.join(unused)}; to use positions on the sky, give positions='sky'"
             )
-        xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+        xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
         raise InputError(
@@ -191,7 +211,9 @@ def score_tile(
     types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, tips, types)
+    has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
+    own = _on_focal_plane(find, xy_names if has_places else [None], len(plane), who)
+    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
     posed = place_arms(
         plane,
         tips * u.mm,
@@ -287,6 +309,14 @@ def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
     names = [c for c in find.table.colnames if c != positioner_column]
     ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
     return np.arange(len(find.table)) if ids is None else ids
+
+
+def _on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:
+    """Return the recorded positions of the targets in mm, one row for each positioner; NaN if there are none."""
+    found = np.full((n, 2), np.nan)
+    if None not in names:
+        found[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+    return found
 
 
 def _sky_deg(find: Finder) -> np.ndarray:
