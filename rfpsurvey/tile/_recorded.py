@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from astropy.table import Table
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import Finder
@@ -12,8 +13,9 @@ from rfpsurvey.errors import number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plans import is_plan
 
-__all__ = ["Recorded", "find_recorded", "sentence_of"]
+__all__ = ["Recorded", "find_recorded", "sentence_of", "warn_of_neglected"]
 
+GOOD = 1  # fiberStatus of PFS
 TOLERANCE_MM = 0.1
 """Largest distance between the position of a fiber and the position computed from its recorded joint angles."""
 
@@ -71,6 +73,26 @@ def sentence_of(posed: Arms, recorded: Recorded, status: np.ndarray) -> str:
     }
     parts = [f"{mask.sum()} {text}" for text, mask in counts.items() if mask.any()]
     return f"{number_of(int(idle.sum()), 'positioner')} without a target: {', '.join(parts)}" if parts else ""
+
+
+def warn_of_neglected(assigned: Table, *, sky: bool, north: bool) -> None:
+    """Warn of information in the assigned rows of a plan that its score neglects.
+
+    ``sky`` is whether sky positions are scored, and ``north`` whether the north of the position angle is given.
+    """
+    form, names = assigned.meta.get("format"), assigned.colnames
+    if sky and form == "confsummary" and not north:
+        warn(
+            "the position angle is measured from the north of ICRS, because the file does not state the north; SDSS-V "
+            "uses the north of date: give equinox"
+        )
+    if sky and form == "confsummary" and {"delta_ra", "delta_dec"} <= {*names}:
+        offsets = np.array([to_plain(assigned[name]) for name in ("delta_ra", "delta_dec")])
+        n = int((~np.isin(offsets, (0, -999)) & np.isfinite(offsets)).any(axis=0).sum())
+        if n:
+            warn(f"the offsets delta_ra and delta_dec of {number_of(n, 'target')} are neglected")
+    if form == "pfsdesign" and "fiberStatus" in names and (bad := to_plain(assigned["fiberStatus"]) != GOOD).any():
+        warn(f"{bad.sum()} fibers with a target have a fiberStatus other than {GOOD} (good), but count as assigned")
 
 
 def _angles(find, owner, has_target, n) -> np.ndarray | None:

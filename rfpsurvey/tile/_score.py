@@ -32,7 +32,7 @@ from rfpsurvey.tile._field import (
     recorded_projection,
     where,
 )
-from rfpsurvey.tile._recorded import find_recorded, sentence_of
+from rfpsurvey.tile._recorded import find_recorded, sentence_of, warn_of_neglected
 from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
 
@@ -83,7 +83,8 @@ def score_tile(
         the frame that a plan records with its position angle.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
-        Epoch to which sky positions are moved by their proper motions.
+        Epoch to which sky positions are moved by their proper motions; by default, the epoch of the
+        observation that a file of SDSS-V records.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
@@ -158,10 +159,15 @@ def score_tile(
         "positions": positions,
         "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
     }
+    north = center is not None or position_angle is not None or equinox is not None or "north_of" in table.meta
+    warn_of_neglected(part, sky=positions == "sky", north=north)
     if positions == "sky":
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
+        of_catalog = table.meta.get("format") == "confsummary" and find.name_of("ra") == "ra"
+        if epoch is None and of_catalog and catalog.epoch is not None:
+            epoch = table.meta.get("epoch")
         catalog = catalog if epoch is None else catalog.at_epoch(epoch)
         if center is None:
             is_recorded = equinox is None and position_angle is None

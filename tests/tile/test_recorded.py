@@ -139,3 +139,29 @@ def test_a_plan_of_another_instrument_is_named(real_data, presets):
     x, y = presets["lamost"].focal_plane.xy[:10].T
     few = QTable({"positioner": np.arange(10), "x": x + np.where(np.arange(10), 3, 20) * u.mm, "y": y})
     assert rs.score_tile(few, presets["lamost"]).summary["n_out_of_reach"] == 1
+
+
+def test_sky_positions_of_a_configuration_are_at_the_epoch_and_the_north_of_its_observation(tmp_path, real_data):
+    """Both were neglected without a warning, which displaced fibers by 0.3 mm."""
+    pytest.importorskip("pydl", reason="pydl is not installed")
+    plan = plans.read_plan(real_data("sdssv_apo_2024/confSummary-test.par.gz"))
+    built = rs.Instrument.read(real_data("sdssv_apo_2024"))
+    assert plan.meta["epoch"] == "J2024.317591"
+    with pytest.warns(rs.RfpsurveyWarning, match="measured from the north of ICRS, because .*: give equinox"):
+        icrs = rs.score_tile(plan, built, positions="sky")
+    of_date = rs.score_tile(plan, built, positions="sky", equinox="J2022")
+    assert icrs.provenance["parameters"]["epoch"] == of_date.provenance["parameters"]["epoch"] == "J2024.318"
+    given = rs.score_tile(plan, built)
+    apart = [np.nanmedian(np.abs(tile.table["tip_x"] - given.table["tip_x"])) for tile in (icrs, of_date)]
+    assert apart[0] > 2 * apart[1]
+    plan["delta_ra"][np.flatnonzero(plan["assigned"])[:3]] = 0.5
+    with pytest.warns(rs.RfpsurveyWarning, match="delta_ra and delta_dec of 3 targets are neglected"):
+        rs.score_tile(plan, built, positions="sky", equinox="J2022")
+
+
+def test_targets_on_broken_fibers_of_a_design_are_counted_in_a_warning(real_data):
+    plan = plans.read_plan(real_data("pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"))
+    plan["fiberStatus"][np.flatnonzero(plan["assigned"])[:2]] = 2
+    with pytest.warns(rs.RfpsurveyWarning) as caught:
+        rs.score_tile(plan, "pfs")
+    assert any("2 fibers with a target have a fiberStatus other than 1" in str(one.message) for one in caught)
