@@ -4,7 +4,6 @@ import gzip
 import re
 import tempfile
 import warnings
-import zlib
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +17,7 @@ from rfpsurvey._io import output_path
 from rfpsurvey._readers import content_of, is_number, sentence
 from rfpsurvey.errors import InputError
 from rfpsurvey.plans._plan import make_plan, text_of_lost
-from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -60,13 +59,7 @@ def recognizes(path: Path) -> bool:
     """Return whether a file is a yanny file with the table FIBERMAP, or has a name that ends in ``.par``."""
     if ".par" in path.suffixes[-2:]:
         return True
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
-            head = file.read(2**14)
-    except (OSError, EOFError, zlib.error):
-        return False
+    head = head_of(path, 2**14)
     return head.startswith(b"#%yanny") and b"FIBERMAP" in head
 
 

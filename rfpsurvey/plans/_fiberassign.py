@@ -5,7 +5,6 @@ FIELDROT are in the coordinate system CS5, in which +x is west; x and the positi
 opposite signs.
 """
 
-import gzip
 import re
 import warnings
 from pathlib import Path
@@ -19,7 +18,7 @@ from rfpsurvey._readers import read_tables
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.plans._plan import make_plan, text_of_lost
-from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -75,13 +74,7 @@ SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA
 
 def recognizes(path: Path) -> bool:
     """Return whether a file is a FITS file with the extension FIBERASSIGN in its first 256 KiB."""
-    try:
-        with open(path, "rb") as file:
-            opener = gzip.open if file.read(2) == b"\x1f\x8b" else open
-        with opener(path, "rb") as file:
-            head = file.read(2**18)
-    except (OSError, EOFError):
-        return False
+    head = head_of(path, 2**18)
     return head.startswith(b"SIMPLE") and NAME.search(head) is not None
 
 

@@ -3,9 +3,7 @@
 The data model is defined by https://github.com/Subaru-PFS/datamodel, versions 3 and 4.
 """
 
-import gzip
 import re
-import zlib
 from pathlib import Path
 
 import astropy.units as u
@@ -26,7 +24,7 @@ from rfpsurvey.plans._pfsdesign_write import (
     write,
 )
 from rfpsurvey.plans._plan import make_plan, text_of_lost
-from rfpsurvey.plans._values import from_keywords
+from rfpsurvey.plans._values import from_keywords, head_of
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -40,13 +38,7 @@ STRUCTURE = re.compile(
 
 def recognizes(path: Path) -> bool:
     """Return whether a file is a FITS file with a design identifier and the extension DESIGN."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
-            head = file.read(2**16)
-    except (OSError, EOFError, zlib.error):
-        return False
+    head = head_of(path, 2**16)
     return head.startswith(b"SIMPLE") and b"W_PFDSGN=" in head and b"EXTNAME = 'DESIGN  '" in head
 
 
