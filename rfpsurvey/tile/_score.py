@@ -162,6 +162,11 @@ def score_tile(
     north = center is not None or position_angle is not None or equinox is not None or "north_of" in table.meta
     warn_of_neglected(part, sky=positions == "sky", north=north)
     if positions == "sky":
+        recorded, model = recorded_projection(part), None
+        if conditions is None:
+            model = recorded.get("projection")
+            if recorded.get("conditions") is not None:
+                conditions = ObservingConditions.from_record(recorded["conditions"])
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
@@ -175,11 +180,6 @@ def score_tile(
         center = to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
-        recorded, model = recorded_projection(part), None
-        if conditions is None:
-            model = recorded.get("projection")
-            if recorded.get("conditions") is not None:
-                conditions = ObservingConditions.from_record(recorded["conditions"])
         plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
         xy = plain.project(catalog.arrays.vectors, fibers)
         icrs = catalog.coord.icrs
