@@ -183,6 +183,8 @@ def print_summary(tile: "rs.Tile") -> None:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
+    if tile.summary.get("poses_without_target"):
+        print(f"poses: {tile.summary['poses_without_target']}")
     projection = tile.summary.get("projection", {})
     if "sentence" in projection:
         print(f"projection: {projection['model']}; {projection['sentence']}")

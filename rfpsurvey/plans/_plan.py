@@ -15,6 +15,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+from rfpsurvey.plans._values import ENTRIES
 
 __all__ = [
     "COLUMNS",
@@ -85,7 +86,8 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         contains these data: ``theta``, ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and
         ``priority``. All other columns of the file follow under their own names. The ``meta`` contains ``format``,
         ``instrument`` and ``header`` (all keywords of the file). The entries ``racen``, ``deccen`` (field center, deg),
-        ``position_angle`` (deg) and ``epoch`` of the ``meta`` are missing if the file does not contain these data.
+        ``position_angle`` (deg), ``epoch``, ``north_of``, ``projection`` and ``conditions`` (as in the provenance of a
+        tile) of the ``meta`` are missing if the file does not contain these data.
 
     Raises
     ------
@@ -288,6 +290,7 @@ def as_plan(plan: object) -> QTable:
         deccen=parameters.get("dec_deg"),
         position_angle=parameters.get("position_angle_deg"),
         epoch=parameters.get("epoch"),
+        **{name: parameters.get(name) for name in ENTRIES},
     )
 
 

@@ -27,6 +27,7 @@ TILE = {
     "n_wrong_fiber": "  without the required fiber type",
     "n_unusable": "rows not scored: disabled or stuck",
     "n_parked": "  parked, as obstacles",
+    "n_recorded": "  at recorded poses, as obstacles",
     "n_idle": "  idle, not as obstacles",
     "n_colliding": "  in collision",
     "n_colliding_pairs": "colliding pairs",

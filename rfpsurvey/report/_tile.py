@@ -106,6 +106,8 @@ def _asked(tile) -> dict:
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:
         asked["model"] = tile.summary["model"]
+    if tile.summary.get("poses_without_target"):
+        asked["poses"] = tile.summary["poses_without_target"]
     projection = tile.summary.get("projection", {})
     if "sentence" in projection:
         asked["projection"] = f"{projection['model']}; {projection['sentence']}"

@@ -27,7 +27,7 @@ TILE_COLUMNS = {
     "spectrograph": "spectrograph that the fiber feeds",
     "x": "x coordinate of the center of the positioner in the focal plane",
     "y": "y coordinate of the center of the positioner in the focal plane",
-    "status": "status of the positioner: assigned, out_of_reach, parked, idle, disabled or stuck",
+    "status": "status of the positioner: assigned, out_of_reach, parked, recorded, idle, disabled or stuck",
     "target_id": "identifier of the target",
     **TARGET_COLUMNS,
     "fiber_type": "fiber type of the fiber on the target",

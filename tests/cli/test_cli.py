@@ -137,6 +137,7 @@ def test_score(run, tmp_path):
     assert code == 0
     assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
     assert "allocator scored" in out
+    assert "poses: 3998 positioners without a target: 3998 assumed to be parked" in out
     # a tile of this package contains the name of its instrument
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0

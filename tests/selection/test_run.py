@@ -10,7 +10,8 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.io import fits
+from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from rfpsurvey.selection import _folder
@@ -217,6 +218,29 @@ def test_refused_folders(case, tmp_path):
     case[0].write(tmp_path / "sky.fits")
     with pytest.raises(rs.InputError, match="must contain selection probabilities, got a table without target_id"):
         rs.SelectionProbabilities.read(tmp_path / "sky.fits")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("requested", 300, "visits must be whole numbers from 0 to 255, got 300"),
+        ("requested", 1.5, "visits must be whole numbers from 0 to 255, got 1.5"),
+        ("n_tiles", -1, "integers of at least 0 in n_tiles"),
+        ("BITWEIGHTS", 0.5, "integers in BITWEIGHTS"),
+    ],
+)
+def test_numbers_that_selections_cannot_hold_are_refused(case, tmp_path, name, value, message):
+    """They were rounded, or replaced by other integers: 300 requested visits became 44."""
+    compute(case, None).write(tmp_path / "all.fits")
+    with fits.open(tmp_path / "all.fits") as units:
+        table = Table(units[1].data)
+        table[name] = np.full(table[name].shape, value)
+        header = units[1].header
+        units[1] = fits.table_to_hdu(table)
+        units[1].header["RFPSURVY"] = header["RFPSURVY"]
+        units.writeto(tmp_path / "new.fits")
+    with pytest.raises(rs.InputError, match=message):
+        rs.SelectionProbabilities.read(tmp_path / "new.fits")
 
 
 def test_refused_arguments(case):
