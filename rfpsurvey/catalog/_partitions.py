@@ -11,7 +11,7 @@ from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey._readers import content_of, import_parquet
+from rfpsurvey._readers import content_of, import_parquet, is_present
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
@@ -253,7 +253,7 @@ def _properties(folder: Path) -> dict[str, str]:
     found = {}
     for name in PROPERTIES:
         path = folder / name
-        if path.is_file():
+        if is_present(path):
             try:
                 text = content_of(path, most=MOST_PROPERTIES).decode("utf-8")
             except UnicodeDecodeError as error:

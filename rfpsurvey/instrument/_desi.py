@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._io import to_path
-from rfpsurvey._readers import read_table
+from rfpsurvey._readers import entries_of, read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.focal_plane import FocalPlane
@@ -41,7 +41,7 @@ LEFT_OUT = (
 def recognizes(path: Path) -> bool:
     """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
     if path.is_dir():
-        return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in path.iterdir())
+        return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in entries_of(path))
     try:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2**14).decode("utf-8", "replace")
@@ -53,8 +53,9 @@ def recognizes(path: Path) -> bool:
 def read(preset, path, *, state=None, exclusions=None, time=None):
     """Return the preset of DESI with the positioners of a file; see `Instrument.from_desi`."""
     path, moment = to_path(path), None if time is None else moment_of(time, "time")
-    metrologies = sorted(path.glob("fp-metrology.csv*")) if path.is_dir() else []
-    if metrologies and not list(path.glob("desi-focalplane_*")):
+    files = entries_of(path) if path.is_dir() else []
+    metrologies = [file for file in files if file.name.startswith("fp-metrology.csv")]
+    if metrologies and not any(file.name.startswith("desi-focalplane_") for file in files):
         path = metrologies[0]
     if path.is_dir():
         path, beside = find_latest(path, moment)

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._readers import content_of, read_table, sentence
+from rfpsurvey._readers import check_is_file, content_of, entries_of, read_table, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
@@ -41,7 +41,7 @@ def moment_of(value: object, what: str) -> datetime:
 def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
     """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
     found = {}
-    for file in sorted(folder.iterdir()):
+    for file in entries_of(folder):
         match = NAME.fullmatch(file.name)
         if match:
             date = moment_of(match[2], f"{file}: the date in the name")
@@ -164,8 +164,7 @@ def _half_width(polygon: object, what: str) -> float:
 
 def _load(path: Path) -> dict:
     """Return the content of a file in JSON or YAML, which may be compressed."""
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path, most=MOST_BYTES)
     try:
         if ".yaml" in path.name:

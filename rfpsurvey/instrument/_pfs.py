@@ -6,12 +6,13 @@ Cobras, the positioners of PFS, have the identifiers of the observatory, 1 to 23
 import gzip
 import zlib
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import suffix_of, to_path
+from rfpsurvey._readers import entries_of, is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
@@ -40,15 +41,16 @@ def find_pfs_files(path: Path) -> dict | None:
     """
     if path.is_file():
         return {"dots": path} if _is_file_of_dots(path) else None
-    folders = [folder for folder in (path, path / "dot", path / "fiducials") if folder.is_dir()]
-    found = {name: [] for name in PATTERNS}
-    for name, pattern in PATTERNS.items():
-        for folder in folders:
-            found[name] += sorted(folder.glob(pattern))
+    own = entries_of(path) if path.is_dir() else []
+    others = [folder for folder in (path / "dot", path / "fiducials") if is_present(folder)]
+    if not any(fnmatchcase(file.name, PATTERNS["dots"]) for file in own) and not any(map(Path.is_dir, others)):
+        return None
+    entries = own + [file for folder in others for file in entries_of(folder)]
+    found = {name: [file for file in entries if fnmatchcase(file.name, PATTERNS[name])] for name in PATTERNS}
     if not found["dots"]:
         return None
     files = {name: paths[-1] for name, paths in found.items() if paths}
-    models = sorted(path.glob("*.xml"))
+    models = [file for file in own if file.suffix == ".xml"]
     return {**files, "cobras": models} if models else files
 
 

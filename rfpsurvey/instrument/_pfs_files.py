@@ -5,7 +5,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import content_of, read_table, sentence, to_path
+from rfpsurvey._readers import check_is_file, content_of, read_table, sentence, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
 
@@ -117,8 +117,7 @@ def _containers(path: Path):
     """Yield the values of each cobra in a calibration file."""
     from xml.etree import ElementTree
 
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path)
     if b"<!DOCTYPE" in content[:4096] or b"<!ENTITY" in content:
         raise InputError(f"{path}: the XML must have no document type and no entities, got one")
