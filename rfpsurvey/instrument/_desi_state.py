@@ -14,6 +14,7 @@ from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.positioner import ArmOutline
 
 __all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
@@ -24,7 +25,8 @@ LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
 STUCK, BROKEN, RESTRICTED = 2, 4, 8
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_BYTES = 2**28
-MOST_WIDTH = 1000
+MOST_WIDTH = 10
+MOST_ANGLE = 400.0
 
 
 def moment_of(value: object, what: str) -> datetime:
@@ -89,7 +91,9 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     fixed = (state & (STUCK | BROKEN)) != 0
     values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
     for name, column in values.items():
-        column[known] = numbers(own, name, u.deg, path)
+        most = MOST_ANGLE if name in LIMITS else np.inf
+        column[known] = numbers(own, name, u.deg, path, most)
+        column[is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)] = np.nan
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)

@@ -119,13 +119,12 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
 
     theta is measured from the counter-clockwise hard stop, and phi from the extended arm.
     """
-    bad = arms["status"] != GOOD
-    lengths = {}
-    unknown = np.zeros(N, dtype=bool)
-    for name in ("central_arm", "eccentric_arm"):
-        strange = ~((arms[name] > 1) & (arms[name] < 5))
-        unknown |= strange
-        lengths[name] = np.where(strange, getattr(positioner, name).to_value(u.mm), arms[name]) * u.mm
+    bad, unknown = arms["status"] != GOOD, arms["unknown"]
+    nominal = {"theta_low": 0.0, "theta_high": 0.0, "phi_low": 0.0, "phi_high": 180.0}
+    lengths = {name: getattr(positioner, name) for name in ("central_arm", "eccentric_arm")}
+    nominal |= {name: length.to_value(u.mm) for name, length in lengths.items()}
+    arms |= {name: np.where(unknown, value, arms[name]) for name, value in nominal.items()}
+    lengths = {name: arms[name] * u.mm for name in lengths}
     span = (arms["theta_high"] - arms["theta_low"] + 180) % 360 + 180
     columns = {
         **lengths,
@@ -144,9 +143,12 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
         "contain the poses of cobras that cannot move"
     )
-    others = int((unknown & ~bad).sum())
+    others = (np.flatnonzero(unknown) + 1).tolist()
     return columns, text + (
-        f"; {others} cobras with an arm length outside 1 to 5 mm are also parked." if others else "."
+        f"; cobras with impossible arm lengths (outside 1 to 5 mm), joint limits or centers have nominal values and "
+        f"are also parked: {', '.join(map(str, others))}."
+        if others
+        else "."
     )
 
 

@@ -304,6 +304,9 @@ def test_bad_folders(tmp_path, sky, folder, small):
     write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="no column for ra"):
         rs.PartitionedCatalog(tmp_path / "names")
+    (tmp_path / "names" / "hats.properties").symlink_to(tmp_path / "nowhere")  # its column names were not used
+    with pytest.raises(rs.InputError, match=r"hats\.properties cannot be read: No such file"):
+        rs.PartitionedCatalog(tmp_path / "names")
     write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
     with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="got 1 of 2 rows without finite"):
         rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
