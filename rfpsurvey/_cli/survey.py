@@ -75,4 +75,4 @@ def survey(
     tiling = _surveys.tiles_of(tiles, targets, model)
     tiling = _conditions.tiles_under(tiling, conditions, site, time, hour_angle, wavelength, exposure_time)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiling, model, executor, options, plot, quality, report)
+        _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)

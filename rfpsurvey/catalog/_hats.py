@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rfpsurvey._readers import content_of
+from rfpsurvey._readers import content_of, is_present
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, warn
 
@@ -31,7 +31,7 @@ def main_table(folder: Path) -> tuple[Path, str]:
     If the folder is not a collection, the folder itself and empty text are returned.
     """
     path = folder / COLLECTION
-    if not path.is_file() or any((folder / name).is_file() for name in PROPERTIES):
+    if not is_present(path) or any(is_present(folder / name) for name in PROPERTIES):
         return folder, ""
     found = _read(path)
     url = found.get("hats_primary_table_url", "")
@@ -51,7 +51,7 @@ def properties_of(folder: Path, first: Path) -> dict[str, str]:
     top = next(path.parent for path in first.parents if path.name.startswith("Norder="))
     places = [folder, top] + ([top.parent] if top.name == "dataset" else [])
     paths = (place / name for place in places for name in PROPERTIES)
-    path = next((path for path in paths if path.is_file()), None)
+    path = next((path for path in paths if is_present(path)), None)
     if path is None:
         return {}
     found = _read(path)

@@ -218,7 +218,8 @@ def partition_catalog(
         for number, begin, end in zip(pixels.tolist(), first, [*first[1:], len(pixel)], strict=True):
             place = temporary / "dataset" / f"Norder={order}" / f"Dir={number // 10000 * 10000}"
             place.mkdir(parents=True, exist_ok=True)
-            parquet.write_table(content.slice(begin, end - begin), place / f"Npix={number}.parquet")
+            part = content.slice(begin, end - begin)
+            parquet.write_table(part, place / f"Npix={number}.parquet", write_page_checksum=True)
         parquet.write_metadata(content.schema, temporary / "dataset" / "_common_metadata")
         lines = [f"{order},{number}" for number in pixels.tolist()]
         (temporary / "partition_info.csv").write_text("\n".join(["Norder,Npix", *lines]) + "\n")

@@ -9,11 +9,12 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._readers import content_of, read_table, sentence
+from rfpsurvey._readers import check_is_file, content_of, entries_of, read_table, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.positioner import ArmOutline
 
 __all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
@@ -24,7 +25,8 @@ LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
 STUCK, BROKEN, RESTRICTED = 2, 4, 8
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_BYTES = 2**28
-MOST_WIDTH = 1000
+MOST_WIDTH = 10
+MOST_ANGLE = 400.0
 
 
 def moment_of(value: object, what: str) -> datetime:
@@ -41,7 +43,7 @@ def moment_of(value: object, what: str) -> datetime:
 def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
     """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
     found = {}
-    for file in sorted(folder.iterdir()):
+    for file in entries_of(folder):
         match = NAME.fullmatch(file.name)
         if match:
             date = moment_of(match[2], f"{file}: the date in the name")
@@ -89,7 +91,9 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     fixed = (state & (STUCK | BROKEN)) != 0
     values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
     for name, column in values.items():
-        column[known] = numbers(own, name, u.deg, path)
+        most = MOST_ANGLE if name in LIMITS else np.inf
+        column[known] = numbers(own, name, u.deg, path, most)
+        column[is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)] = np.nan
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)
@@ -164,8 +168,7 @@ def _half_width(polygon: object, what: str) -> float:
 
 def _load(path: Path) -> dict:
     """Return the content of a file in JSON or YAML, which may be compressed."""
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path, most=MOST_BYTES)
     try:
         if ".yaml" in path.name:

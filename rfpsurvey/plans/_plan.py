@@ -14,6 +14,7 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
+from rfpsurvey._readers import check_is_file
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
@@ -333,8 +334,7 @@ def _filled(ids, has_target) -> np.ndarray:
 
 def _existing(path: object) -> Path:
     path = to_path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     return path
 
 

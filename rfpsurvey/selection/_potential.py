@@ -1,5 +1,6 @@
 """Potential assignments: the tiles and positioners that can reach the points of a random catalog."""
 
+import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
@@ -222,6 +223,7 @@ class PotentialAssignments:
             "INSTRUME": (self.request.instrument.name, "instrument"),
             "NTILES": (len(self), "number of tiles"),
             "NPOINTS": (len(self.request.source), "number of points"),
+            _io.META_KEY: json.dumps({"request": self.request.identity()}, separators=(",", ":"), default=str),
         }
         return _io.write_fits_rows(path, _io.FitsRows(self._dtype, cards, self._rows()), overwrite=overwrite)[0]
 

@@ -11,6 +11,7 @@ from astropy.table import QTable
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_visits
+from rfpsurvey._folder import check_file, read_index
 from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
 from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error
@@ -257,7 +258,8 @@ class SelectionProbabilities:
         Parameters
         ----------
         path : str or path-like
-            Path of the file, or of the folder in which `selection_probabilities` wrote it.
+            Path of the file, or of the folder in which `selection_probabilities` wrote it. The content is compared with
+            the checksum that the index of this folder contains; a file without an index is not checked.
 
         Returns
         -------
@@ -270,7 +272,11 @@ class SelectionProbabilities:
             If the file does not contain selection probabilities, or is damaged.
         """
         path = _io.to_path(path)
-        path = path / "selection.fits" if path.is_dir() else path
+        in_folder = path.is_dir()
+        path = path / "selection.fits" if in_folder else path
+        known = read_index(path.parent)
+        if path.is_file() and (in_folder or path.name in known):
+            check_file(path.parent, path.name, known)
         table = _io.read_table(path)
         meta = table.meta
         lacking = [name for name in COLUMNS if name not in table.colnames]

@@ -23,9 +23,6 @@ from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
-<<<<<<< HEAD
-from rfpsurvey.tile._field import field_center, field_value, north_of_date, where
-=======
 from rfpsurvey.tile._field import (
     field_center,
     field_value,
@@ -36,7 +33,6 @@ from rfpsurvey.tile._field import (
 )
 from rfpsurvey.tile._recorded import find_recorded, sentence_of, warn_of_neglected
 from rfpsurvey.tile._table import status_of
->>>>>>> work-plans
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
@@ -86,14 +82,9 @@ def score_tile(
         the frame that a plan records with its position angle.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
-<<<<<<< HEAD
-        Epoch to which sky positions are moved by their proper motions. By default, they are not moved, because the
-        positions of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
-=======
         Epoch to which sky positions are moved by their proper motions. By default, they are moved to the epoch of the
         observation if the plan is a file of SDSS-V that records it, and are not moved otherwise, because the positions
         of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
->>>>>>> work-plans
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
@@ -181,11 +172,6 @@ def score_tile(
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
-<<<<<<< HEAD
-        used, moved = choose_epoch(catalog, epoch, None)
-        catalog = catalog if used is None else catalog.at_epoch(used)
-        center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
-=======
         of_catalog = table.meta.get("format") == "confsummary" and find.name_of("ra") == "ra"
         if epoch is None and of_catalog and catalog.epoch is not None:
             epoch = table.meta.get("epoch")
@@ -195,7 +181,6 @@ def score_tile(
             is_recorded = equinox is None and position_angle is None
             center = north_of_date(field_center(part), recorded_equinox(part) if is_recorded else equinox)
         center = to_center(center)
->>>>>>> work-plans
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
         plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
@@ -262,12 +247,9 @@ def score_tile(
         "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
-<<<<<<< HEAD
         "epoch": moved,
-=======
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
->>>>>>> work-plans
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

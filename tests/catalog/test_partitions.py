@@ -1,6 +1,7 @@
 """Catalogs in many files: files are read only if they are required, and results equal those of a single table."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import astropy.units as u
@@ -132,11 +133,11 @@ def changes(sky):
 
 
 def plain_partitions(catalog, folder):
-    """Return partitions with uncompressed files, whose sizes do not depend on values."""
+    """Return partitions with uncompressed files without checksums, whose sizes do not depend on values."""
     with pytest.MonkeyPatch.context() as patch:
         write = pq.write_table
         plain = {"compression": "none", "use_dictionary": False}
-        patch.setattr(pq, "write_table", lambda table, path: write(table, path, **plain))
+        patch.setattr(pq, "write_table", lambda table, path, **_: write(table, path, **plain))
         return rs.partition_catalog(catalog, folder, order=3)
 
 
@@ -166,7 +167,8 @@ def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts.parts.files:
         table = pq.read_table(path, partitioning=None)
-        pq.write_table(table.append_column("flux", pa.array(np.arange(float(len(table))))), path)
+        table = table.append_column("flux", pa.array(np.arange(float(len(table)))))
+        pq.write_table(table, path, write_page_checksum=True)
     wider = rs.PartitionedCatalog(tmp_path / "sky")
     rs.plan_survey(wider, small, TILES, folder=tmp_path / "survey", resume=True)
 
@@ -288,6 +290,32 @@ def write(path, **columns):
     pq.write_table(pa.table(columns), path)
 
 
+def test_of_threads_that_write_one_folder_one_writes(tmp_path, sky):
+    def write(k):
+        try:
+            return len(rs.partition_catalog(sky[k:], tmp_path / "parts", order=1))
+        except rs.InputError:
+            return None
+
+    with ThreadPoolExecutor(4) as pool:
+        (n,) = (n for n in pool.map(write, range(4)) if n is not None)
+    assert len(rs.PartitionedCatalog(tmp_path / "parts").read()) == n
+    assert [path.name for path in tmp_path.iterdir()] == ["parts"]
+
+
+def test_damaged_partitions_are_refused(tmp_path):
+    """A flipped bit in a value of a partition remained undetected, because the pages had no checksums."""
+    sky = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 2 * u.deg, n_targets=300, rng=1)
+    rs.partition_catalog(sky, tmp_path / "parts", order=0)
+    (path, *_) = (tmp_path / "parts").rglob("Npix=*.parquet")
+    content = bytearray(path.read_bytes())
+    column = next(c for k in range(12) if (c := pq.read_metadata(path).row_group(0).column(k)).path_in_schema == "ra")
+    content[column.data_page_offset + column.total_compressed_size // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(rs.InputError, match=r"\.parquet cannot be read as parquet: .*checksum verification failed"):
+        rs.PartitionedCatalog(tmp_path / "parts").read()
+
+
 def test_bad_folders(tmp_path, sky, folder, small):
     with pytest.raises(rs.InputError, match="there is no such folder"):
         rs.PartitionedCatalog(tmp_path / "nowhere")
@@ -303,6 +331,9 @@ def test_bad_folders(tmp_path, sky, folder, small):
         rs.PartitionedCatalog(tmp_path / "pixel")
     write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="no column for ra"):
+        rs.PartitionedCatalog(tmp_path / "names")
+    (tmp_path / "names" / "hats.properties").symlink_to(tmp_path / "nowhere")  # its column names were not used
+    with pytest.raises(rs.InputError, match=r"hats\.properties cannot be read: No such file"):
         rs.PartitionedCatalog(tmp_path / "names")
     write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
     with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="got 1 of 2 rows without finite"):
