@@ -116,6 +116,7 @@ def compare_allocators(
         unmet={method.name: tiles[method].summary["unmet"] for method in methods},
         blind_science=blind,
         instrument=provenance["instrument"]["name"],
+        arm_model=provenance["instrument"]["arm_model"],
         software=software,
         parameters=parameters,
     )

@@ -272,7 +272,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
         """Information about the instrument that is stored in the records of results."""
         values = {name: v for name, v in self.values.items() if name not in UNUSED}
         plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
-        return {"name": self.name, "layout": self.layout, "values": plain, "digest": self._digest}
+        own = {"name": self.name, "arm_model": self.focal_plane.positioner.arm_model, "layout": self.layout}
+        return {**own, "values": plain, "digest": self._digest}
 
     @cached_property
     def _digest(self) -> str:

@@ -54,6 +54,7 @@ def build_tile(
         "n_idle": int((status_of(plane, posed) == "idle").sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_colliding_pairs": len(report.pairs),
+        "arm_model": plane.positioner.arm_model,
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,

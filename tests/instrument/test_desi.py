@@ -139,7 +139,9 @@ def test_a_focal_plane_without_a_state_works(folder):
 def test_the_clearance_of_segments_is_that_of_the_polygons(folder, name):
     desi_files.exclusions(folder / name, ("default", "retracted"), scale=0.8)
     files = [next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state")]
-    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name).with_arm_model("elbow_to_tip")
+    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name).with_arm_model(
+        "elbow_to_tip"
+    )
     assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.72)
     assert instrument.values["positioner.clearance"]["status"] == "derived"
 
