@@ -31,8 +31,8 @@ ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
     "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. Guide cameras, fiducials and petal "
-    "edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal surface. The radial "
-    "map is the map of the preset desi."
+    "edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
+    "surface. The radial map is the map of the preset desi."
 )
 
 
