@@ -37,6 +37,7 @@ __all__ = [
     "finish_table",
     "finish_tiling",
     "instrument_of",
+    "model_of",
     "parse_center",
     "parse_pairs",
     "print_table",
@@ -74,6 +75,12 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
             raise rs.InputError(f"{option} must have the form {FORMS[option]}, got {pair!r}")
         found[name] = value
     return found
+
+
+def model_of(instrument: "rs.Instrument | str", arm_model: str | None) -> "rs.Instrument":
+    """Return an instrument with the arm model of --arm-model or, without this option, with its own arm model."""
+    model = as_instrument(instrument)
+    return model if arm_model is None else model.with_arm_model(arm_model)
 
 
 def instrument_of(table, name: str | None) -> "rs.Instrument":

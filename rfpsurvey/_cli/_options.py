@@ -83,6 +83,13 @@ InstrumentOption = Annotated[
         "files of a real instrument."
     ),
 ]
+ArmModelOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Arm model, the shape that is used to find collisions: elbow_to_tip, capsule, fiber_tip or outline. By "
+        "default, the arm model of the instrument."
+    ),
+]
 EquinoxOption = Annotated[
     str | None,
     typer.Option(help="Equinox of the north direction from which the position angle is measured, such as J2026.0."),

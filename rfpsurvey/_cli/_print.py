@@ -114,8 +114,8 @@ def finish_comparison(
         report=(report, table, {"data": output, "plans": plans}),
     ):
         print(
-            f"{table.meta['instrument']}; {table.meta['blind_science']} science targets could be assigned if "
-            "arms did not collide"
+            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}; {table.meta['blind_science']} science "
+            "targets could be assigned if arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():
@@ -127,9 +127,11 @@ def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
     """Print an estimate of a collision probability; write the table, the plot and the report if requested."""
-    plane = model.focal_plane
+    plane, shape = model.focal_plane, model.focal_plane.positioner.arm_model
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
-    table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
+    table.meta.update(
+        estimate.meta, instrument=model.name, arm_model=shape, method=estimate.method, value=estimate.value
+    )
 
     def draw():
         return rs.plot.plot_collision_map(estimate, plane).figure
@@ -143,7 +145,7 @@ def finish_estimate(
         plot=(plot, draw),
         report=(report, estimate, page),
     ):
-        print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
+        print(f"{model.name}, arm model {shape}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}

@@ -118,6 +118,7 @@ def compare_allocators(
         blind_science=blind,
         instrument=provenance["instrument"]["name"],
         catalog=provenance["catalog"],
+        arm_model=provenance["instrument"]["arm_model"],
         software=software,
         parameters=parameters,
     )

@@ -18,7 +18,7 @@ from rfpsurvey._readers import entries_of, read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._arm_models import FULL_OUTLINE
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
 from rfpsurvey.positioner import ArmOutline
@@ -35,11 +35,9 @@ LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
-    "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. A segment with a clearance "
-    "replaces the polygons of each positioner. The segment omits the wider elbow and the central bodies of the "
-    "positioners, which with_arm_model('outline') includes. Guide cameras, fiducials and petal edges are not treated "
-    "as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal surface. The radial "
-    "map is the map of the preset desi."
+    "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. Guide cameras, fiducials and petal "
+    "edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
+    "surface. The radial map is the map of the preset desi."
 )
 
 
@@ -115,16 +113,18 @@ def _from_model(preset, table, path, state, exclusions, moment):
             )
     positioner, entries, dropped = replace(_mirrored(preset.focal_plane.positioner), home=None), {}, ["positioner.home"]
     if exclusions is not None:
-        widths, outline, text = read_polygons(exclusions, polygons, len(ids))
-        positioner = replace(positioner, clearance=float(np.median(widths)) * u.mm)
-        source = "median half width of the phi polygons of all positioners"
-        entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
+        width, outline, text = read_polygons(exclusions, polygons, len(ids))
         notes.append(text)
+        entry = _entry(width, exclusions, "median half width of the phi polygons of all positioners", "mm", "derived")
         if outline is None:
+            preset = preset.with_arm_model("elbow_to_tip")
+            positioner = replace(positioner, arm_model="elbow_to_tip", outline=None, clearance=width * u.mm)
+            entries["positioner.clearance"] = entry
             dropped.append(FULL_OUTLINE)
         else:
+            positioner = replace(positioner, outline=outline.mirrored())
             source = "the most common polygons, divided into convex parts"
-            entries[FULL_OUTLINE] = _entry(outline.to_dict(), exclusions, source, "mm")
+            entries |= {SEGMENT_CLEARANCE: entry, OUTLINE: _entry(outline.to_dict(), exclusions, source, "mm")}
     plane = _plane(
         path,
         xy=_centers(table, "OFFSET_X", "OFFSET_Y", path),
@@ -163,11 +163,11 @@ def _built(preset, plane, entries, notes, dropped=()):
     values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}
     for name in ("positioner.handedness", "positioner.theta_range", "positioner.phi_range"):
         values[name] = {**values[name], "status": "derived", "source": f"{values[name]['source']}; mirror image of CS5"}
-    if FULL_OUTLINE in values:
-        entry = values[FULL_OUTLINE]
+    if OUTLINE in values:
+        entry = values[OUTLINE]
         mirror = ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])).mirrored().to_dict()
         source = f"{entry['source']}; mirror image of CS5"
-        values[FULL_OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
+        values[OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
     return replace(preset, focal_plane=plane, layout="as built", values=values, notes=f"{notes} {LEFT_OUT}")
 
 
@@ -178,7 +178,7 @@ def _entry(value, path, source, unit=None, status="published"):
 def _mirrored(positioner):
     """Return the mirror image of a positioner that is described in CS5."""
     ranges = {name: -getattr(positioner, name)[::-1] for name in ("theta_range", "phi_range")}
-    return replace(positioner, handedness="left", **ranges)
+    return replace(positioner, handedness="left", outline=positioner.outline.mirrored(), **ranges)
 
 
 def _limits(limits) -> list[float]:

@@ -120,8 +120,8 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     return columns, limits, polygons.astype(str), text
 
 
-def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, ArmOutline | None, str]:
-    """Return the half widths (mm) of the phi polygons of n positioners, one outline for all of them, and a note.
+def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[float, ArmOutline | None, str]:
+    """Return the median half width (mm) of the phi polygons of n positioners, their common outline, and a note.
 
     The outline, in CS5, consists of the most common polygons. It is None if these polygons form no outline.
     """
@@ -135,20 +135,18 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndar
         widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
     found = np.array([widths[name] for name in names.tolist()])
     text = (
-        f"The clearance is the median of the half widths of the phi polygons in {path.name}, which range from "
-        f"{found.min():.3f} to {found.max():.3f} mm."
+        f"The clearance of segments is the median of the half widths of the phi polygons in {path.name}, which range "
+        f"from {found.min():.3f} to {found.max():.3f} mm."
     )
     most, others = str(different[np.argmax(counts)]), n - int(counts.max())
     try:
         outline = find_outline(polygons[most])
     except (InputError, KeyError, IndexError, TypeError, ValueError):
-        return found, None, f"{text} The polygons with the name {most!r} do not form a valid outline."
-    text += f" The outline for with_arm_model consists of the polygons with the name {most!r}"
-    return (
-        found,
-        outline,
-        f"{text}, which also replace other polygons of {number_of(others, 'positioner')}." if others else f"{text}.",
-    )
+        text += f" The polygons with the name {most!r} do not form a valid outline; segments replace the outlines."
+        return float(np.median(found)), None, text
+    text += f" The outline of each positioner consists of the polygons with the name {most!r}"
+    text += f", which also replace other polygons of {number_of(others, 'positioner')}." if others else "."
+    return float(np.median(found)), outline, text
 
 
 def _half_width(polygon: object, what: str) -> float:

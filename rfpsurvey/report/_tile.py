@@ -10,7 +10,7 @@ from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
-from rfpsurvey.tile import Tile
+from rfpsurvey.tile import Tile, collision_shape
 
 __all__ = ["page_of_tile"]
 
@@ -72,7 +72,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
-    lead = f"{counts}; {arms} in collision."
+    lead = f"{counts}; {arms} in collision{collision_shape(summary)}."
     return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
 
 
@@ -151,9 +151,12 @@ def _pictures(tile) -> list:
             "positioners in collision."
         )
     else:
+        shading = "The shading around each arm is half the minimum separation wide on each side"
+        if tile.summary.get("arm_model") == "outline":
+            shading = "The shading is the outline of both arms of a positioner"
         words = (
-            "Circles are the outer edges of patrol areas, and dotted circles are the inner edges. The shading around "
-            "each arm is half the minimum separation wide on each side: two arms collide if their shadings overlap."
+            "Circles are the outer edges of patrol areas, and dotted circles are the inner edges. "
+            f"{shading}: two arms collide if their shadings overlap."
         )
     if "position_angle_deg" in tile.provenance["parameters"]:
         words += " East is to the left of north, as on the sky; arrows point to north and east."

@@ -53,6 +53,7 @@ def build_tile(
         **{f"n_{word}": int((status == word).sum()) for word in ("parked", "idle")},
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_colliding_pairs": len(report.pairs),
+        "arm_model": plane.positioner.arm_model,
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,

@@ -18,6 +18,7 @@ from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plans import write_plan
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
+from rfpsurvey.tile._model import collision_shape
 from rfpsurvey.tile._table import TableOfTile
 from rfpsurvey.tile._targets import TargetsOfField, completeness_table
 
@@ -341,7 +342,7 @@ class Tile:
         s = self.summary
         return (
             f"<Tile of {self.instrument!r}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
-            f"{self._kinds()}, {s['n_colliding']} in collision>"
+            f"{self._kinds()}, {s['n_colliding']} in collision{collision_shape(s)}>"
         )
 
     def _kinds(self) -> str:

@@ -169,6 +169,7 @@ def place_tiles(
     summary = {
         "method": method,
         "instrument": "" if model is None else model.name,
+        "arm_model": model.focal_plane.positioner.arm_model if by_positioners else "",
         "n_tiles": 0,
         "passes": 0,
         "radius_deg": float(np.rad2deg(radius_rad)),

@@ -130,15 +130,18 @@ def test_a_focal_plane_without_a_state_works(folder):
     instrument = rs.Instrument.from_desi(next(folder.glob("desi-focalplane*")))
     assert instrument.focal_plane.arrays.usable.all()
     assert "No state was given" in instrument.notes
-    assert instrument.focal_plane.positioner.clearance == 0.99 * u.mm
+    assert instrument.focal_plane.positioner.clearance == 0 * u.mm
+    assert instrument.with_arm_model("elbow_to_tip").focal_plane.positioner.clearance == 0.99 * u.mm
 
 
 @partial
 @pytest.mark.parametrize("name", ["e.json", "e.json.gz", "e.yaml", "e.yaml.gz"])
-def test_the_clearance_is_that_of_the_polygons(folder, name):
+def test_the_clearance_of_segments_is_that_of_the_polygons(folder, name):
     desi_files.exclusions(folder / name, ("default", "retracted"), scale=0.8)
     files = [next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state")]
-    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name)
+    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name).with_arm_model(
+        "elbow_to_tip"
+    )
     assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.72)
     assert instrument.values["positioner.clearance"]["status"] == "derived"
 
@@ -148,7 +151,7 @@ def test_circles_of_polygons_count(folder):
     text = '{"default": {"phi": {"segments": [[[0, 0.3]]], "circles": [[[3, -0.2], 0.5]]}}}'
     (folder / "circle.json").write_text(text)
     plane = next(folder.glob("desi-focalplane*"))
-    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json")
+    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json").with_arm_model("elbow_to_tip")
     assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.7)
 
 
