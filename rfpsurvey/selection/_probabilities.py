@@ -10,8 +10,8 @@ from astropy.table import QTable
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey._units import to_visits
 from rfpsurvey._folder import check_file, read_index
+from rfpsurvey._units import to_visits
 from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
 from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error

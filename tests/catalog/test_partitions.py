@@ -182,7 +182,10 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):
             rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
-    with pytest.raises(rs.InputError, match=r"epoch differs \(epoch was None and is now 2026.5\)"):
+    with (
+        pytest.raises(rs.InputError, match=r"epoch differs \(epoch was None and is now 2026.5\)"),
+        pytest.warns(rs.errors.RfpsurveyWarning, match="the epoch has no effect"),
+    ):
         rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey", resume=True, epoch=2026.5)
 
 
