@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +13,26 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
+from rfpsurvey.allocation._local_plans import (
+    AT_LEAST,
+    MOST_PAIRS,
+    Found,
+    better_of,
+    local_optimum,
+    repaired_plan,
+    unproven,
+    values_of,
+)
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._methods import lamost, with_cost
 from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._objectives import (
+    conditional_bounds,
+    levels_of,
+    matching_limits,
+    offset_of,
+    with_used_classes,
+)
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reduction import reduced
@@ -43,10 +59,6 @@ LATE, LONG = 0.1, 12
 FOR_FREE = 0.5
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
-# Largest number of collisions of candidates.
-MOST_PAIRS = 20_000_000
-# Time in seconds that the search for candidates may always take, even if the time limit is shorter.
-AT_LEAST = 0.1
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
 FOR_LAST = 0.1
 # If it takes too long to find all collisions, only the best targets of each positioner are used. These numbers of best
@@ -57,8 +69,6 @@ FEWER = (32, 8, 2, 1)
 PAIR_SECONDS, SORT_SECONDS = 4e-8, 8e-9
 # Largest number of objectives for which prices are adjusted.
 MOST_BOUNDS = 8
-# Information on a search that only uses local moves.
-LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 # Bounds of numbers of targets are rounded down, unless they are this close to the next whole number.
 ROUNDING = 1e-4
 
@@ -85,17 +95,15 @@ def decide(
     begin = now()
     everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
-    problem, everything, kept = _with_used_classes(problem, everything)
+    problem, everything, kept = with_used_classes(problem, everything)
     names, repaired, found = problem.level_names, None, None
     is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
     if collide and is_long and not is_late and whole and not squared_cost:
-        found = _local_optimum(replace(given, row=None), everything)
+        found = local_optimum(replace(given, row=None), everything)
     if collide and (is_long or is_late) and found is None:
-        repaired = _repaired(given, everything, whole)
+        repaired = repaired_plan(given, everything, whole)
         if left(deadline) < spent:
-            plan, _ = _plan_of(everything, repaired, np.inf)
-            values = _values(everything, plan)
-            found = _Found(plan, values, np.full(len(values), np.inf), True, LOCAL)
+            found = unproven(everything, repaired)
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
@@ -114,18 +122,18 @@ def decide(
         bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
         proven = (found.values >= bounds) & (relaxed.values >= bounds)
-    values = _values(used, chosen)
+    values = values_of(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
-        limits = _matching_limits(problem, everything if whole else None, names)
+        limits = matching_limits(problem, everything if whole else None, names)
         if collide:
             if repaired is None:
-                repaired = _repaired(given, everything, whole)
-            used, chosen = _better_of(used, chosen, everything, repaired, deadline)
+                repaired = repaired_plan(given, everything, whole)
+            used, chosen = better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
-            values = _values(used, chosen)
-        bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
+            values = values_of(used, chosen)
+        bounds = np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
         chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
@@ -134,7 +142,7 @@ def decide(
         # the plan of ``repair`` uses a candidate that was left out
         target_of, side = repaired
         values = problem.level_values(target_of)
-    levels = _levels(given, _offset(problem, names), kept, values, np.maximum(bounds, values))
+    levels = levels_of(given, offset_of(problem, names), kept, values, np.maximum(bounds, values))
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 
@@ -156,108 +164,6 @@ def _without_requirements(problem, **options):
     levels = list(answer.levels)
     levels.insert(problem.level_names.index("requirements"), Level("requirements", 0.0, 0.0))
     return answer._replace(levels=levels)
-
-
-def _with_used_classes(problem, candidates):
-    """Remove the classes without candidates; return the problem, the candidates, and the numbers of the other classes.
-
-    Two classes always remain, because the objectives of a problem with one class have other names.
-    """
-    n, rank = len(problem.classes), candidates.options.rank
-    kept = np.unique(rank[rank < n])
-    if len(kept) < 2:
-        kept = np.union1d(kept, np.arange(min(n, 2)))
-    if len(kept) < n:
-        new = np.append(np.minimum(np.searchsorted(kept, np.arange(n)), len(kept) - 1), len(kept))
-        columns = {"classes": tuple(problem.classes[k] for k in kept), "rank": new[problem.rank]}
-        problem, few = replace(problem, **columns), replace(candidates.problem, **columns)
-        options = candidates.options._replace(rank=few.rank_of(candidates.options.target))
-        candidates = replace(candidates, problem=few, options=options)
-    return problem, candidates, kept
-
-
-def _levels(problem, offset, kept, values, bounds):
-    """Return the objectives of all classes from the values and bounds of the classes ``kept``.
-
-    ``offset`` is the index of the objective of the first class. A plan that is as good as the given plan in the earlier
-    classes contains no more targets of a class without candidates than the bound of these classes allows.
-    """
-    names, n = problem.level_names, len(kept)
-    if len(kept) < len(problem.classes):
-        slack = np.concatenate([[0.0], np.maximum(bounds - values, 0.0)[offset : offset + n]])
-        columns = np.zeros(len(problem.classes)), slack[np.searchsorted(kept, np.arange(len(problem.classes)))]
-        for column, some in zip(columns, (values, bounds), strict=True):
-            column[kept] = some[offset : offset + n]
-        values, bounds = (
-            np.concatenate([some[:offset], column, some[offset + n :]])
-            for some, column in zip((values, bounds), columns, strict=True)
-        )
-    return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
-
-
-class _Repaired(NamedTuple):
-    """The plan of the allocator ``repair``."""
-
-    target_of: np.ndarray
-    side: np.ndarray
-
-
-def _repaired(problem, everything, whole):
-    """Return the plan of the allocator ``repair``, whose ties depend on the order in which the targets were given.
-
-    If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
-    """
-    given, row = problem.as_given, problem.row
-    before = lamost(given).target_of_positioner
-    candidates, deadline = None, np.inf if whole else max(problem.deadline, now() + AT_LEAST)
-    if whole and everything.preselection.n_left_out:
-        try:
-            seconds = max(left(problem.deadline), AT_LEAST)
-            candidates = find_candidates(given, keep_target=before, seconds=seconds, most_pairs=MOST_PAIRS)
-        except OutOfTimeError:
-            deadline = max(problem.deadline, now() + AT_LEAST)
-    if candidates is None:
-        candidates = everything.renumbered(given, np.arange(len(problem.xy)) if row is None else row)
-    plan, _, _ = repair_collisions(candidates, pick(candidates, trim(given, before)), deadline)
-    target_of = candidates.options.target[plan]
-    return _Repaired(target_of if row is None else np.append(np.argsort(row), -1)[target_of], candidates.side[plan])
-
-
-def _local_optimum(problem, everything):
-    """Return a plan from local moves if it is as good as the best plan that ignores collisions; otherwise, return None.
-
-    The plan does not depend on the order in which the targets were given.
-    """
-    repaired = _repaired(problem, everything, True)
-    best = everything.problem.level_values(match(everything))
-    plan, is_whole = _plan_of(everything, repaired, np.inf)
-    if problem.groups or not is_whole or (_values(everything, plan) < best).any():
-        return None
-    return _Found(plan, best, best, True, LOCAL)
-
-
-def _plan_of(candidates, repaired, deadline):
-    """Return the candidates of the plan of ``repair``, and whether there is a candidate for each of its targets.
-
-    Positioners whose candidate is missing receive other targets, or no target.
-    """
-    plan = pick(candidates, *repaired)
-    missing = ((plan < 0) & (repaired.target_of >= 0)).any()
-    if missing:
-        return repair_collisions(candidates, plan, deadline)[0], False
-    return np.where(plan < 0, candidates.options.start[1:] - 1, plan), True
-
-
-def _better_of(used, chosen, everything, repaired, deadline):
-    """Return the better of a plan of the candidates ``used`` and the plan of ``repair``, and its candidates."""
-    values, best = everything.problem.level_values(repaired.target_of), (used, chosen)
-    # the candidates ``used`` are fewer, but may lack some of the candidates of the plan of ``repair``
-    for some in (everything, used):
-        if tuple(values) > tuple(_values(*best)) or (some is used and best[0] is everything):
-            plan, _ = _plan_of(some, repaired, deadline)
-            if tuple(_values(some, plan)) >= tuple(_values(*best)):
-                best = some, plan
-    return best
 
 
 def _candidates_in_time(problem, *, collide, squared_cost):
@@ -306,11 +212,6 @@ def _chosen_in(everything, used, chosen):
     return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
-def _values(candidates, chosen):
-    """Return the values of the objectives of a plan."""
-    return candidates.problem.level_values(candidates.options.target[chosen])
-
-
 def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
@@ -320,11 +221,11 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     problem = used.problem
 
     def is_best(plan):
-        values = _values(used, plan)
-        return bool((values >= np.minimum(bounds, _conditional(problem, names, values, limits, first))).all())
+        values = values_of(used, plan)
+        return bool((values >= np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))).all())
 
     def better(plan):
-        return plan if tuple(_values(used, plan)) > tuple(_values(used, chosen)) else chosen
+        return plan if tuple(values_of(used, plan)) > tuple(values_of(used, chosen)) else chosen
 
     able, weights = [], []
     if bounding is not None:
@@ -343,7 +244,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
-            offset = _offset(problem, names)
+            offset = offset_of(problem, names)
             limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
     except OutOfTimeError:
         pass
@@ -353,49 +254,6 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
 def _whole(bound):
     """Return the largest whole number that does not exceed a bound, which may have rounding errors."""
     return np.floor(bound + ROUNDING)
-
-
-def _offset(problem, names):
-    """Return the index of the objective of the most important class in the list of all objectives."""
-    return len(names) - len(problem.classes) - (not problem.science.all())
-
-
-def _matching_limits(problem, everything, names):
-    """Return upper limits of the objectives from the best matching, in which arms may collide.
-
-    The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
-    more of these targets than the matching. If ``everything`` is None, or if there are required targets, the limits are
-    the numbers of targets in reach.
-    """
-    n, n_classes = problem.pairs.n_positioners, len(problem.classes)
-    if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
-        target = np.flatnonzero(np.diff(problem.pairs.indptr) > 0)
-        if problem.watched is not None:
-            target = np.union1d(target, problem.watched[problem.watched >= 0])
-    else:
-        target = match(everything)
-        target = target[target >= 0]
-    most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    offset = _offset(problem, names)
-    limits = np.empty(len(names))
-    for k, name in enumerate(names[:offset]):
-        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
-            name, most[n_classes - 1]
-        )
-    limits[offset:] = most[: len(names) - offset]
-    return limits
-
-
-def _conditional(problem, names, values, limits, first):
-    """Return an upper bound of each objective, given the values of all earlier objectives.
-
-    The bounds of objectives before ``first`` are infinite.
-    """
-    offset, bounds = _offset(problem, names), limits.copy()
-    last = offset + len(problem.classes)
-    bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
-    bounds[:first] = np.inf
-    return bounds
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
@@ -408,7 +266,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
-        return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
+        return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
     if (found.values < found.bounds).any() and collide:
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
         return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
@@ -422,16 +280,7 @@ def _plan(candidates, chosen, collide, deadline):
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
-class _Found(NamedTuple):
-    chosen: np.ndarray
-    """Candidate that each positioner uses; -1 if no candidate was found within the time limit."""
-    values: np.ndarray
-    bounds: np.ndarray
-    complete: bool
-    meta: dict
-
-
-def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> _Found:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> Found:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
@@ -472,7 +321,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return _Found(chosen, values, bounds, complete, meta)
+    return Found(chosen, values, bounds, complete, meta)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
