@@ -30,9 +30,9 @@ __all__ = [
     "to_labels",
     "to_lonlat",
     "to_mm",
+    "to_numbers",
     "to_plain",
     "to_points_mm",
-    "to_priorities",
     "to_radian",
     "to_scalar",
     "to_seed",
@@ -244,12 +244,12 @@ def rows_of(mask: np.ndarray) -> str:
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
-def to_priorities(priority: object, name: str = "priority") -> np.ndarray:
-    """Return priorities as float64; raise an error if two integers could become the same number."""
-    values = to_plain(priority, name)
+def to_numbers(value: object, name: str) -> np.ndarray:
+    """Return numbers as float64; raise an error if two integers could become the same number."""
+    values = to_plain(value, name)
     try:
         numbers = values.astype(float)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be numbers: {error}") from None
     if values.dtype.kind in "iu" and values.size and (wide := (values > 2**53) | (values < -(2**53))).any():
         raise InputError(

@@ -8,7 +8,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import rows_of, to_generator, to_plain, to_points_mm, to_priorities
+from rfpsurvey._units import rows_of, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
@@ -217,7 +217,7 @@ def assign(
 def _priorities(priority, n):
     if priority is None:
         return None
-    values = to_priorities(priority)
+    values = to_numbers(priority, "priority")
     if values.shape != (n,):
         raise InputError(f"priority must have one value per target, shape ({n},), got {values.shape}")
     if (lacking := ~np.isfinite(values)).any():

@@ -1,5 +1,6 @@
 """The plan of ``repair``, from which `decide` starts if arms are long or if time is short."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left, now
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
 from rfpsurvey.allocation._methods import lamost
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.focal_plane import Reach
 
 __all__ = ["AT_LEAST", "MOST_PAIRS", "Found", "better_of", "local_optimum", "repaired_plan", "unproven", "values_of"]
 
@@ -48,7 +50,7 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: boo
 
     If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
     """
-    given, row = problem.as_given, problem.row
+    given, row = _as_given(problem), problem.row
     before = lamost(given).target_of_positioner
     candidates, deadline = None, np.inf if whole else max(problem.deadline, now() + AT_LEAST)
     if whole and everything.preselection.n_left_out:
@@ -62,6 +64,24 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: boo
     plan, _, _ = repair_collisions(candidates, pick(candidates, trim(given, before)), deadline)
     target_of = candidates.options.target[plan]
     return Repaired(target_of if row is None else np.append(np.argsort(row), -1)[target_of], candidates.side[plan])
+
+
+def _as_given(problem):
+    """Return the problem with the targets in the order in which they were given."""
+    if problem.row is None:
+        return problem
+    order, reach = np.argsort(problem.row), problem.pairs
+    size = np.diff(reach.indptr)[order]
+    begin = np.cumsum(size) - size
+    pairs = np.repeat(reach.indptr[order] - begin, size) + np.arange(size.sum())
+    names = ("xy", "rank", "kind", "category", "fiber_type", "is_required")
+    return replace(
+        problem,
+        pairs=Reach(np.append(begin, size.sum()), reach.owner[pairs], reach.r2[pairs], reach.n_positioners),
+        watched=None if problem.watched is None else np.append(problem.row, -1)[problem.watched],
+        row=None,
+        **{name: getattr(problem, name)[order] for name in names},
+    )
 
 
 def local_optimum(problem: AllocationProblem, everything: Candidates) -> Found | None:

@@ -1,7 +1,7 @@
 """The allocation problem that every allocator receives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -272,34 +272,12 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     @cached_property
-    def as_given(self) -> "AllocationProblem":
-        """The same problem with the targets in the order in which they were given."""
-        if self.row is None:
-            return self
-        order, reach = np.argsort(self.row), self.pairs
-        size = np.diff(reach.indptr)[order]
-        begin = np.cumsum(size) - size
-        pairs = np.repeat(reach.indptr[order] - begin, size) + np.arange(size.sum())
-        names = ("xy", "rank", "kind", "category", "fiber_type", "is_required")
-        return replace(
-            self,
-            pairs=Reach(np.append(begin, size.sum()), reach.owner[pairs], reach.r2[pairs], reach.n_positioners),
-            watched=None if self.watched is None else np.append(self.row, -1)[self.watched],
-            row=None,
-            **{name: getattr(self, name)[order] for name in names},
-        )
-
-    @cached_property
     def level_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order of precedence."""
-        classes = [f"priority {exact_text(value)}" for value in self.classes]
-        names = {
-            "required targets": self.any_required,
-            "requirements": bool(self.groups),
-            "science": len(classes) == 1 or (self.objective == "count" and len(classes) > 1),
-        }
-        first = [name for name, is_used in names.items() if is_used]
-        return (*first, *(classes if len(classes) > 1 else ()), *(() if self.science.all() else ("any target",)))
+        classes = ["science"] if len(self.classes) == 1 else [f"priority {exact_text(value)}" for value in self.classes]
+        first = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
+        first += ["science"] * (self.objective == "count" and len(classes) > 1)
+        return (*first, *classes, *([] if self.science.all() else ["any target"]))
 
     def level_values(self, target_of: np.ndarray) -> np.ndarray:
         """Return the value of each objective in `level_names` for a plan; larger values are better.
@@ -347,24 +325,26 @@ class AllocationProblem:
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
 
-    def meets_requirements(self, target_of: np.ndarray) -> bool:
+    def meets_requirements(self, target_of: np.ndarray, slack: float = 0.0) -> bool:
         """Return whether a plan meets all requirements.
 
         Parameters
         ----------
         target_of : ndarray of int, shape (n_positioners,)
             Target of each positioner, or -1 if it has no target.
+        slack : float, optional
+            Fraction by which the plan may miss a minimum, or exceed a maximum.
 
         Returns
         -------
         bool
             Whether no minimum is missed and no maximum is exceeded.
         """
-        counted = zip(self.groups, self._counts(target_of), strict=True)
-        return all(
-            group.requirement.minimum <= n <= (n if group.requirement.maximum is None else group.requirement.maximum)
-            for group, n in counted
-        )
+        for group, n in zip(self.groups, self._counts(target_of), strict=True):
+            low, high = group.requirement.minimum, group.requirement.maximum
+            if n < (1 - slack) * low or n > (1 + slack) * (n if high is None else high):
+                return False
+        return True
 
     def shortfalls(self, target_of: np.ndarray) -> list[Shortfall]:
         """Return the requirements that a plan does not meet.

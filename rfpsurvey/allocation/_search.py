@@ -55,8 +55,9 @@ FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
 # time limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search
 # does not prove an optimum.
 LATE, LONG = 0.1, 12
-# Fraction of the time limit for a plan without the requirements.
-FOR_FREE = 0.5
+# A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost`` misses them
+# by less than the fraction NEARLY.
+FOR_FREE, NEARLY = 0.5, 0.1
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
@@ -156,7 +157,7 @@ def _without_requirements(problem, **options):
         options=replace(problem.options, requirements=()),
         deadline=share(problem.deadline, FOR_FREE),
     )
-    if not problem.meets_requirements(lamost(free).target_of_positioner):
+    if not problem.meets_requirements(lamost(free).target_of_positioner, NEARLY):
         return None
     answer = decide(free, collide=True, **options)
     if not problem.meets_requirements(answer.target_of_positioner):

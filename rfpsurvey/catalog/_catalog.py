@@ -13,14 +13,14 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_priorities, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_numbers, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns
 from rfpsurvey.catalog._motion import move_coordinates, moving
 from rfpsurvey.catalog._time import known_epochs, to_time
-from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, number_of, refusal, warn
 
 __all__ = ["Catalog"]
 
@@ -110,15 +110,7 @@ class Catalog:
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None:
-                if name == "priority":
-                    columns[name] = to_priorities(value)
-                    continue
-                try:
-                    columns[name] = to_plain(value, name).astype(str if name in TEXTS else float)
-                except InputError:
-                    raise
-                except (TypeError, ValueError) as error:
-                    raise InputError(f"{name} must be numbers: {error}") from None
+                columns[name] = to_plain(value, name).astype(str) if name in TEXTS else to_numbers(value, name)
         extra = extra_columns(self.extra, n)
         for name, value in columns.items():
             if value.shape != (n,):
@@ -142,7 +134,7 @@ class Catalog:
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
             warn(f"{n_bad} of {n} targets have no finite coordinates and were removed")
-        numbered = self.id is None or bool(self.numbered)
+        numbered = check_switch(self.numbered, "numbered") or self.id is None
         for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra, "numbered": numbered}.items():
             object.__setattr__(self, name, value)
         for name, kind, what in (("n_dropped", int | np.integer, "a whole number"), ("meta", Mapping, "a dict")):

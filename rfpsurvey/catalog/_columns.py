@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._readers import is_number
-from rfpsurvey._units import rows_of, to_labels, to_plain, to_priorities
+from rfpsurvey._units import rows_of, to_labels, to_numbers, to_plain
 from rfpsurvey.catalog._survey_formats import SurveyFormat, find_format
 from rfpsurvey.errors import InputError, check_choice, refusal, short, warn
 
@@ -184,7 +184,7 @@ class Finder:
         name = self.name_of(role)
         values = self._plain(role)
         if role == "priority" and values.dtype.kind in "iu":
-            values = to_priorities(values, f"column {name!r} ({role})")
+            values = to_numbers(values, f"column {name!r} ({role})")
         try:
             if values.dtype.kind == "U":
                 values = np.where(np.isin(np.char.lower(np.char.strip(values)), NOTHING), "nan", values)

@@ -457,8 +457,8 @@ def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
     code, scored, _ = run("score", path, "--arm-model", "outline")
     assert code == 0
     assert "    arm model                        outline" in scored
-    facts = {text.strip(): int(value) for text, _, value in (line.rpartition(" ") for line in scored.splitlines()[4:9])}
-    assert facts["in collision"] > 2 * tile.summary["n_colliding"]
+    (line,) = (line for line in scored.splitlines() if line.startswith("  in collision"))
+    assert int(line.split()[-1]) > 2 * tile.summary["n_colliding"]
 
 
 @pytest.mark.parametrize(
