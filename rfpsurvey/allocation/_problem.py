@@ -294,9 +294,7 @@ class AllocationProblem:
         """
         used = target_of[target_of >= 0]
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
-        first = []
-        if self.any_required:
-            first.append(self.is_required[used].sum())
+        first = [self.is_required[used].sum()] if self.any_required else []
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
             first.append(-sum(max(n, 0) for n in missing))
