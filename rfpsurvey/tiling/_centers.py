@@ -13,7 +13,7 @@ from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import InputError, InputTypeError, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
 
-__all__ = ["Centers", "Declinations", "as_centers"]
+__all__ = ["Centers", "Declinations", "as_centers", "given_tiles"]
 
 # Tolerance (radians) for rounding errors at the limits of declination.
 ROUNDING = 1e-12
@@ -152,6 +152,15 @@ class Declinations:
 def as_centers(given: object) -> Centers:
     """Return `Centers` from a list of directions or None; return given `Centers` unchanged."""
     return given if isinstance(given, Centers) else Centers(given)
+
+
+def given_tiles(where: Centers) -> Tiling:
+    """Return the tiles of the list, with the position angle of ``where`` if there is one."""
+    if where.position_angle is None:
+        return where.tiling
+    table = where.tiling.table.copy()
+    table["position_angle"] = where.angle_deg * u.deg
+    return Tiling(table)
 
 
 def _two(limits):

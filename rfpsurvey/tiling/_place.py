@@ -25,7 +25,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region
-from rfpsurvey.tiling._centers import Centers, Declinations, as_centers
+from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
@@ -98,10 +98,12 @@ def place_tiles(
         collides; see `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile. Circles that no arm may
         cover are obstacles in each tile.
     radius : Quantity, optional
-        Angular radius of a tile; by default, the field radius of the instrument.
+        Angular radius of a tile; by default, the field radius of the instrument. With an allocator, tiles are placed
+        with this radius, but observe targets in the whole field of the instrument.
     centers : Centers, SkyCoord, Tiling or Table, optional
         Constraints on the centers of tiles, such as a list of bright stars or limits of declination, and the position
-        angle of tiles; see `~rfpsurvey.tiling.Centers`.
+        angle of tiles; see `~rfpsurvey.tiling.Centers`. For the method ``given``, the observing conditions of the tiles
+        are used.
     exclude : Region or list of Region, optional
         Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
@@ -121,8 +123,8 @@ def place_tiles(
         The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
         columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
         that the tile observes) and ``completeness`` (of the survey after this tile). A survey with the same allocator
-        reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``), and
-        nearly the same completeness in another order.
+        reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``) at the
+        epoch of the catalog, and nearly the same completeness in another order.
 
     Raises
     ------
@@ -212,7 +214,7 @@ def place_tiles(
         options = as_options("lamost" if allocator is None else allocator)
         options.check_for_fields("place_tiles")
         options = options.for_instrument(model)
-        tiles = _given(where) if method == GIVEN else where.angle_deg
+        tiles = given_tiles(where) if method == GIVEN else where.angle_deg
         serve = FocalPlaneFibers(model, options, catalog, index, fibers, tiles, seed)
         reach = serve.radius
     else:
@@ -247,7 +249,7 @@ def place_tiles(
         "completeness": np.array(so_far, dtype=float),
     }
     if method == GIVEN:
-        return _finish(_given(where).table[: len(state.rows)], summary, columns)
+        return _finish(given_tiles(where).table[: len(state.rows)], summary, columns)
     return _finish(_table(np.reshape(centers_, (-1, 3)), number, where), summary, columns)
 
 
@@ -260,7 +262,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
             raise InputError(f"{name} applies only to targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
-        table, vectors = _given(where).table, where.tiling.vectors
+        table, vectors = given_tiles(where).table, where.tiling.vectors
     else:
         found = cover.make_passes(COVERINGS[method], passes, where)
         vectors = np.vstack(found)
@@ -283,15 +285,6 @@ def _regions(exclude) -> tuple[Region, ...]:
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
         raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
     return tuple(regions)
-
-
-def _given(where: Centers) -> Tiling:
-    """Return the tiles of the list, with the position angle of ``where`` if there is one."""
-    if where.position_angle is None:
-        return where.tiling
-    table = where.tiling.table.copy()
-    table["position_angle"] = where.angle_deg * u.deg
-    return Tiling(table)
 
 
 def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:

@@ -1,4 +1,4 @@
-"""The tiles of a list observe the same targets in `place_tiles` as in `plan_survey`, for random catalogs and options."""
+"""Tiles of a list observe the same targets in `place_tiles` as in `plan_survey`, for random catalogs and options."""
 
 import astropy.units as u
 import numpy as np
@@ -93,9 +93,7 @@ def observed_by_survey(catalog, *args, **options):
     survey = rs.plan_survey(catalog, *args, order="given", **options)
     found = []
     for visits in survey:
-        rows = np.asarray(visits["target_row"])[
-            np.asarray(visits["observed"]) & (np.asarray(visits["target_row"]) >= 0)
-        ]
+        rows = np.asarray(visits["target_row"][visits["observed"] & (visits["target_row"] >= 0)])
         found.append(np.sort(rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]).tolist())
     return found, survey
 
