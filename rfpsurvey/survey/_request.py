@@ -79,6 +79,13 @@ class Request:
         n_passes, in_turn = len(self.passes), self.order == "color"
         return Bookkeeping(self.visits, priority, kind, category, n_passes=n_passes, reusable=reusable, in_turn=in_turn)
 
+    @cached_property
+    def first_left(self) -> np.ndarray:
+        """Number of remaining visits of each target before the first visit, in the order of slots."""
+        left = self.open_state().left
+        left.flags.writeable = False
+        return left
+
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
         # blank sky positions must not be close to any target, including targets without remaining visits
