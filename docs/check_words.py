@@ -33,7 +33,7 @@ WORDS = {
     r"honest(ly)?": "uncertainty, standard error",
     r"how good": "the quality of",
     r"knows? nothing (of|about)": "ignores",
-    r"ledgers?|the books": "bookkeeping, checkpoint",
+    r"(?<!DESI\x20)ledgers?|the books": "bookkeeping, checkpoint",
     r"may be (?=[.,;:)])": "is allowed",
     r"looks? at (it|them|the|no|all|these|those|collisions|priorities)": "considers, tests, observes",
     r"mend(s|ed|ing)?": "repair, correct, fix",

@@ -150,6 +150,10 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
     except FileExistsError:
         raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)") from None
     except OSError:  # the file system has no hard links
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)") from None
         os.replace(temporary, path)
 
 

@@ -20,6 +20,7 @@ from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusa
 MOST_VISITS = 255
 
 __all__ = [
+    "exact_text",
     "locked",
     "rows_of",
     "to_center",
@@ -31,6 +32,7 @@ __all__ = [
     "to_mm",
     "to_plain",
     "to_points_mm",
+    "to_priorities",
     "to_radian",
     "to_scalar",
     "to_seed",
@@ -48,16 +50,20 @@ def locked(array: np.ndarray) -> np.ndarray:
     return view
 
 
+def exact_text(value: float) -> str:
+    """Return a number as text with at most 15 digits, or with more digits if 15 digits do not determine the number."""
+    text = f"{value:.15g}"
+    return text if float(text) == value else repr(float(value))
+
+
 def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     """Return ``value`` as a new float64 array in ``unit``, with NaN in place of masked values."""
     if not isinstance(value, u.Quantity):
         raise InputTypeError(
             f"{name} must be a Quantity with a unit convertible to {unit}, got {short(value)} without a unit"
         )
-    if isinstance(value, Masked):
-        value = value.filled(np.nan)
     try:
-        return np.array(value.to_value(unit), dtype=np.float64, order="C")
+        return np.array(_filled(value).to_value(unit), dtype=np.float64, order="C")
     except u.UnitConversionError:
         raise InputUnitsError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
 
@@ -96,21 +102,30 @@ def to_points_mm(value: object, name: str) -> np.ndarray:
 
 
 def to_direction(coord: object, name: str = "coord") -> SkyCoord:
-    """Return coordinates in the same frame, with proper motions but without distances and radial velocities."""
+    """Return coordinates in the same frame, with proper motions but without distances and radial velocities.
+
+    Masked coordinates and proper motions become NaN.
+    """
     if not isinstance(coord, SkyCoord):
         raise InputTypeError(f"{name} must be a SkyCoord, got {short(coord)}")
-    data = coord.data
+    data = coord.frame.data
     motion = data.differentials.get("s")
     place = data.without_differentials().represent_as(UnitSphericalRepresentation)
+    place = UnitSphericalRepresentation(_filled(place.lon), _filled(place.lat), copy=False)
     if motion is not None and not isinstance(motion, RadialDifferential):
         if not hasattr(motion, "d_lon_coslat"):
             full = data.represent_as(SphericalRepresentation, SphericalCosLatDifferential)
             motion = full.differentials["s"]
-        motion = UnitSphericalCosLatDifferential(motion.d_lon_coslat, motion.d_lat)
+        motion = UnitSphericalCosLatDifferential(_filled(motion.d_lon_coslat), _filled(motion.d_lat), copy=False)
         if motion.d_lat.unit.is_equivalent(u.mas / u.yr):
             place = place.with_differentials({"s": motion})
     kind = {"representation_type": "spherical", "differential_type": "sphericalcoslat"}
     return SkyCoord(coord.frame.realize_frame(place, **kind))
+
+
+def _filled(value: u.Quantity) -> u.Quantity:
+    """Return a Quantity without a mask, with NaN in place of masked values."""
+    return value.filled(np.nan * value.unit) if isinstance(value, Masked) else value
 
 
 def to_center(center: object, name: str = "center") -> SkyCoord:
@@ -119,6 +134,8 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
         center = to_direction(center, name)
         if not center.isscalar:
             raise InputError(f"{name} must be one direction, got the shape {center.shape}")
+        if not (np.isfinite(center.data.lon) and np.isfinite(center.data.lat)):
+            raise InputError(f"{name} must have finite coordinates, got {short(center)}")
         return center
     words = center.replace(",", " ").split()
     try:
@@ -225,6 +242,21 @@ def rows_of(mask: np.ndarray) -> str:
     rows = np.flatnonzero(mask)
     few = ", ".join(str(row + 1) for row in rows[:3]) + (", ..." if len(rows) > 3 else "")
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
+
+
+def to_priorities(priority: object, name: str = "priority") -> np.ndarray:
+    """Return priorities as float64; raise an error if two integers could become the same number."""
+    values = to_plain(priority, name)
+    try:
+        numbers = values.astype(float)
+    except ValueError as error:
+        raise InputError(f"{name} must be numbers: {error}") from None
+    if values.dtype.kind in "iu" and values.size and (wide := (values > 2**53) | (values < -(2**53))).any():
+        raise InputError(
+            f"{name} must be integers from -2^53 to 2^53, or floating-point numbers, got {values[wide].flat[0]}; "
+            "larger integers are not distinct as 64-bit floating-point numbers"
+        )
+    return numbers
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:

@@ -36,7 +36,16 @@ def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path, name):
     assert os.listdir(tmp_path) == [name]
 
 
-def test_of_threads_that_must_not_overwrite_one_writes(tmp_path):
+def no_link(*_):
+    raise OSError("the file system has no hard links")
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_of_threads_that_must_not_overwrite_one_writes(tmp_path, monkeypatch, has_links):
+    """On file systems without hard links, the last thread replaced the file of the first thread."""
+    if not has_links:
+        monkeypatch.setattr(os, "link", no_link)
+
     def write(k):
         try:
             _io.write_table(table(k), tmp_path / "tile.fits")

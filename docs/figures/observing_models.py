@@ -10,11 +10,11 @@ import rfpsurvey as rs
 GUIDE = 0.6231 * u.um
 # site, wavelengths, and milliseconds per 10,000 targets as tests/benchmarks/observing_models.py prints them
 CASES = {
-    "lamost": ("xinglong", 0.5 * u.um, [0.03, 0.03, 3.6, 3.2, 31]),
-    "sdss_apo": ("apache point", {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}, [0.03, 1.4, 5.3, 14, 38]),
-    "moons": ("paranal", GUIDE, [0.03, 0.03, 3.7, 3.4, 23]),
-    "desi": ("kitt peak", GUIDE, [0.03, 0.41, 8.6, 4.0, 25]),
-    "pfs": ("mauna kea", GUIDE, [0.03, 0.5, 4.2, 4.0, 26]),
+    "lamost": ("xinglong", 0.5 * u.um, [0.03, 0.03, 3.0, 2.8, 7.2]),
+    "sdss_apo": ("apache point", {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}, [0.03, 1.4, 4.7, 5.5, 9.9]),
+    "moons": ("paranal", GUIDE, [0.03, 0.03, 3.0, 2.7, 6.9]),
+    "desi": ("kitt peak", GUIDE, [0.03, 0.40, 3.4, 3.1, 7.2]),
+    "pfs": ("mauna kea", GUIDE, [0.03, 0.47, 3.4, 3.5, 7.5]),
 }
 LABELS = {
     "tangent": "tangent plane",

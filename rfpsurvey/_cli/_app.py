@@ -37,6 +37,7 @@ __all__ = [
     "finish_table",
     "finish_tiling",
     "instrument_of",
+    "model_of",
     "parse_center",
     "parse_pairs",
     "print_table",
@@ -76,6 +77,12 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
     return found
 
 
+def model_of(instrument: "rs.Instrument | str", arm_model: str | None) -> "rs.Instrument":
+    """Return an instrument with the arm model of --arm-model or, without this option, with its own arm model."""
+    model = as_instrument(instrument)
+    return model if arm_model is None else model.with_arm_model(arm_model)
+
+
 def instrument_of(table, name: str | None) -> "rs.Instrument":
     """Return the instrument called ``name``; if ``name`` is None, return the instrument named in the table."""
     provenance = table.meta.get("provenance")
@@ -95,11 +102,16 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     """Read a catalog from a file, or from a folder with the partitions of a catalog."""
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
-        return rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
+        parts = rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
+        for name in ("collection", "columns"):
+            if name in parts.meta:
+                print(f"{name}: {parts.meta[name]}")
+        return parts
     common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # the value is an epoch, not the name of a column
     if common:
         del columns["epoch"]
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
+    print(f"columns: {catalog.meta['columns']}")
     return replace(catalog, epoch=common[0]) if common else catalog
 
 
@@ -182,7 +194,7 @@ def to_mm(value: float | None):
 
 def read_targets(name: str):
     """Read a catalog if ``name`` is a file or an example; otherwise return ``name``, a kind of random targets."""
-    return rs.Catalog.read(name) if Path(name).suffix or is_example(name) else name
+    return read_catalog(Path(name), None, None, "icrs", None) if Path(name).suffix or is_example(name) else name
 
 
 def check_outputs(

@@ -83,12 +83,23 @@ InstrumentOption = Annotated[
         "files of a real instrument."
     ),
 ]
+ArmModelOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Arm model, the shape that is used to find collisions: elbow_to_tip, capsule, fiber_tip or outline. By "
+        "default, the arm model of the instrument."
+    ),
+]
 EquinoxOption = Annotated[
     str | None,
     typer.Option(help="Equinox of the north direction from which the position angle is measured, such as J2026.0."),
 ]
 EpochOption = Annotated[
-    str | None, typer.Option(help="Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01.")
+    str | None,
+    typer.Option(
+        help="Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the "
+        "time of the observing conditions; without such a time, targets are not moved."
+    ),
 ]
 ColumnOption = Annotated[
     list[str] | None,

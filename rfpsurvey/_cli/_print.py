@@ -114,8 +114,8 @@ def finish_comparison(
         report=(report, table, {"data": output, "plans": plans}),
     ):
         print(
-            f"{table.meta['instrument']}; {table.meta['blind_science']} science targets could be assigned if "
-            "arms did not collide"
+            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}; {table.meta['blind_science']} science "
+            "targets could be assigned if arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():
@@ -127,9 +127,11 @@ def finish_estimate(
     estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
 ) -> None:
     """Print an estimate of a collision probability; write the table, the plot and the report if requested."""
-    plane = model.focal_plane
+    plane, shape = model.focal_plane, model.focal_plane.positioner.arm_model
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
-    table.meta.update(estimate.meta, instrument=model.name, method=estimate.method, value=estimate.value)
+    table.meta.update(
+        estimate.meta, instrument=model.name, arm_model=shape, method=estimate.method, value=estimate.value
+    )
 
     def draw():
         return rs.plot.plot_collision_map(estimate, plane).figure
@@ -143,7 +145,7 @@ def finish_estimate(
         plot=(plot, draw),
         report=(report, estimate, page),
     ):
-        print(f"{model.name}, {estimate.method}, {estimate.estimand} targets")
+        print(f"{model.name}, arm model {shape}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
@@ -177,10 +179,14 @@ def print_summary(tile: "rs.Tile") -> None:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
         print(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
+        if tile.summary.get("epoch") and values.get("epoch_asked") is None:
+            print(f"epoch: {tile.summary['epoch']}")
     elif "positions" in values:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:
         print(f"model: {tile.summary['model']}")
+    if tile.summary.get("poses_without_target"):
+        print(f"poses: {tile.summary['poses_without_target']}")
     projection = tile.summary.get("projection", {})
     if "sentence" in projection:
         print(f"projection: {projection['model']}; {projection['sentence']}")

@@ -107,6 +107,8 @@ def run(
     plot: Path | None,
     quality: Path | None,
     report: Path | None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Plan a survey and print its summary; write the plots and the report if requested."""
     begin = perf_counter()
@@ -122,7 +124,7 @@ def run(
         raise
     seconds = perf_counter() - begin
     with _app.files(
-        overwrite=True,
+        overwrite=overwrite,
         plot=(plot, lambda: draw_survey(survey)),
         quality=(quality, lambda: rs.plot.plot_quality(survey)[0].figure),
         report=(report, survey, {}),

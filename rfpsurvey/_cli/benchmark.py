@@ -8,7 +8,6 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _options
-from rfpsurvey.instrument import as_instrument
 
 benchmark = typer.Typer(
     no_args_is_help=True,
@@ -21,6 +20,7 @@ _main.app.add_typer(benchmark, name="benchmark")
 @benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     method: Annotated[
         list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all methods are compared.")
     ] = None,
@@ -35,22 +35,24 @@ def collisions(
     """Compare the speed and the errors of the methods of finding collisions."""
     output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
-    table = rs.benchmark.benchmark_collisions(as_instrument(instrument), **options)
+    table = rs.benchmark.benchmark_collisions(_app.model_of(instrument, arm_model), **options)
     _app.finish_table(table, rs.plot.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
 @benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def batches(
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
 ) -> None:
     """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
-    _app.print_table(rs.benchmark.benchmark_batches(as_instrument(instrument), repeats=repeats))
+    _app.print_table(rs.benchmark.benchmark_batches(_app.model_of(instrument, arm_model), repeats=repeats))
 
 
 @benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def probability(
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     repeats: Annotated[
         int,
         typer.Option(
@@ -70,7 +72,7 @@ def probability(
     targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
     targets.
     """
-    output, model = _app.check_chart(plot, report, overwrite=overwrite), as_instrument(instrument)
+    output, model = _app.check_chart(plot, report, overwrite=overwrite), _app.model_of(instrument, arm_model)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
     _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

@@ -8,7 +8,6 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _options
-from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tile import north_of_date
 
 
@@ -16,6 +15,7 @@ from rfpsurvey.tile import north_of_date
 def compare_allocators(
     catalog: _options.CatalogArgument = None,
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
@@ -44,7 +44,7 @@ def compare_allocators(
 ) -> None:
     """Compare allocators on the same field."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = as_instrument(instrument)
+    model = _app.model_of(instrument, arm_model)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
     options = _app.allocation_options(
         "lamost",

@@ -32,8 +32,7 @@ def design(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Scan designs of positioners, optionally around the design of an instrument, and find the best designs."""
-    again = overwrite or resume
-    _app.check_outputs(None, plot, report, overwrite=again)
+    _app.check_outputs(None, plot, report, overwrite=overwrite)
     around = instrument is not None
     if spread is not None and not around:
         raise rs.InputError(
@@ -52,4 +51,4 @@ def design(
             table = rs.design.explore_around(instrument, executor=executor, **scan)
         else:
             table = rs.design.explore_designs(executor=executor, **scan)
-    _designs.finish(table, output, plot, report, overwrite=again)
+    _designs.finish(table, output, plot, report, overwrite=overwrite)

@@ -8,13 +8,13 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _options
-from rfpsurvey.instrument import as_instrument
 from rfpsurvey.probability import Precision, RandomTargets
 
 
 @_main.app.command(epilog=_examples.PROBABILITY_EXAMPLES)
 def probability(
     instrument: Annotated[str, typer.Argument(help="Name of a preset, or path of a TOML file.")] = "lamost",
+    arm_model: _options.ArmModelOption = None,
     method: _options.MethodOption = "auto",
     estimand: Annotated[
         str | None,
@@ -68,7 +68,7 @@ def probability(
 ) -> None:
     """Estimate the probability that arms collide, with a confidence interval."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = as_instrument(instrument)
+    model = _app.model_of(instrument, arm_model)
     options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}
     options["precision"] = Precision(precision, max_iterations)
     options["targets"] = _targets(targets, n_targets, target_radius, min_separation)

@@ -26,6 +26,7 @@ def score(
             "files of a real instrument. By default, the instrument named in the plan or tile is used."
         ),
     ] = None,
+    arm_model: _options.ArmModelOption = None,
     center: Annotated[
         str | None,
         typer.Option(
@@ -65,5 +66,6 @@ def score(
         options["center"] = north_of_date(_app.parse_center(center), equinox)
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
-    tile = rs.score_tile(table, _app.instrument_of(table, instrument), **options)
+    tile = rs.score_tile(table, _app.model_of(_app.instrument_of(table, instrument), arm_model), **options)
+    print(f"columns: {tile.provenance['catalog']['columns']}")
     _app.finish(tile, output, plot, report, overwrite=overwrite)

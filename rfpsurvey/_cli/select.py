@@ -6,7 +6,6 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _main, _options, _selections, _surveys
 from rfpsurvey._io import check_output
-from rfpsurvey.instrument import as_instrument
 
 
 @_main.app.command(epilog=_selections.SELECT_EXAMPLES)
@@ -14,6 +13,7 @@ def select(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     realizations: _selections.RealizationsOption = 128,
     allocator: _selections.SelectAllocatorOption = "nearest",
     visits: _options.VisitsOption = None,
@@ -43,7 +43,7 @@ def select(
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
-    model = as_instrument(instrument)
+    model = _app.model_of(instrument, arm_model)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
     if visits is not None:
         targets = _selections.with_visits(targets, visits)

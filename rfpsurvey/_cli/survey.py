@@ -1,7 +1,6 @@
 """The command ``rfpsurvey survey``."""
 
 from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _surveys
-from rfpsurvey.instrument import as_instrument
 
 
 @_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
@@ -9,6 +8,7 @@ def survey(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     allocator: _options.AllocatorOption = "lamost",
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
@@ -50,7 +50,7 @@ def survey(
 ) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
-    model = as_instrument(instrument)
+    model = _app.model_of(instrument, arm_model)
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
         "allocator": _app.allocation_options(
@@ -75,4 +75,4 @@ def survey(
     tiling = _surveys.tiles_of(tiles, targets, model)
     tiling = _conditions.tiles_under(tiling, conditions, site, time, hour_angle, wavelength, exposure_time)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiling, model, executor, options, plot, quality, report)
+        _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)

@@ -6,7 +6,6 @@ import astropy.units as u
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _options
-from rfpsurvey.instrument import as_instrument
 
 
 @_main.app.command(epilog=_examples.TILE_EXAMPLES)
@@ -15,6 +14,7 @@ def tile(
     region: _options.RegionOption = None,
     exclude: _options.ExcludeOption = None,
     instrument: _options.InstrumentOption = "lamost",
+    arm_model: _options.ArmModelOption = None,
     method: _options.TilingMethodOption = "hexagonal",
     passes: _options.PassesOption = 1,
     completeness: _options.CompletenessOption = None,
@@ -43,7 +43,7 @@ def tile(
 ) -> None:
     """Place the tiles of a survey."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = as_instrument(instrument)
+    model = _app.model_of(instrument, arm_model)
     inside = None if region is None else rs.Region.parse(region)
     field = inside
     if catalog is not None or region is None:

@@ -3,16 +3,19 @@
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
-from rfpsurvey._readers._limits import content_of, sentence
+from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, is_present, sentence
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
 
 __all__ = [
     "FORMATS",
     "META_KEY",
+    "check_is_file",
     "content_of",
+    "entries_of",
     "import_parquet",
     "is_number",
+    "is_present",
     "parse_json",
     "read_fits_bytes",
     "read_fits_units",

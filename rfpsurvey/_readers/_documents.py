@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from rfpsurvey._readers._limits import content_of, sentence
+from rfpsurvey._readers._limits import check_is_file, content_of, sentence
 from rfpsurvey.errors import InputError
 
 __all__ = ["check_size", "parse_json", "read_toml"]
@@ -20,8 +20,7 @@ def read_toml(path: Path) -> dict:
     """Return the content of a TOML file."""
     import tomllib
 
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path, most=MOST_TOML, kind="TOML")
     try:
         text = content.decode("utf-8")

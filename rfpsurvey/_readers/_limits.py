@@ -10,7 +10,17 @@ from typing import BinaryIO
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["MOST_COLUMNS", "check_width", "content_of", "is_compressed", "open_content", "sentence"]
+__all__ = [
+    "MOST_COLUMNS",
+    "check_is_file",
+    "check_width",
+    "content_of",
+    "entries_of",
+    "is_compressed",
+    "is_present",
+    "open_content",
+    "sentence",
+]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 # Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than 10.
@@ -33,6 +43,39 @@ def sentence(error: Exception) -> str:
     if not text:
         return kind
     return text if isinstance(error, ValueError | OSError) else f"{kind}: {text}"
+
+
+def is_present(path: Path) -> bool:
+    """Return whether there is a file, a folder or a link with this path, even if it cannot be read."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    return True
+
+
+def check_is_file(path: Path) -> None:
+    """Raise an error if a path is not the path of a file."""
+    try:
+        if path.is_file():
+            return
+        is_link = path.is_symlink()
+        reason = "this is a folder" if path.is_dir() else "the target of this link does not exist" if is_link else ""
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except ValueError:  # the path contains a null character
+        reason = ""
+    raise InputError(f"{path}: {reason or 'there is no such file'}")
+
+
+def entries_of(folder: Path) -> list[Path]:
+    """Return the paths of all files and folders in a folder, sorted."""
+    try:
+        return sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror or error}") from error
 
 
 def _opener(path: Path):

@@ -35,7 +35,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
     """
     parquet, reads_all = import_parquet(), names is None
     try:
-        with parquet.ParquetFile(path) as file:
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
             names = [name for name in names or schema.names if _is_plain(schema.field(name).type)]
             if not 0 <= 8 * n_rows * max(len(names), 1) <= max(FREE, MOST_RATIO * size):

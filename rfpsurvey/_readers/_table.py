@@ -9,7 +9,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import META_KEY, read_all_fits, read_fits
-from rfpsurvey._readers._limits import check_width, sentence
+from rfpsurvey._readers._limits import check_is_file, check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
 from rfpsurvey.errors import InputError, refusal
 
@@ -73,8 +73,7 @@ def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
     suffix = suffix_of(path)
     if suffix not in FORMATS:
         raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (.gz may follow)")
-    if not _is_file(path):
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     try:
         options = {} if number is None else {"number": number}
         with warnings.catch_warnings():  # sexagesimal text can have a unit, such as h:m:s
@@ -101,8 +100,7 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     its header; the keyword ``EXTNAME`` contains the name of the table.
     """
     path = to_path(path)
-    if not _is_file(path):
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     try:
         header, tables = read_all_fits(path)
         for table in tables:
@@ -124,13 +122,6 @@ def _keywords(header: dict) -> dict:
         for name, value in header.items()
         if name and name not in STRUCTURE and isinstance(value, str | int | float | bool)
     }
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except ValueError:  # the path contains a null character
-        return False
 
 
 def _make_text(table: QTable, name: str, path: Path) -> None:

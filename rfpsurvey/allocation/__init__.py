@@ -13,7 +13,7 @@ from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
-from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, to_subpriorities
+from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
 
 if TYPE_CHECKING:
     from rfpsurvey.allocation._weighted import (
@@ -58,6 +58,7 @@ __all__ = [
     "service_order",
     "solve_weighted",
     "subpriorities",
+    "tie_order",
     "to_subpriorities",
 ]
 

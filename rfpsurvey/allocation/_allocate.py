@@ -8,15 +8,16 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import rows_of, to_generator, to_plain, to_points_mm
+from rfpsurvey._units import rows_of, to_generator, to_plain, to_points_mm, to_priorities
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
+from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_method
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
-from rfpsurvey.allocation._subpriority import check_values, service_order, to_subpriorities
+from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.collision import check_plane
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
@@ -135,6 +136,8 @@ def allocate(
         else:
             values = check_values(subpriority, n, "subpriority")
         columns, order = columns._replace(subpriority=values), service_order(values, rows)
+    elif options.breaks_ties:
+        order = tie_order(points)
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
     rng = to_generator(rng)
     points = points.copy()  # the allocation must not change if the caller changes the positions
@@ -158,7 +161,7 @@ def assign(
     During long searches, the function ``tell`` is called with the completed fraction and the current stage. ``order``,
     which is required if there are subpriorities, contains the rows of the targets in the order of their precedence.
     """
-    begin = perf_counter()
+    begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
     if order is not None:
         # Allocators break ties by the row of a target. If the targets are sorted in this way, plans do not depend on
@@ -191,6 +194,8 @@ def assign(
         rng,
         tell=tell,
         subpriority=columns.subpriority,
+        deadline=deadline,
+        row=order if columns.subpriority is None else None,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
@@ -212,12 +217,7 @@ def assign(
 def _priorities(priority, n):
     if priority is None:
         return None
-    try:
-        values = to_plain(priority, "priority").astype(float)
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"priority must be numbers: {error}") from None
+    values = to_priorities(priority)
     if values.shape != (n,):
         raise InputError(f"priority must have one value per target, shape ({n},), got {values.shape}")
     if (lacking := ~np.isfinite(values)).any():

@@ -115,13 +115,13 @@ class Allocation:
 
     @property
     def gap(self) -> float:
-        """Relative difference between `bound` and `objective`: 0 for a proven optimum, NaN if the bound is unknown.
+        """Relative difference between `bound` and `objective`, at most 1: 0 for a proven optimum, NaN if unknown.
 
         The upper bound that ``repair`` uses ignores collisions. The gap of ``repair`` is therefore an upper limit of
         the fraction of targets that are lost to collisions.
         """
         missing = self.bound - self.objective
-        return missing / max(abs(self.bound), 1.0) if missing else 0.0
+        return missing / max(abs(self.bound), missing, 1.0) if missing else 0.0
 
     def place_arms(self, focal_plane: FocalPlane) -> Arms:
         """Return the poses of the arms for this allocation.

@@ -1,14 +1,13 @@
 """Candidates, which are the possible targets and elbows of each positioner, and pairs of candidates that collide."""
 
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
 from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
-from rfpsurvey.allocation._clock import OutOfTimeError
+from rfpsurvey.allocation._clock import OutOfTimeError, now
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
@@ -16,6 +15,8 @@ from rfpsurvey.collision import arms_closer_exactly, touching
 __all__ = ["Candidates", "find_candidates", "find_conflicts", "list_candidates", "obstacle_hits"]
 
 ROOM = 1 << 18
+# Number of tests of two candidates for a collision before the clock is read again.
+BATCH = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,17 @@ class Candidates:
         columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
         return _assemble(self.problem, self.preselection, *columns)
 
+    def renumbered(self, problem: AllocationProblem, row: np.ndarray) -> "Candidates":
+        """Return the candidates, without costs, for a problem in which target ``t`` has the row ``row[t]``."""
+        o = self.options
+        target, is_idle = np.append(row, -1)[o.target], np.zeros(len(self), dtype=bool)
+        is_idle[o.start[1:] - 1] = True
+        order = np.lexsort((target, -self.side, is_idle, o.own))  # the order of `list_candidates`
+        new = np.empty_like(order)
+        new[order] = np.arange(len(order))
+        columns = o.start, o.own, target[order], self.side[order], np.zeros(len(self)), new[self.pairs]
+        return _assemble(problem, self.preselection, *columns)
+
     def relaxed(self) -> "Candidates":
         """Return a copy without some of the collisions, so that its best plan gives an upper bound for all plans.
 
@@ -74,8 +86,9 @@ def find_candidates(
     """Return the candidates of a problem: all candidates, or only the candidates that `preselect` keeps.
 
     If ``collide`` is false, collisions are ignored, and each pair of a target and a positioner has only one elbow.
-    ``keep_target`` contains one target (or -1) for each positioner; this target is always kept. If it takes more than
-    ``seconds`` to find the collisions, or if there are more than ``most_pairs`` collisions, `OutOfTimeError` is raised.
+    ``keep_target`` contains one target (or -1) for each positioner; this target is always kept. If finding the
+    collisions would take more than ``seconds``, or if there are more than ``most_pairs`` collisions, `OutOfTimeError`
+    is raised.
     """
     plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
@@ -164,17 +177,15 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
     borderline = np.empty(room, dtype=bool)
     owner = np.repeat(np.arange(len(size)), size)
     outlined = columns.limits.outline.start.size > 1
-    p, found, total, begin = 0, [], 0, np.inf
+    work = np.cumsum(size[pairs[:, 0]] * size[pairs[:, 1]])
+    p, found, total, begin = 0, [], 0, now()
     while p < len(pairs):
-        if perf_counter() - begin > seconds or total > most_pairs:
-            raise OutOfTimeError
+        part = pairs[: int(np.searchsorted(work, (work[p - 1] if p else 0) + BATCH)) + 1]
         n, p = conflicts.list_conflicts(
-            pairs, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
+            part, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
         )
         if outlined:
             n = conflicts.keep_outlined(n, owner, segments, columns.limits, first, second, borderline)
-        if not found:
-            begin = perf_counter()  # the first call may compile the kernel
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])
         if len(edge):
@@ -183,6 +194,9 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
             part = np.delete(part, edge[~np.array(close)], axis=1)
         found.append(part)
         total += part.shape[1]
+        # the work of all pairs, divided by the work that is done, predicts the total time
+        if (now() - begin) * (work[-1] / max(work[p - 1], 1)) > seconds or total > most_pairs:
+            raise OutOfTimeError
     return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)
 
 

@@ -10,6 +10,8 @@ __all__ = ["cover_by_pairs", "extend"]
 # Amount of work between two readings of the clock: number of collisions that are covered by cliques, number of cliques
 # that are extended, and number of comparisons of candidates while cliques are extended.
 BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000
+# Time in seconds per collision for sorting the collisions.
+EDGE_SECONDS = 2e-7
 
 
 def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
@@ -27,7 +29,7 @@ def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarr
     edges : ndarray of int, shape (2, m)
         Collisions between candidates of ``rows``.
     deadline : float, optional
-        Value of `time.perf_counter` at which `OutOfTimeError` is raised.
+        Value of `now` at which `OutOfTimeError` is raised.
 
     Returns
     -------
@@ -37,12 +39,13 @@ def cover_by_pairs(options: conflicts.Options, rows: np.ndarray, edges: np.ndarr
     if edges.shape[1] == 0:
         return np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)
     edges = np.concatenate([edges, _twins(options, rows)], axis=1)
-    own = options.own[edges]
-    edges = np.where(own[0] < own[1], edges, edges[::-1])
-    own = np.sort(own, axis=0)
-    order = np.lexsort((edges[1], edges[0], own[1], own[0]))
-    edges, own = edges[:, order], own[:, order]
-    new = np.append(True, (np.diff(own, axis=1) != 0).any(axis=0))
+    if left(deadline) < EDGE_SECONDS * edges.shape[1]:
+        raise OutOfTimeError
+    edges = np.sort(edges, axis=0)  # candidates are sorted by positioner
+    both = options.own[edges[0]] * len(options.start) + options.own[edges[1]]
+    order = np.lexsort((edges[0] * len(options.own) + edges[1], both))
+    edges, both = edges[:, order], both[order]
+    new = np.append(True, np.diff(both) != 0)
     starts = np.append(np.flatnonzero(new), edges.shape[1])
     edges = np.ascontiguousarray(edges)
     sizes, columns, begin = [np.zeros(1, dtype=np.int64)], [], 0
@@ -72,7 +75,7 @@ def extend(options: conflicts.Options, indptr: np.ndarray, column: np.ndarray, a
     alive : ndarray of bool, shape (n_candidates,)
         Whether each candidate may be added to a clique.
     deadline : float
-        Value of `time.perf_counter` after which the remaining cliques are not extended.
+        Value of `now` after which the remaining cliques are not extended.
 
     Returns
     -------

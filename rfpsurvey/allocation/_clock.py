@@ -6,7 +6,9 @@ from contextlib import contextmanager
 from threading import Event, current_thread, main_thread
 from time import perf_counter
 
-__all__ = ["OutOfTimeError", "end_on_interrupt", "left", "searching", "share", "stop"]
+from numba.core import event
+
+__all__ = ["OutOfTimeError", "end_on_interrupt", "left", "now", "searching", "share", "stop"]
 
 stop = Event()
 """Event that is set to end all searches early; the searches then return the best plans found so far."""
@@ -17,14 +19,40 @@ class OutOfTimeError(Exception):
     """The deadline passed, or the number of collisions became too large, before a step of the search was complete."""
 
 
+class _Compilation(event.Listener):
+    """Measures the time during which numba compiles functions; it does not count against a time limit."""
+
+    def __init__(self):
+        self.seconds, self._begin, self._depth = 0.0, 0.0, 0
+
+    def on_start(self, event: event.Event) -> None:
+        if self._depth == 0:
+            self._begin = perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += perf_counter() - self._begin
+
+
+_compilation = _Compilation()
+event.register("numba:compile", _compilation)
+
+
+def now() -> float:
+    """Return the time in seconds on a clock that stops while numba compiles functions; deadlines refer to it."""
+    return perf_counter() - _compilation.seconds
+
+
 def left(deadline: float) -> float:
     """Return the number of seconds until a deadline; 0 if the deadline has passed or a stop was requested."""
-    return 0.0 if stop.is_set() else max(deadline - perf_counter(), 0.0)
+    return 0.0 if stop.is_set() else max(deadline - now(), 0.0)
 
 
 def share(deadline: float, fraction: float) -> float:
     """Return the time at which a given fraction of the time until the deadline will have passed."""
-    return perf_counter() + fraction * left(deadline)
+    return now() + fraction * left(deadline)
 
 
 @contextmanager

@@ -43,7 +43,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     weights : ndarray of float, shape (n_candidates,)
         Weight of each candidate.
     deadline : float
-        Value of `time.perf_counter` at which the search ends.
+        Value of `now` at which the search ends.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner in a plan without collisions.
     deadline : float
-        Value of `time.perf_counter` at which the search ends.
+        Value of `now` at which the search ends.
     is_best : callable, optional
         Function that takes a plan in the form of ``chosen``, and returns whether this plan is known to be optimal.
 

@@ -1,4 +1,4 @@
-"""Optimize the last objective: minimize the collisions between idle arms without changing the other objectives."""
+"""Minimize the collisions between idle arms without changing the numbers of assigned targets."""
 
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
@@ -23,7 +23,9 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
     """Return a plan with the same values of all objectives and as few collisions between idle arms as possible.
 
     The number of these collisions is minimal if there are at most ``SIZE`` candidates. Otherwise, the
-    number may not be minimal, because the positioners around each collision are optimized separately.
+    number may not be minimal, because the positioners around each collision are optimized separately. Positioners
+    change only if the number decreases. If the targets have subpriorities, the sum of subpriorities of the changed
+    positioners is then the largest sum with this number of collisions.
 
     Parameters
     ----------
@@ -32,7 +34,7 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
     chosen : ndarray of int, shape (n_positioners,)
         Candidate of each positioner.
     deadline : float
-        Value of `time.perf_counter` at which the search ends.
+        Value of `now` at which the search ends.
 
     Returns
     -------
@@ -87,7 +89,10 @@ def _separate(candidates, members, state, deadline):
 
 
 def _fewest(program, pairs, idle, now, x, deadline):
-    """Return the variables of the plan with the fewest collisions of idle arms, among plans as good as plan ``x``."""
+    """Return the variables of the plan with the fewest collisions of idle arms, among plans as good as plan ``x``.
+
+    None is returned if no plan has fewer of these collisions than plan ``x``.
+    """
     place = program.index[idle[pairs]]  # -1 for positioners that are not members
     cost = np.zeros(program.n)
     both = place[:, (place >= 0).all(axis=0)]
@@ -106,5 +111,15 @@ def _fewest(program, pairs, idle, now, x, deadline):
     matrix = vstack([wide, hstack([link, slack], format="csr")], format="csr")
     most = np.append(np.ones(len(program.candidate)), np.full(len(program.short), np.inf))
     goal, most = np.append(-cost, -ones), np.append(most, ones)
-    found, _ = maximize((matrix, low, high), goal, most, deadline, integral=True, gap=0.0, presolve=True)
-    return None if found is None else found[: program.n]
+    settings = {"integral": True, "gap": 0.0, "presolve": True}
+    found, _ = maximize((matrix, low, high), goal, most, deadline, **settings)
+    before = cost @ x + (x[both[0]] * x[both[1]]).sum()
+    if found is None or -goal @ found > before - 0.5:
+        return None
+    if program.problem.subpriority is not None:
+        matrix = vstack([matrix, csr_array(goal[None])], format="csr")
+        low, high = np.append(low, goal @ found), np.append(high, np.inf)
+        worth = np.append(-program.costs, np.zeros(m))
+        best, _ = maximize((matrix, low, high), worth, most, deadline, **settings)
+        found = found if best is None else best
+    return found[: program.n]

@@ -1,10 +1,10 @@
 """Optimize objectives in strict order: each optimum is proven before the next objective is optimized."""
 
-from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._milp import Program
 
 __all__ = ["Solution", "pursue"]
@@ -149,8 +149,8 @@ def pursue(
     """
     now = _Pursuit(program, first, limit, integral=integral)
     objectives, k = program.objectives, 0
-    left = deadline - perf_counter()
-    halt = deadline - FOR_FILLING * left if np.isfinite(left) and len(objectives) > 1 else deadline
+    time_left = left(deadline)
+    halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and len(objectives) > 1 else deadline
     bounds = now.high.copy()
     while k < len(objectives):
         if tell is not None:
@@ -165,8 +165,7 @@ def pursue(
         bounds[k : k + n] = now.solved[k:]
         k += n
     if squared_cost and k == len(objectives):
-        cost = np.append(program.candidates.options.cost[program.candidate], np.zeros(len(program.short)))
-        x, _ = now.maximize(-cost, now.solved, deadline, gap=1e-9)
+        x, _ = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
         if x is not None:
             now.x = x
     if now.x is None:

@@ -138,6 +138,6 @@ def stand(candidates, chosen):
     and the positioner of each target.
     """
     now = np.full(len(chosen), -1)
-    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(len(candidates.problem.xy), -1)
+    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(max(len(candidates.problem.xy), 1), -1)
     moves.put_all(chosen, candidates.options, now, blocked, holder)
     return now, blocked, holder

@@ -12,7 +12,7 @@ from rfpsurvey.allocation._local_search import match, pick, repair_collisions, t
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["METHODS"]
+__all__ = ["METHODS", "with_cost"]
 
 
 def balanced(problem: AllocationProblem) -> AllocationAnswer:
@@ -107,10 +107,10 @@ def _search(problem, **options):
     from rfpsurvey.allocation._search import decide  # imported on first use, because it imports solvers
 
     with searching():
-        return decide(_with_cost(problem), **options)
+        return decide(problem, **options)
 
 
-def _with_cost(problem):
+def with_cost(problem: AllocationProblem) -> AllocationProblem:
     """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
 
     The larger the subpriority of the target, the lower the cost of the pair.

@@ -71,6 +71,11 @@ class Program:
         x[self.short] = matrix[:, self.short].T @ np.where(np.isfinite(lack), lack, 0.0)
         return x
 
+    @property
+    def costs(self) -> np.ndarray:
+        """Cost of each variable; the lowest total cost decides between plans that are equally good."""
+        return np.append(self.candidates.options.cost[self.candidate], np.zeros(len(self.short)))
+
     def chosen(self, x: np.ndarray) -> np.ndarray:
         """Return the candidates that are in use if the variables have the given values."""
         return self.candidate[np.flatnonzero(x[: len(self.candidate)] > 0.5)]

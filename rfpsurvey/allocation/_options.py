@@ -11,7 +11,7 @@ from rfpsurvey._plugins import find_function, name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
-from rfpsurvey.allocation._subpriority import check_seed
+from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -275,6 +275,12 @@ class AllocationOptions:
         return replace(self, requirements=requirements, sky_separation=separation, **unused)
 
     @property
+    def breaks_ties(self) -> bool:
+        """Whether a hash decides between plans that are equally good, so that the order of targets has no influence."""
+        start = self.start if self.allocator == "repair" and isinstance(self.start, str) else None
+        return self.subpriority is None and "optimal" in (self.allocator, start)
+
+    @property
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
@@ -290,6 +296,7 @@ class AllocationOptions:
             "required": recorded([str(name) for name in self.required]),
             "keep_out": recorded([circle_text(region) for region in self.keep_out]),
             **({} if self.subpriority is None else {"subpriority": self.subpriority}),
+            **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
         }
 
 

@@ -1,15 +1,16 @@
 """The allocation problem that every allocator receives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
-from rfpsurvey._units import locked
+from rfpsurvey._units import exact_text, locked
 from rfpsurvey.allocation._answer import AllocationAnswer
+from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._options import AllocationOptions
 from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
@@ -77,6 +78,10 @@ class AllocationProblem:
     subpriority : ndarray of float, shape (n_targets,), optional
         Subpriority of each target, if the options have a ``subpriority``. The rows of the targets are then in order of
         decreasing subpriority; the rows of blank positions follow.
+    deadline : float, optional
+        Time at which the time limit of the plan ends, on the clock of the built-in allocators.
+    row : ndarray of int, shape (n_targets,), optional
+        Row of each target in the order in which the targets were given, if the targets were sorted to break ties.
 
     Examples
     --------
@@ -110,9 +115,13 @@ class AllocationProblem:
     watched: np.ndarray | None = None
     tell: Callable[[float, str], None] | None = None
     subpriority: np.ndarray | None = None
+    deadline: float | None = None
+    row: np.ndarray | None = None
 
     def __post_init__(self):
         n = len(self.xy)
+        if self.deadline is None:
+            object.__setattr__(self, "deadline", now() + self.time_limit)
         if self.subpriority is not None:
             object.__setattr__(self, "subpriority", locked(self.subpriority))
         usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
@@ -262,6 +271,61 @@ class AllocationProblem:
         """
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
+    @cached_property
+    def as_given(self) -> "AllocationProblem":
+        """The same problem with the targets in the order in which they were given."""
+        if self.row is None:
+            return self
+        order, reach = np.argsort(self.row), self.pairs
+        size = np.diff(reach.indptr)[order]
+        begin = np.cumsum(size) - size
+        pairs = np.repeat(reach.indptr[order] - begin, size) + np.arange(size.sum())
+        names = ("xy", "rank", "kind", "category", "fiber_type", "is_required")
+        return replace(
+            self,
+            pairs=Reach(np.append(begin, size.sum()), reach.owner[pairs], reach.r2[pairs], reach.n_positioners),
+            watched=None if self.watched is None else np.append(self.row, -1)[self.watched],
+            row=None,
+            **{name: getattr(self, name)[order] for name in names},
+        )
+
+    @cached_property
+    def level_names(self) -> tuple[str, ...]:
+        """Names of the objectives, in order of precedence."""
+        classes = [f"priority {exact_text(value)}" for value in self.classes]
+        names = {
+            "required targets": self.any_required,
+            "requirements": bool(self.groups),
+            "science": len(classes) == 1 or (self.objective == "count" and len(classes) > 1),
+        }
+        first = [name for name, is_used in names.items() if is_used]
+        return (*first, *(classes if len(classes) > 1 else ()), *(() if self.science.all() else ("any target",)))
+
+    def level_values(self, target_of: np.ndarray) -> np.ndarray:
+        """Return the value of each objective in `level_names` for a plan; larger values are better.
+
+        Parameters
+        ----------
+        target_of : ndarray of int, shape (n_positioners,)
+            Target of each positioner, or -1 if it has no target.
+
+        Returns
+        -------
+        ndarray of float
+            The values, in order of precedence.
+        """
+        used = target_of[target_of >= 0]
+        counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
+        first = []
+        if self.any_required:
+            first.append(self.is_required[used].sum())
+        if self.groups:
+            missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
+            first.append(-sum(max(n, 0) for n in missing))
+        if self.objective == "count" and len(self.classes) > 1:
+            first.append(counts[:-1].sum())
+        return np.concatenate([first, counts[:-1], [] if self.science.all() else [counts.sum()]]) + 0.0
+
     def values(self, target_of: np.ndarray) -> dict[str, float]:
         """Return the value of each objective of a plan, in order of precedence; larger values are better.
 
@@ -275,27 +339,32 @@ class AllocationProblem:
         dict of str to float
             Name and value of each objective.
         """
-        used = target_of[target_of >= 0]
-        counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
-        levels = {}
-        if self.any_required:
-            levels["required targets"] = float(self.is_required[used].sum())
-        if self.groups:
-            missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
-            levels["requirements"] = 0.0 - sum(max(n, 0) for n in missing)
-        if self.objective == "count" and len(self.classes) > 1:
-            levels["science"] = float(counts[:-1].sum())
-        for priority, count in zip(self.classes, counts[:-1], strict=True):
-            levels["science" if len(self.classes) == 1 else f"priority {priority:.15g}"] = float(count)
-        if not self.science.all():
-            levels["any target"] = float(counts.sum())
-        return levels
+        return dict(zip(self.level_names, self.level_values(target_of).tolist(), strict=True))
 
     def _counts(self, target_of: np.ndarray) -> list[int]:
         """Return the number of fibers of a plan that count toward each group of `groups`."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
+
+    def meets_requirements(self, target_of: np.ndarray) -> bool:
+        """Return whether a plan meets all requirements.
+
+        Parameters
+        ----------
+        target_of : ndarray of int, shape (n_positioners,)
+            Target of each positioner, or -1 if it has no target.
+
+        Returns
+        -------
+        bool
+            Whether no minimum is missed and no maximum is exceeded.
+        """
+        counted = zip(self.groups, self._counts(target_of), strict=True)
+        return all(
+            group.requirement.minimum <= n <= (n if group.requirement.maximum is None else group.requirement.maximum)
+            for group, n in counted
+        )
 
     def shortfalls(self, target_of: np.ndarray) -> list[Shortfall]:
         """Return the requirements that a plan does not meet.

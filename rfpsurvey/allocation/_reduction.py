@@ -19,7 +19,7 @@ def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
     options : Options
         All candidates.
     deadline : float, optional
-        Value of `time.perf_counter` at which the removal stops.
+        Value of `now` at which the removal stops.
 
     Returns
     -------

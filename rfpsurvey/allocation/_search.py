@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,15 +9,34 @@ from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
-from rfpsurvey.allocation._clock import OutOfTimeError, left, share
+from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
+from rfpsurvey.allocation._local_plans import (
+    AT_LEAST,
+    MOST_PAIRS,
+    Found,
+    better_of,
+    local_optimum,
+    repaired_plan,
+    unproven,
+    values_of,
+)
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
+from rfpsurvey.allocation._methods import lamost, with_cost
 from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._objectives import (
+    conditional_bounds,
+    levels_of,
+    matching_limits,
+    offset_of,
+    with_used_classes,
+)
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reduction import reduced
+from rfpsurvey.allocation._subpriority import TIE_SEED
 from rfpsurvey.focal_plane import Reach, elbow_names
 
 __all__ = ["decide"]
@@ -31,19 +48,17 @@ LARGEST = 20_000
 # Fractions of the time that are reserved for the bound on plans that use omitted candidates, and for the integer
 # programs of clusters.
 FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
-# Fractions of the remaining time: for finding the candidates and their collisions, for adjusting the prices of one
+# Fractions of the remaining time: for finding the collisions of the candidates, for adjusting the prices of one
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
-FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.4, 0.25, 0.6
+FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
+# The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the
+# time limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search
+# does not prove an optimum.
+LATE, LONG = 0.1, 12
+# Fraction of the time limit for a plan without the requirements.
+FOR_FREE = 0.5
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
-# Largest number of collisions of candidates: a constant, the number that is added for each second of the time limit,
-# and the maximum of the sum.
-PAIRS = (200_000, 350_000, 20_000_000)
-# Largest number of tests of two candidates for a collision: a constant, and the number that is added for each second of
-# the time limit. The estimate of this number assumes candidates for at most MOST_TARGETS targets per positioner.
-TESTS, MOST_TARGETS = (20_000_000, 100_000_000), 128
-# Time in seconds that the search for candidates may always take, even if the time limit is shorter.
-AT_LEAST = 0.1
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
 FOR_LAST = 0.1
 # If it takes too long to find all collisions, only the best targets of each positioner are used. These numbers of best
@@ -61,68 +76,113 @@ ROUNDING = 1e-4
 def decide(
     problem: AllocationProblem, *, collide: bool, integral: bool = True, squared_cost: bool = False
 ) -> AllocationAnswer:
-    """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide."""
-    deadline = perf_counter() + problem.time_limit
-    everything, whole = _candidates_in_time(problem, deadline, collide=collide, squared_cost=squared_cost)
+    """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide.
+
+    If ``collide`` is true, the plan is at least as good as the plan of ``repair``, provided that the time limit is long
+    enough for ``repair``.
+    """
+    given, deadline = problem, problem.deadline
+    if collide and problem.groups:
+        answer = _without_requirements(problem, integral=integral, squared_cost=squared_cost)
+        if answer is not None:
+            return answer
+        if problem.subpriority is None and any((group.targets & problem.science).any() for group in problem.groups):
+            # With subpriorities, the requirements change no more targets than necessary. The order of rows is random.
+            order = np.sort(np.random.default_rng(TIE_SEED).random(len(problem.xy)))[::-1]
+            problem, squared_cost = replace(problem, subpriority=order), True
+    problem = with_cost(problem)
     options = {"integral": integral, "squared_cost": squared_cost}
+    begin = now()
+    everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
+    spent = now() - begin
+    problem, everything, kept = with_used_classes(problem, everything)
+    names, repaired, found = problem.level_names, None, None
+    is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
+    if collide and is_long and not is_late and whole and not squared_cost:
+        found = local_optimum(replace(given, row=None), everything)
+    if collide and (is_long or is_late) and found is None:
+        repaired = repaired_plan(given, everything, whole)
+        if left(deadline) < spent:
+            found = unproven(everything, repaired)
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    used, found = _search(everything, share(halt, 1 - FOR_BOUND) if n_left_out else halt, collide=collide, **options)
+    is_searched = found is None
+    if is_searched:
+        end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
+        used, found = _search(everything, end, collide=collide, **options)
+    else:
+        used = everything
     chosen, bounds, bounding = found.chosen, found.bounds, used
     meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
     proven = found.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
+    if collide and n_left_out and is_searched:
         bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
         proven = (found.values >= bounds) & (relaxed.values >= bounds)
-    names = list(problem.values(np.full(0, -1)))
-    values = _values(used, chosen)
+    values = values_of(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
-        limits = _matching_limits(problem, everything if whole else None, names)
+        limits = matching_limits(problem, everything if whole else None, names)
         if collide:
+            if repaired is None:
+                repaired = repaired_plan(given, everything, whole)
+            used, chosen = better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
-            values = _values(used, chosen)
-        bounds = np.minimum(bounds, _conditional(problem, names, values, limits, first))
-    bounds = np.maximum(bounds, values)
+            values = values_of(used, chosen)
+        bounds = np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
-        chosen = separate_idle_arms(everything, chosen, max(deadline, perf_counter() + AT_LEAST))
-    target_of = used.options.target[chosen]
-    levels = [Level(n, float(v), float(b)) for n, v, b in zip(names, values, bounds, strict=True)]
-    return AllocationAnswer(target_of, elbow_names(used.side[chosen]), None, levels, meta)
+        chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
+    target_of, side = used.options.target[chosen], used.side[chosen]
+    if repaired is not None and tuple(problem.level_values(repaired.target_of)) > tuple(values):
+        # the plan of ``repair`` uses a candidate that was left out
+        target_of, side = repaired
+        values = problem.level_values(target_of)
+    levels = levels_of(given, offset_of(problem, names), kept, values, np.maximum(bounds, values))
+    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 
-def _candidates_in_time(problem, deadline, *, collide, squared_cost):
+def _without_requirements(problem, **options):
+    """Return the best plan of the problem without its requirements; return None if it does not meet the requirements.
+
+    Requirements that are met anyway therefore have no influence on which of several equally good plans is returned.
+    """
+    free = replace(
+        problem,
+        options=replace(problem.options, requirements=()),
+        deadline=share(problem.deadline, FOR_FREE),
+    )
+    if not problem.meets_requirements(lamost(free).target_of_positioner):
+        return None
+    answer = decide(free, collide=True, **options)
+    if not problem.meets_requirements(answer.target_of_positioner):
+        return None
+    levels = list(answer.levels)
+    levels.insert(problem.level_names.index("requirements"), Level("requirements", 0.0, 0.0))
+    return answer._replace(levels=levels)
+
+
+def _candidates_in_time(problem, *, collide, squared_cost):
     """Return the candidates, and whether the list of candidates is complete.
 
     If it takes too long to find all collisions, only the best targets of each positioner are used.
     """
     if not collide:
         return find_candidates(problem, collide=False, squared_cost=squared_cost), True
-    room = min(PAIRS[0] + PAIRS[1] * problem.time_limit, PAIRS[2])
-    count, pairs = (
-        np.bincount(problem.pairs.owner, minlength=problem.pairs.n_positioners),
-        problem.focal_plane.arrays.neighbors,
-    )
+    deadline = problem.deadline
     for most in (None, *FEWER):
         last = most == FEWER[-1]
-        size = np.minimum(count, MOST_TARGETS if most is None else most)
         sorting = 0.0 if most is None else (PAIR_SECONDS + SORT_SECONDS * most) * len(problem.pairs.owner)
-        if not last and (
-            sorting > FOR_CANDIDATES * left(deadline)
-            or (size[pairs[:, 0]] * size[pairs[:, 1]]).sum() > TESTS[0] + TESTS[1] * problem.time_limit
-        ):
+        if not last and sorting > FOR_CANDIDATES * left(deadline):
             continue
         some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
-        seconds = np.inf if last else max(FOR_CANDIDATES * left(deadline), AT_LEAST)
+        limits = {} if last else {"seconds": max(FOR_CANDIDATES * left(deadline), AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
-            found = find_candidates(
-                some, squared_cost=squared_cost, seconds=seconds, most_pairs=np.inf if last else room
-            )
+            found = find_candidates(some, squared_cost=squared_cost, **limits)
         except OutOfTimeError:
             continue
         return found, most is None
@@ -152,11 +212,6 @@ def _chosen_in(everything, used, chosen):
     return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
-def _values(candidates, chosen):
-    """Return the values of the objectives of a plan."""
-    return np.array(list(candidates.problem.values(candidates.options.target[chosen]).values()))
-
-
 def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
@@ -166,11 +221,11 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
     problem = used.problem
 
     def is_best(plan):
-        values = _values(used, plan)
-        return bool((values >= np.minimum(bounds, _conditional(problem, names, values, limits, first))).all())
+        values = values_of(used, plan)
+        return bool((values >= np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))).all())
 
     def better(plan):
-        return plan if tuple(_values(used, plan)) > tuple(_values(used, chosen)) else chosen
+        return plan if tuple(values_of(used, plan)) > tuple(values_of(used, chosen)) else chosen
 
     able, weights = [], []
     if bounding is not None:
@@ -189,7 +244,7 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
-            offset = _offset(problem, names)
+            offset = offset_of(problem, names)
             limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
     except OutOfTimeError:
         pass
@@ -199,49 +254,6 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
 def _whole(bound):
     """Return the largest whole number that does not exceed a bound, which may have rounding errors."""
     return np.floor(bound + ROUNDING)
-
-
-def _offset(problem, names):
-    """Return the index of the objective of the most important class in the list of all objectives."""
-    return len(names) - len(problem.classes) - (not problem.science.all())
-
-
-def _matching_limits(problem, everything, names):
-    """Return upper limits of the objectives from the best matching, in which arms may collide.
-
-    The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
-    more of these targets than the matching. If ``everything`` is None, or if there are required targets, the limits are
-    the numbers of targets in reach.
-    """
-    n, n_classes = problem.pairs.n_positioners, len(problem.classes)
-    if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
-        target = np.flatnonzero(np.diff(problem.pairs.indptr) > 0)
-        if problem.watched is not None:
-            target = np.union1d(target, problem.watched[problem.watched >= 0])
-    else:
-        target = match(everything)
-        target = target[target >= 0]
-    most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    offset = _offset(problem, names)
-    limits = np.empty(len(names))
-    for k, name in enumerate(names[:offset]):
-        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
-            name, most[n_classes - 1]
-        )
-    limits[offset:] = most[: len(names) - offset]
-    return limits
-
-
-def _conditional(problem, names, values, limits, first):
-    """Return an upper bound of each objective, given the values of all earlier objectives.
-
-    The bounds of objectives before ``first`` are infinite.
-    """
-    offset, bounds = _offset(problem, names), limits.copy()
-    last = offset + len(problem.classes)
-    bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
-    bounds[:first] = np.inf
-    return bounds
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
@@ -254,10 +266,10 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
     found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
-        return everything, found._replace(chosen=chosen, values=_values(everything, chosen))
+        return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
     if (found.values < found.bounds).any() and collide:
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
-        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, perf_counter() + FOR_LAST)))
+        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
     return used, found
 
 
@@ -268,16 +280,7 @@ def _plan(candidates, chosen, collide, deadline):
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
-class _Found(NamedTuple):
-    chosen: np.ndarray
-    """Candidate that each positioner uses; -1 if no candidate was found within the time limit."""
-    values: np.ndarray
-    bounds: np.ndarray
-    complete: bool
-    meta: dict
-
-
-def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> _Found:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> Found:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
@@ -286,10 +289,9 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
     n_left = np.diff(options.start)
     chosen = np.where(n_left == 1, options.start[:-1], -1)
     known = chosen[chosen >= 0]
-    levels = problem.values(np.where(chosen < 0, -1, options.target[chosen]))
-    values = bounds = np.array(list(levels.values()))
+    values = bounds = problem.level_values(np.where(chosen < 0, -1, options.target[chosen]))
     # The requirements of a part also count the targets of the parts that are already solved.
-    adds = np.array([name != "requirements" for name in levels])
+    adds = np.array([name != "requirements" for name in problem.level_names])
     n_parts = n_programs = 0
     integers, complete = False, True
     parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
@@ -319,19 +321,19 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return _Found(chosen, values, bounds, complete, meta)
+    return Found(chosen, values, bounds, complete, meta)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
     """Return the initial plan of a part, with upper bounds from a matching in which arms may collide."""
-    problem = candidates.problem
+    problem, options = candidates.problem, candidates.options
     if problem.groups:  # the initial plan may exceed the maximum of a requirement
         return Solution(None, np.full(n_levels, -np.inf), np.full(n_levels, np.inf), 0, False)
-    collides = np.isin(edges, start).all(axis=0).any()
+    in_use = np.zeros(len(candidates), dtype=bool)
+    in_use[start] = True
+    collides = (in_use[edges[0]] & in_use[edges[1]]).any()
     # Without requirements, the values only depend on the targets in use.
-    values, best = (
-        np.array(list(problem.values(candidates.options.target[used]).values())) for used in (start, blind[blind >= 0])
-    )
+    values, best = (problem.level_values(options.target[used]) for used in (start, blind[blind >= 0]))
     bounds = best if (values == best).all() else np.full(len(values), np.inf)
     return Solution(None if collides else start, values, bounds, 0, False)
 

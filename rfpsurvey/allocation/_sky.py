@@ -114,6 +114,8 @@ def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) 
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.any_required:
         columns["is_required"] = np.concatenate([problem.is_required, np.zeros(k, dtype=bool)])
+    if problem.row is not None:
+        columns["row"] = np.append(problem.row, np.arange(len(problem.row), len(problem.row) + k))
     if problem.subpriority is not None:
         columns["subpriority"] = np.append(problem.subpriority, np.full(k, problem.subpriority.min(initial=0.0)))
     if plane.fiber_types != ("",):

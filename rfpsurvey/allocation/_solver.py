@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 from scipy.sparse import csr_array
 
-from rfpsurvey.allocation._clock import left, stop
+from rfpsurvey.allocation._clock import left, now, stop
 
 __all__ = ["maximize", "with_errors"]
 
@@ -53,7 +53,7 @@ def maximize(
     goal, most : ndarray of float, shape (n,)
         Coefficient and upper bound of each variable; the lower bound is 0.
     deadline : float
-        Value of `time.perf_counter` at which the search ends.
+        Value of `now` at which the search ends.
     integral : bool
         Whether the variables must be whole numbers.
     gap : float
@@ -127,8 +127,8 @@ def _run(solver, deadline: float) -> bool:
     solver.HandleUserInterrupt = True
     thread.start()
     try:
-        while thread.is_alive() and perf_counter() < deadline + GRACE and not stop.is_set():
-            thread.join(min(max(deadline + GRACE - perf_counter(), 0.0), INTERVAL))
+        while thread.is_alive() and now() < deadline + GRACE and not stop.is_set():
+            thread.join(min(max(deadline + GRACE - now(), 0.0), INTERVAL))
     finally:
         if thread.is_alive():
             solver.cancelSolve()

@@ -6,7 +6,12 @@ from rfpsurvey._kernels import hashing
 from rfpsurvey._units import rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, short
 
-__all__ = ["id_numbers", "service_order", "subpriorities", "to_subpriorities"]
+__all__ = ["TIE_SEED", "id_numbers", "service_order", "subpriorities", "tie_order", "to_subpriorities"]
+
+# Seed of the hash by which ``optimal`` breaks ties.
+TIE_SEED = 0
+# Positions that agree in this length (mm) have the same hash.
+SAME_POSITION_MM = 1e-6
 
 
 def id_numbers(ids: np.ndarray) -> np.ndarray:
@@ -154,3 +159,27 @@ def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
     if (np.diff(values[order]) == 0).any():
         order = np.lexsort((id_numbers(ids), -values))
     return order
+
+
+def tie_order(xy_mm: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
+    """Return the rows of targets in an order that does not depend on the order of the catalog.
+
+    The targets are sorted by a hash of their identifiers or, if there are no identifiers, of their positions.
+
+    Parameters
+    ----------
+    xy_mm : ndarray of float, shape (n, 2)
+        Positions on the focal plane, mm.
+    ids : ndarray of int or str, shape (n,), optional
+        Identifiers.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Rows of the targets.
+    """
+    if ids is not None:
+        return service_order(_of_numbers(id_numbers(ids), TIE_SEED), ids)
+    whole = np.rint(np.nan_to_num(xy_mm) / SAME_POSITION_MM).astype(np.int64)
+    x, y = np.ascontiguousarray(whole.T).view(np.uint64)
+    return service_order(_of_numbers(_of_numbers(x, TIE_SEED).view(np.uint64) ^ y, TIE_SEED), y)

@@ -1,6 +1,6 @@
 """Functions for planning tiles together: lists of candidates, integer programs with weights, and bounds from prices."""
 
-from time import perf_counter, time
+from time import time
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.sparse import csr_array, vstack
 from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._prices import ROUNDING, Prices
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._solver import maximize, with_errors
@@ -132,7 +133,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     if problem.first is not None:
         start = np.zeros(n)
         start[problem.first] = 1.0
-    deadline = perf_counter() + problem.deadline - time()
+    deadline = now() + problem.deadline - time()
     x, bound = maximize(
         rows,
         problem.weight,

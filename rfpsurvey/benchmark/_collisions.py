@@ -116,7 +116,7 @@ def benchmark_collisions(
     Raises
     ------
     InputError
-        If a method is unknown or cannot run on this machine, or if a number is not positive.
+        If the arms have outlines, if a method is unknown or cannot run on this machine, or if a number is not positive.
 
     Examples
     --------
@@ -126,6 +126,11 @@ def benchmark_collisions(
     ['    exact          0', 'endpoints          0']
     """
     plane = as_focal_plane(instrument)
+    if plane.positioner.outline is not None:
+        raise InputError(
+            "the arms must be segments for this benchmark, because only the method 'exact' supports outlines, got the "
+            "arm model 'outline'; use another arm model of the instrument (with_arm_model)"
+        )
     names = _check_methods(methods)
     check_whole(n_configurations, "n_configurations")
     check_whole(repeats, "repeats")

@@ -29,6 +29,10 @@ EFFORTS = {
 }
 
 
+WITHOUT_OUTLINES = ("close_pair", "closed_form")
+"""Methods that do not support outlines of arms."""
+
+
 def benchmark_probability(
     instrument: str | Instrument | FocalPlane = "lamost",
     *,
@@ -51,7 +55,7 @@ def benchmark_probability(
         `~rfpsurvey.collision_probability`.
     efforts : mapping of str to sequence of int, optional
         Efforts of each method: the numbers of iterations, realizations or points for which the method is run. Give 0
-        for the methods that are formulas.
+        for the methods that are formulas. By default, all methods that support the arm model.
     repeats : int, optional
         Number of runs with different random numbers for each method and effort.
     precision : float, optional
@@ -86,7 +90,9 @@ def benchmark_probability(
     ['quadrature     64', 'quadrature    128']
     """
     plane = as_focal_plane(instrument)
-    efforts = EFFORTS if efforts is None else efforts
+    if efforts is None:
+        outlined = plane.positioner.outline is not None
+        efforts = {name: n for name, n in EFFORTS.items() if not (outlined and name in WITHOUT_OUTLINES)}
     if not isinstance(efforts, Mapping) or not efforts:
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
     estimands = {method: find_method(method, METHODS)[1] for method in efforts}

@@ -13,18 +13,18 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
-from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_scalar, to_visits
+from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_plain, to_priorities, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
-from rfpsurvey.catalog._extra import extra_columns, result_name
-from rfpsurvey.catalog._motion import move_coordinates
-from rfpsurvey.catalog._time import to_time
+from rfpsurvey.catalog._extra import extra_columns
+from rfpsurvey.catalog._motion import move_coordinates, moving
+from rfpsurvey.catalog._time import known_epochs, to_time
 from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal, warn
 
 __all__ = ["Catalog"]
 
-_PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits")
+_PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
 
 
 @check_keywords
@@ -51,7 +51,8 @@ class Catalog:
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
-        Number of visits (observations) that each target requires in a survey, 0 to 255; by default 1.
+        Number of visits (observations) that each target requires, 0 to 255; by default 1. Science targets with 0 visits
+        are not assigned, except required targets.
     epoch : Time, optional
         Epoch of the positions, scalar or shape (n,); by default ``coord.obstime``.
     meta : dict, optional
@@ -61,6 +62,11 @@ class Catalog:
     extra : dict or Table, optional
         Further columns that results include, such as magnitudes. Columns contain numbers, text or booleans, with or
         without units. Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
+    subpriority : array_like of float, shape (n,), optional
+        Order of the targets within each priority class, as the option ``subpriority`` of `AllocationOptions`, which
+        replaces this column.
+    numbered : bool, optional
+        Whether ``id`` contains row numbers; True if ``id`` is not given.
 
     Raises
     ------
@@ -89,10 +95,12 @@ class Catalog:
     meta: dict = field(default_factory=dict)
     n_dropped: int = 0
     extra: QTable | None = None
+    subpriority: np.ndarray | None = None
+    numbered: bool = False
 
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
-        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch")
+        epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch", gaps=True)
         coord = to_direction(coord, "coord")
         coord = coord.reshape(1) if coord.isscalar else coord
         if coord.ndim != 1:
@@ -102,8 +110,11 @@ class Catalog:
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None:
+                if name == "priority":
+                    columns[name] = to_priorities(value)
+                    continue
                 try:
-                    columns[name] = to_plain(value, name).astype(float if name in ("priority", "visits") else str)
+                    columns[name] = to_plain(value, name).astype(str if name in TEXTS else float)
                 except InputError:
                     raise
                 except (TypeError, ValueError) as error:
@@ -115,22 +126,24 @@ class Catalog:
         if "kind" in columns:
             for kind in np.unique(columns["kind"]).tolist():
                 check_choice(kind, ("science", "standard", "sky"), "kind of target")
-        if "priority" in columns and (lacking := ~np.isfinite(columns["priority"])).any():
-            raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
+        for name in {"priority", "subpriority"} & set(columns):
+            if (lacking := ~np.isfinite(columns[name])).any():
+                raise InputError(f"{name} must be a finite number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
         if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
             raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
-        keep = np.isfinite(to_plain(coord.data.lon)) & np.isfinite(to_plain(coord.data.lat))
-        n_bad = int(n - keep.sum())
-        if n_bad:
+        epoch = None if epoch is None else known_epochs(epoch, moving(coord))
+        keep = np.isfinite(coord.data.lon.value) & np.isfinite(coord.data.lat.value)
+        if n_bad := int(n - keep.sum()):
             coord = coord[keep]
             columns = {name: value[keep] for name, value in columns.items()}
             extra = None if extra is None else extra[keep]
             if epoch is not None and not epoch.isscalar:
                 epoch = epoch[keep]
             warn(f"{n_bad} of {n} targets have no finite coordinates and were removed")
-        for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra}.items():
+        numbered = self.id is None or bool(self.numbered)
+        for name, value in {**columns, "coord": coord, "epoch": epoch, "extra": extra, "numbered": numbered}.items():
             object.__setattr__(self, name, value)
         for name, kind, what in (("n_dropped", int | np.integer, "a whole number"), ("meta", Mapping, "a dict")):
             if not isinstance(getattr(self, name), kind):
@@ -201,8 +214,10 @@ class Catalog:
             Table with a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b`` (with
             ``frame="galactic"``). The columns ``pmra`` (with cos dec), ``pmdec``, ``ref_epoch``, ``id``,
-            ``priority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized. A DataFrame of
-            pandas or Polars and an Arrow table are accepted.
+            ``priority``, ``subpriority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized.
+            Target tables of DESI and SDSS-V are recognized by their columns; small priorities of SDSS-V are more
+            important. ``meta["columns"]`` of the catalog states which column has which role. A DataFrame of pandas or
+            Polars and an Arrow table are accepted.
         columns : dict, optional
             Names of columns that are not recognized automatically. The keys are recognized names; for example,
             ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus sign before the name of a column reverses the
@@ -216,8 +231,9 @@ class Catalog:
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
-            Values that replace missing values (masked or NaN) of ``priority``, ``visits``, ``kind``, ``category`` or
-            ``fiber_type``, as in ``{"priority": 0}``. A minus sign in ``columns`` does not affect these values.
+            Values that replace missing values (masked or NaN) of ``priority``, ``subpriority``, ``visits``, ``kind``,
+            ``category`` or ``fiber_type``, as in ``{"priority": 0}``. A minus sign in ``columns`` does not affect these
+            values.
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
 
@@ -247,8 +263,9 @@ class Catalog:
 
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
-        found = _tables.read_columns(table, columns, units, frame, fill, assume_units=assume_units)
-        return cls(**found, extra=_tables.kept_columns(table, keep, columns, frame))
+        extra = _tables.kept_columns(table, keep, columns, frame)
+        found = _tables.read_columns(table, columns, units, frame, fill, keep, assume_units=assume_units)
+        return cls(**found, extra=extra)
 
     @classmethod
     @check_keywords
@@ -308,19 +325,7 @@ class Catalog:
         QTable
             Columns ``id``, ``ra``, ``dec`` (ICRS) and all other columns of the catalog.
         """
-        icrs = self.coord.icrs
-        table = QTable({"id": self.id, "ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}, meta=dict(self.meta))
-        if self.has_proper_motion:
-            table["pmra"] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
-            table["pmdec"] = icrs.pm_dec.to(u.mas / u.yr)
-        if self.epoch is not None:
-            table["ref_epoch"] = np.broadcast_to(self.epoch.jyear, len(self)) * u.yr
-        for name in _PER_TARGET[1:]:
-            if getattr(self, name) is not None:
-                table[name] = getattr(self, name)
-        for name in [] if self.extra is None else self.extra.colnames:
-            table[result_name(name)] = self.extra[name]
-        return table
+        return _tables.catalog_table(self)
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
         """Write the catalog as FITS or ECSV; if writing fails, no incomplete file remains.
@@ -366,7 +371,8 @@ class Catalog:
             If the catalog has proper motions but no epoch.
         """
         time = to_time(time, "time")
-        if not self.has_proper_motion or len(self) == 0:
+        still = self.epoch is None and not moving(self.coord).any()
+        if still or not self.has_proper_motion or len(self) == 0:
             return self
         if self.epoch is None:
             remedy = "give Catalog(..., epoch=), a column of epochs, or --column epoch=J2016"

@@ -7,8 +7,9 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._readers import is_number
-from rfpsurvey._units import rows_of, to_labels, to_plain
-from rfpsurvey.errors import InputError, check_choice, refusal, short
+from rfpsurvey._units import rows_of, to_labels, to_plain, to_priorities
+from rfpsurvey.catalog._survey_formats import SurveyFormat, find_format
+from rfpsurvey.errors import InputError, check_choice, refusal, short, warn
 
 __all__ = ["ROLES", "Finder"]
 
@@ -37,7 +38,8 @@ ROLES = {
     "kind": ("kind target_kind", ""),
     "category": ("category target_category", ""),
     "fiber_type": ("fiber_type fibertype instrument", ""),
-    "visits": ("visits n_visits nvisits numobs numobs_init n_exposures", ""),
+    "subpriority": ("subpriority", ""),
+    "visits": ("visits n_visits nvisits n_exposures", ""),
     "positioner": (
         "positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id",
         "",
@@ -58,7 +60,12 @@ UNITS = {
 # Text that marks missing values (case is ignored).
 NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
 # Roles whose missing values can be filled, and whether the values of each role are numbers.
-FILLED = {"priority": True, "visits": True, "kind": False, "category": False, "fiber_type": False}
+FILLED = {
+    **{"priority": True, "subpriority": True, "visits": True},
+    **{"kind": False, "category": False, "fiber_type": False},
+}
+# Largest number of columns without a role that a statement on the columns lists.
+MOST_LISTED = 20
 # One degree per day: no object outside the solar system moves this fast.
 MOST_MOTION = 1.3e9 * u.mas / u.yr
 
@@ -78,6 +85,10 @@ class Finder:
     """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
     """Default units of the columns whose unit was assumed; the keys are the roles of the columns."""
+    format: SurveyFormat | None = field(default=None, init=False)
+    """Format of the table, if the table has the columns of a known survey."""
+    given: frozenset = field(default=frozenset(), init=False)
+    """Roles whose columns are given by ``columns``."""
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -94,6 +105,9 @@ class Finder:
                 raise InputError(f"the value of columns for {role} must be the name of a column, got {short(name)}")
         for role in self.units:
             check_choice(role, UNITS, "column role with a unit")
+        self.format, self.given = find_format(self.table.colnames), frozenset(self.columns)
+        if self.format is not None:
+            self.columns = {**self.format.columns, **self.columns}
 
     def name_of(self, role: str) -> str | None:
         """Return the name of the column with this role, or None if no column has this role."""
@@ -169,6 +183,8 @@ class Finder:
         """Return the column with this role as float64; text that contains decimal numbers is converted."""
         name = self.name_of(role)
         values = self._plain(role)
+        if role == "priority" and values.dtype.kind in "iu":
+            values = to_priorities(values, f"column {name!r} ({role})")
         try:
             if values.dtype.kind == "U":
                 values = np.where(np.isin(np.char.lower(np.char.strip(values)), NOTHING), "nan", values)
@@ -251,6 +267,34 @@ class Finder:
             else ""
         )
         return InputError(text + remedy)
+
+    def warn_of_doubt(self) -> None:
+        """Warn if a survey format is recognized, but columns of this format are missing and are not given."""
+        if self.format is not None and self.format.doubt and not set(self.format.columns) & self.given:
+            warn(f"{self.format.doubt}; to use other columns, give columns= or --column")
+
+    def statement(self, roles: tuple[str, ...], keep: list[str] = (), coord: list[str] = ()) -> str:
+        """Return text that states the column of each role, and that lists the columns that are not used.
+
+        ``keep`` lists the columns that results include, and ``coord`` those that contain `SkyCoord` objects.
+        """
+        names = {role: self.name_of(role) for role in roles}
+        if names.get("kind", "") is None and self.format is not None:
+            names["kind"] = self.format.bits
+        signs = {role: " (reversed sign)" for role, name in self.columns.items() if name.startswith("-")}
+        said = [
+            f"{role}: {name or 'none'}{signs.get(role, '')}"
+            for role, name in names.items()
+            if name or role in ("priority", "visits")
+        ]
+        said += [f"coord: {name}" for name in coord]
+        unused = [name for name in self.table.colnames if name not in {*names.values(), *keep, *coord}]
+        more = len(unused) - MOST_LISTED
+        unused = unused[:MOST_LISTED] + ([f"and {more} more"] if more > 0 else [])
+        parts = [", ".join(said), f"kept: {', '.join(keep)}" if keep else ""]
+        parts += [f"not used: {', '.join(unused)}" if unused else ""]
+        start = "" if self.format is None else f"{self.format.name}: "
+        return start + "; ".join(part for part in parts if part)
 
     def listing(self) -> str:
         """Return a phrase that lists the columns of the table."""

@@ -72,7 +72,7 @@ def _plain(column, name):
     unit = getattr(column, "unit", None)
     values, missing = getattr(column, "value", column), np.ma.getmaskarray(np.ma.asarray(column))
     if isinstance(column, Masked):
-        values, missing = column.unmasked.value, np.asarray(column.mask)
+        values, missing = getattr(column.unmasked, "value", column.unmasked), np.asarray(column.mask)
     values = np.asarray(values)
     if values.dtype.kind == "O":
         values, missing = _of_objects(values, missing, name)
@@ -92,6 +92,8 @@ def _plain(column, name):
     if missing.any():
         values = np.where(missing, np.nan, values.astype(float))
     elif kind == "i":
+        if values.max(initial=0) >= 2**63:
+            raise InputError(f"column {name!r} in keep must contain integers below 2**63, got {values.max()}")
         values = values.astype(np.int64)
     return values if unit is None or unit == u.dimensionless_unscaled else values.astype(float) * u.Unit(unit)
 

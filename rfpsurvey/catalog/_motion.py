@@ -6,7 +6,16 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_lonlat
 
-__all__ = ["move", "move_coordinates"]
+__all__ = ["move", "move_coordinates", "move_vectors", "moving"]
+
+
+def moving(coord: SkyCoord) -> np.ndarray:
+    """Return whether each target has a known proper motion that differs from 0."""
+    motion = coord.data.differentials.get("s")
+    if motion is None:
+        return np.zeros(len(coord), dtype=bool)
+    motion = np.array([part.value for part in (motion.d_lon_coslat, motion.d_lat)])
+    return np.isfinite(motion).all(axis=0) & (motion != 0).any(axis=0)
 
 
 def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
@@ -55,6 +64,14 @@ def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray
     velocity = velocity / distance
     across = np.column_stack([(velocity * east).sum(axis=1), (velocity * north).sum(axis=1)])
     return new_lon, new_lat, np.where(still[:, None], motion, across)
+
+
+def move_vectors(vectors: np.ndarray, motion: np.ndarray, years: float) -> np.ndarray:
+    """Return unit vectors after a number of years; ``motion`` is the same as in `move`, and NaN is no motion."""
+    _, east, north = _axes(*to_lonlat(vectors))
+    motion = np.where(np.isfinite(motion).all(axis=1)[:, None], motion, 0.0)
+    new = vectors + years * (motion[:, :1] * east + motion[:, 1:] * north)
+    return new / np.linalg.norm(new, axis=1)[:, None]
 
 
 def _axes(lon, lat):

@@ -11,18 +11,18 @@ from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey._readers import content_of, import_parquet
+from rfpsurvey._readers import import_parquet
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
+from rfpsurvey.catalog._hats import columns_and_rows, main_table, properties_of
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
+from rfpsurvey.catalog._tables import catalog_roles
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short, warn
 
 __all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
 
-PROPERTIES = ("hats.properties", "properties")
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
-MOST_PROPERTIES = 2**20
 
 
 @check_keywords
@@ -36,7 +36,8 @@ class PartitionedCatalog:
     Parameters
     ----------
     folder : str or path-like
-        Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``.
+        Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``, or the folder of a HATS collection, of
+        which only the main table is read. ``meta["collection"]`` lists the other tables.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`. Positions without a unit are assumed to be in degrees;
         no warning is issued.
@@ -94,15 +95,19 @@ class PartitionedCatalog:
             raise InputError(f"kept_rows must be a whole number of at least 1, got {short(kept)}")
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
+        main, collection = main_table(self.folder)
+        object.__setattr__(self, "folder", main)
+        object.__setattr__(self, "_collection", collection)
         if not self.parts.files:
             files = "(files such as Norder=5/Dir=0/Npix=77.parquet)"
             raise InputError(f"{self.folder} must contain partitions {files}, got a folder without partitions")
-        given = {role: name for role, name in _properties(self.folder).items() if role not in (self.columns or {})}
-        said = given.pop("nrows", None)
-        object.__setattr__(self, "columns", {**given, **(self.columns or {})})
+        object.__setattr__(self, "properties", properties_of(self.folder, self.parts.files[0][2]))
+        named, said = columns_and_rows(self.properties)
+        object.__setattr__(self, "columns", {**self.parts.existing(named), **(self.columns or {})})
         object.__setattr__(self, "units", dict(self.units or {}))
         object.__setattr__(self, "fill", dict(self.fill or {}))
         self.parts.refuse_overlaps()
+        self.parts.finder.warn_of_doubt()
         self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
         if said is not None and said != str(len(self)):
             text = (
@@ -126,7 +131,9 @@ class PartitionedCatalog:
     @property
     def meta(self) -> dict:
         """Information on the origin of the catalog."""
-        return {"folder": self.folder.name, "n_partitions": len(self.parts.files)}
+        columns = self.parts.finder.statement(catalog_roles(self.frame), self.keep)
+        about = {"folder": self.folder.name, "n_partitions": len(self.parts.files), "columns": columns}
+        return about | ({"collection": self._collection} if self._collection else {})
 
     def read(self) -> Catalog:
         """Return the whole catalog, which must fit into memory, with the rows in the order of the partitions.
@@ -146,7 +153,9 @@ class PartitionedCatalog:
             merged = Table({name: _joined([table[name] for table in tables]) for name in self.parts.names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{self.folder}: each column must have the same type in all partitions: {error}") from None
-        return self.parts.to_catalog(merged, self.folder)
+        catalog = self.parts.to_catalog(merged, self.folder)
+        catalog.meta.update(self.meta)
+        return catalog
 
 
 @check_keywords
@@ -209,7 +218,8 @@ def partition_catalog(
         for number, begin, end in zip(pixels.tolist(), first, [*first[1:], len(pixel)], strict=True):
             place = temporary / "dataset" / f"Norder={order}" / f"Dir={number // 10000 * 10000}"
             place.mkdir(parents=True, exist_ok=True)
-            parquet.write_table(content.slice(begin, end - begin), place / f"Npix={number}.parquet")
+            part = content.slice(begin, end - begin)
+            parquet.write_table(part, place / f"Npix={number}.parquet", write_page_checksum=True)
         parquet.write_metadata(content.schema, temporary / "dataset" / "_common_metadata")
         lines = [f"{order},{number}" for number in pixels.tolist()]
         (temporary / "partition_info.csv").write_text("\n".join(["Norder,Npix", *lines]) + "\n")
@@ -246,22 +256,3 @@ def _joined(columns: list) -> np.ndarray:
 
 def _mean_rows(vectors, order) -> float:
     return len(vectors) / len(np.unique(_healpix.pixels_of(2**order, vectors)))
-
-
-def _properties(folder: Path) -> dict[str, str]:
-    """Read the names of the coordinate columns and the number of rows from the properties file of a HATS catalog."""
-    found = {}
-    for name in PROPERTIES:
-        path = folder / name
-        if path.is_file():
-            try:
-                text = content_of(path, most=MOST_PROPERTIES).decode("utf-8")
-            except UnicodeDecodeError as error:
-                raise InputError(
-                    f"{path} must be text in UTF-8, got the byte 0x{error.object[error.start]:02x}"
-                ) from None
-            for line in text.splitlines():
-                key, sign, value = line.partition("=")
-                if sign and key.strip() in ("hats_col_ra", "hats_col_dec", "hats_nrows"):
-                    found[key.strip().removeprefix("hats_").removeprefix("col_")] = value.strip()
-    return found

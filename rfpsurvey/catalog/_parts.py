@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rfpsurvey._readers import import_parquet, read_parquet, sentence
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
+from rfpsurvey.catalog._tables import EQUATORIAL
 from rfpsurvey.errors import InputError
 
 __all__ = ["Partitions", "read_or_name"]
@@ -28,6 +30,7 @@ ROLES = (
     "pmdec",
     "epoch",
     "priority",
+    "subpriority",
     "kind",
     "category",
     "fiber_type",
@@ -57,6 +60,12 @@ class Partitions:
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
             if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
                 found.append((int(match[1]), int(match[2]), path))
+        tops = sorted({path.as_posix().partition("/Norder=")[0] for *_, path in found})
+        if len(tops) > 1:
+            raise InputError(
+                f"{self.catalog.folder} must contain one catalog, got partitions in {tops[0]} and {tops[1]}; open the "
+                "folder of one catalog"
+            )
         if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
             raise InputError(f"{self.catalog.folder}: a partition has an impossible order or pixel")
         return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
@@ -92,20 +101,33 @@ class Partitions:
         return np.concatenate([[0], np.cumsum(counts)])
 
     @cached_property
+    def finder(self) -> Finder:
+        """The finder of the columns of all partitions, which have the same columns."""
+        names = self._schema
+        return Finder(Table(names=names, dtype=["f8"] * len(names)), dict(self.catalog.columns), {})
+
+    @cached_property
+    def _schema(self) -> list[str]:
+        path = self.files[0][2]
+        return list(read_or_name(path, lambda: import_parquet().read_schema(path)).names)
+
+    def existing(self, columns: dict[str, str]) -> dict[str, str]:
+        """Return the entries of a dict from role to column whose column exists; ``ra`` and ``dec`` must exist."""
+        return {role: name for role, name in columns.items() if role != "id" or name in self._schema}
+
+    @cached_property
     def names(self) -> list[str]:
         """Names of the columns that are read from each partition."""
-        path = self.files[0][2]
-        schema = read_or_name(path, lambda: import_parquet().read_schema(path))
-        find = Finder(Table(names=schema.names, dtype=["f8"] * len(schema.names)), dict(self.catalog.columns), {})
+        find, path = self.finder, self.files[0][2]
         names = [find.name_of(role) for role in ROLES]
-        equatorial = self.catalog.frame.lower() in ("icrs", "fk5", "fk4", "fk4noeterms")
-        needed = ("ra", "dec") if equatorial else ("lon", "lat")
+        names += [] if find.format is None else [find.format.bits, *find.format.marks]
+        needed = ("ra", "dec") if self.catalog.frame.lower() in EQUATORIAL else ("lon", "lat")
         missing = [role for role in needed if names[ROLES.index(role)] is None]
         if missing:
             raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
-        lacking = [name for name in self.catalog.keep if name not in schema.names]
+        lacking = [name for name in self.catalog.keep if name not in find.table.colnames]
         if lacking:
-            raise InputError(f"keep must name columns of {path} ({', '.join(schema.names)}), got {lacking[0]!r}")
+            raise InputError(f"keep must name columns of {path} ({', '.join(find.table.colnames)}), got {lacking[0]!r}")
         return list(dict.fromkeys(name for name in (*names, *self.catalog.keep) if name is not None))
 
     @cached_property
@@ -172,16 +194,18 @@ class Partitions:
 
     @cached_property
     def _has_no_id(self) -> bool:
-        find = Finder(Table(names=self.names, dtype=["f8"] * len(self.names)), dict(self.catalog.columns), {})
-        return find.name_of("id") is None
+        return self.finder.name_of("id") is None
 
     def to_catalog(self, table: Table, path: Path) -> Catalog:
         """Convert the table of a file to a catalog; error messages contain the name of the file."""
         try:
             asked = self.catalog
-            return Catalog._from_table(
+            if epoch := asked.properties.get("hats_coordinate_epoch"):
+                table.meta["ref_epoch"] = epoch
+            catalog = Catalog._from_table(
                 table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
             )
+            return replace(catalog, numbered=True) if self._has_no_id else catalog
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 

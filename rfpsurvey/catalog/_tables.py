@@ -6,19 +6,22 @@ from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import QTable, Table
 from astropy.time import Time
 
-from rfpsurvey._units import rows_of
+from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
-from rfpsurvey.catalog._extra import pick_columns
+from rfpsurvey.catalog._extra import pick_columns, result_name
 from rfpsurvey.catalog._frames import as_table
+from rfpsurvey.catalog._motion import moving
+from rfpsurvey.catalog._survey_formats import kinds_and_visits
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["has_units", "kept_columns", "read_columns"]
+__all__ = ["EQUATORIAL", "PER_TARGET", "catalog_roles", "catalog_table", "has_units", "kept_columns", "read_columns"]
 
+PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "subpriority")
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
-def read_columns(table: Table, columns, units, frame, fill, *, assume_units: bool) -> dict:
+def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_units: bool) -> dict:
     """Read the columns of a table, and return them as a dict of arguments for `Catalog`.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
@@ -28,13 +31,20 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
     table, is_plain = as_table(table, columns)
     find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
     category = find.labels("category")
-    kind = find.labels("kind")
+    kind, visits = find.labels("kind"), find.complete("visits")
     if kind is not None:
         kind = np.char.lower(np.where(kind == "", "science", kind))
+    elif find.format is not None and find.format.bits is not None:
+        kind, visits = kinds_and_visits(_bits(find), visits)
     elif category is not None:
         kind = _kind_of_category(category)
     coord = _coordinates(find, frame)
+    find.warn_of_doubt()
     meta = _plain_meta(table.meta)
+    roles = catalog_roles(frame)
+    if mixed := _sky_coords(find):
+        roles = [role for role in roles if role not in ("ra", "dec", "lon", "lat", "pmra", "pmdec")]
+    meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed)
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or is_plain):
@@ -46,13 +56,33 @@ def read_columns(table: Table, columns, units, frame, fill, *, assume_units: boo
         "coord": coord,
         "id": _ids(find),
         "priority": find.complete("priority"),
+        "subpriority": find.complete("subpriority"),
         "kind": kind,
         "category": category,
         "fiber_type": find.labels("fiber_type"),
-        "visits": find.complete("visits"),
+        "visits": visits,
         "epoch": _epoch(find, coord),
         "meta": meta,
     }
+
+
+def catalog_roles(frame: str) -> tuple[str, ...]:
+    """Return the roles of the columns that a catalog with coordinates in the given frame uses."""
+    equatorial = ("ra", "dec", "pmra", "pmdec")
+    return (
+        *("priority", "subpriority", "visits", "kind", "category", "fiber_type", "id"),
+        *(equatorial if str(frame).lower() in EQUATORIAL else ("lon", "lat")),
+        "epoch",
+    )
+
+
+def _bits(find: Finder) -> np.ndarray:
+    """Return the bits in the column ``DESI_TARGET`` of a table of DESI."""
+    name = find.format.bits
+    bits = to_labels(find.table[name], f"column {name!r}")
+    if bits.dtype.kind != "i":
+        raise InputError(f"column {name!r} must hold integers, whose bits state the kinds of targets, got text")
+    return bits
 
 
 def _ids(find: Finder) -> np.ndarray | None:
@@ -81,7 +111,7 @@ def _names_in_results(table, columns, frame):
     roles = ["id", "priority", "kind", "category"]
     roles += ["ra", "dec"] if frame.lower() == "icrs" and not has_coordinates else []
     find = Finder(table, columns)
-    found = {role: find.name_of(role) for role in roles if not columns.get(role, "").startswith("-")}
+    found = {role: find.name_of(role) for role in roles if not find.columns.get(role, "").startswith("-")}
     return {name for role, name in found.items() if name and name.lower() in (role, "target_id")}
 
 
@@ -90,9 +120,14 @@ def has_units(table: Table) -> bool:
     return any(getattr(column, "unit", None) is not None for column in table.columns.values())
 
 
+def _sky_coords(find: Finder) -> list[str]:
+    """Return the names of the columns of `SkyCoord` objects, or an empty list if columns of coordinates are given."""
+    given = {"ra", "dec", "lon", "lat"} & set(find.columns)
+    return [] if given else [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
+
+
 def _coordinates(find: Finder, frame: str) -> SkyCoord:
-    mixed = [name for name in find.table.colnames if isinstance(find.table[name], SkyCoord)]
-    if mixed and not {"ra", "dec", "lon", "lat"} & set(find.columns):
+    if mixed := _sky_coords(find):
         if len(mixed) > 1:
             raise InputError(
                 f"the table must have a single column of coordinates, got {', '.join(mixed)}; remove all but one"
@@ -194,10 +229,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
             return None
     if isinstance(find.table[name], Time):
         return find.table[name] if find.table[name].ndim == 1 else None
-    if "s" not in coord.data.differentials:
-        moves = np.zeros(len(coord), dtype=bool)
-    else:
-        moves = np.isfinite(coord.pm_ra_cosdec) & np.isfinite(coord.pm_dec)
+    moves = moving(coord)
     try:
         years = find.numbers("epoch")
     except InputError:
@@ -215,6 +247,23 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         return None
     years = np.where(usable, years, years[usable][0])
     return to_time(years[0] if (years == years[0]).all() else years, name)
+
+
+def catalog_table(catalog) -> QTable:
+    """Return a table with all columns of a catalog."""
+    icrs = catalog.coord.icrs
+    table = QTable({"id": catalog.id, "ra": icrs.ra.to(u.deg), "dec": icrs.dec.to(u.deg)}, meta=dict(catalog.meta))
+    if catalog.has_proper_motion:
+        table["pmra"] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
+        table["pmdec"] = icrs.pm_dec.to(u.mas / u.yr)
+    if catalog.epoch is not None:
+        table["ref_epoch"] = np.broadcast_to(catalog.epoch.jyear, len(catalog)) * u.yr
+    for name in PER_TARGET[1:]:
+        if getattr(catalog, name) is not None:
+            table[name] = getattr(catalog, name)
+    for name in [] if catalog.extra is None else catalog.extra.colnames:
+        table[result_name(name)] = catalog.extra[name]
+    return table
 
 
 def _kind_of_category(category: np.ndarray) -> np.ndarray:

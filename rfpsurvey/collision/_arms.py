@@ -44,11 +44,13 @@ class Arms:
     assigned: np.ndarray
     """Whether each positioner has a target."""
     parked: np.ndarray
-    """Whether each positioner is an obstacle: it is usable, has no target, and is parked."""
+    """Whether each positioner is an obstacle: it is usable, has no target, and is parked or has a known pose."""
     clipped: np.ndarray
     """Whether the target of each positioner is out of reach, because of its distance or because of joint limits."""
     fiber: np.ndarray | None = None
     """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
+    recorded: np.ndarray | None = None
+    """Whether each positioner has no target and is in a known pose (``idle_angles``); None if no poses are known."""
 
     @cached_property
     def _angles(self) -> np.ndarray:
@@ -83,14 +85,19 @@ def place_arms(
     fiber_type: np.ndarray | None = None,
     parked_obstacles: bool = True,
     clip: bool = False,
+    idle_angles: np.ndarray | None = None,
 ) -> Arms:
     """Return the poses of all positioners; the parameters are the same as in `find_collisions`.
 
     If ``clip`` is true, an arm whose tip is out of reach is stretched toward the tip as far as possible.
+    ``idle_angles`` contains the joint angles, in radians and with the shape (2, n), of positioners without a target;
+    NaN if the pose is not known.
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), to_columns(focal_plane, fiber_type)
     idle = columns.idle(check_switch(parked_obstacles, "parked_obstacles"))
+    if idle_angles is not None:
+        idle = idle.at_angles(focal_plane.arrays, idle_angles, obstacles=parked_obstacles)
     if (theta is None) != (phi is None) or (tips is None) == (theta is None):
         raise InputError("either tips, or both theta and phi, must be given")
     if tips is None:
@@ -105,13 +112,14 @@ def place_arms(
     else:
         points = to_tips(tips, n)
         side = to_sides(columns, points, handedness)
-        segments, assigned, clipped = pose_tips(columns, points, side, parked_obstacles, clip=clip)
+        segments, assigned, clipped = pose_tips(columns, points, side, idle, clip=clip)
         angles = partial(_solve, columns, points.copy(), side)
     find_angles = partial(_with_idle, angles, assigned, idle)
     elbow, tip = segments[:2].T.copy(), segments[2:].T.copy()
     arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
     fiber = None if columns.fibers is None else np.where(assigned, columns.fiber_index, columns.first_index)
-    return Arms(find_angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped, fiber)
+    recorded = None if idle_angles is None else ~assigned & (idle.theta == idle_angles[0])
+    return Arms(find_angles, elbow, tip, segments.T, assigned, idle.parked & ~assigned, clipped, fiber, recorded)
 
 
 def _solve(columns, points, side):
@@ -129,11 +137,11 @@ def _with_idle(find_angles, assigned, idle):
     return angles
 
 
-def pose_tips(columns, points, side, parked_obstacles, *, clip=False):
+def pose_tips(columns, points, side, idle, *, clip=False):
     """Return elbows and tips, shape (4, n), whether each arm has a target, and whether this target is out of reach."""
     assigned, clipped = check_tips(columns, points, side, clip=clip)
     segments = place_tips(columns, points, side, clipped)
-    arms.fill_idle(assigned, columns.idle(parked_obstacles).segments, segments)
+    arms.fill_idle(assigned, idle.segments, segments)
     return segments, assigned, clipped
 
 

@@ -155,7 +155,7 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     points = to_tips(tips, len(plane))
     side = to_sides(columns, points, given["handedness"])
     if len(columns.runs) or len(columns.obstacle_pairs):
-        segments, assigned, _ = pose_tips(columns, points, side, parked_obstacles)
+        segments, assigned, _ = pose_tips(columns, points, side, columns.idle(parked_obstacles))
         arms.shape(segments, columns.model, columns.length, *capsule_angles(columns, assigned))
     else:  # no arm can collide with another arm or with an obstacle
         segments, (assigned, _) = None, check_tips(columns, points, side)

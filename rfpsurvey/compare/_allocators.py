@@ -108,7 +108,8 @@ def compare_allocators(
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[methods[0]].provenance
     software = {name: value for one in methods for name, value in tiles[one].provenance["software"].items()}
-    parameters = {k: v for k, v in provenance["parameters"].items() if k != "allocator"}
+    recorded = [tiles[one].provenance["parameters"] for one in reversed(methods)]
+    parameters = {k: v for record in recorded for k, v in record.items() if k != "allocator"}
     asked = methods[0].record  # a tile records only the options that its allocator uses
     parameters.update((name, asked[name]) for name in ("objective", "time_limit_s", "start"))
     table.meta.update(
@@ -116,6 +117,8 @@ def compare_allocators(
         unmet={method.name: tiles[method].summary["unmet"] for method in methods},
         blind_science=blind,
         instrument=provenance["instrument"]["name"],
+        catalog=provenance["catalog"],
+        arm_model=provenance["instrument"]["arm_model"],
         software=software,
         parameters=parameters,
     )

@@ -215,7 +215,7 @@ def compare_instruments(
         rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, own, strict=True)]
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
-    shared = {name: value for name, value in methods[0].record.items() if name != "allocator"}
+    shared = {name: value for one in methods for name, value in one.record.items() if name != "allocator"}
     software = dict(versions())
     for method in methods:
         software.update(packages(method))

@@ -1,16 +1,17 @@
 """Checkpoint of a scan on disk, which contains the finished designs and the arguments of the scan."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from time import monotonic
 
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
+from rfpsurvey._folder import locked
 from rfpsurvey._io import WRITABLE, check_output, read_table, to_path, write_table
 from rfpsurvey.design._axes import AXES
-from rfpsurvey.design._rows import ROW, to_rows, to_table
+from rfpsurvey.design._rows import ROW, digest_of, to_rows, to_table
 from rfpsurvey.errors import InputError
 from rfpsurvey.tile import versions
 
@@ -21,6 +22,8 @@ EVERY = 10.0  # seconds
 
 class Checkpoint:
     """The file of a scan, which contains all finished designs and is a valid table at any time.
+
+    The file is locked while the checkpoint is used as a context manager.
 
     Parameters
     ----------
@@ -37,20 +40,43 @@ class Checkpoint:
     def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):
         self.meta = {"request": json.loads(json.dumps(request)), "software": versions()}
         self._path, self._designs = path if path is None else to_path(path), designs
+        self._resume, self._overwrite = resume, overwrite
         self.parts: list[np.ndarray] = []
         self.done = 0
-        if path is None:
-            if resume:
-                raise InputError("resume requires the path of the file with the unfinished scan")
-            return
-        if self._path.exists() and not (resume or overwrite):
-            raise InputError(
-                f"{path} exists; continue the scan (--resume, resume=True) or overwrite the file "
-                "(--overwrite, overwrite=True)"
-            )
-        check_output(self._path, WRITABLE, overwrite=True)
-        if resume and self._path.exists():
-            self.add(self._load())
+        if path is None and resume:
+            raise InputError("resume requires the path of the file with the unfinished scan")
+
+    def __enter__(self):
+        self._lock = nullcontext()
+        if self._path is not None:
+            check_output(self._path, WRITABLE, overwrite=True)
+            self._lock = locked(self._path)
+        self._lock.__enter__()
+        try:
+            self._open()
+        except BaseException:
+            self._lock.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, kind, *_):
+        """Unlock the file; if the scan was interrupted, first write the finished designs."""
+        try:
+            if kind is not None and self.done:
+                self._write(self.table())
+        finally:
+            self._lock.__exit__(None, None, None)
+
+    def _open(self):
+        if self._path is not None and self._path.exists():
+            if self._resume:
+                self.add(self._load())
+                self._overwrite = True
+            elif not self._overwrite:
+                raise InputError(
+                    f"{self._path} exists; continue the scan (--resume, resume=True) or overwrite the file "
+                    "(--overwrite, overwrite=True)"
+                )
         self._last = monotonic()
 
     @property
@@ -64,20 +90,14 @@ class Checkpoint:
         self.parts.append(rows)
         self.done += len(rows)
 
-    @contextmanager
-    def open(self) -> Iterator[None]:
-        """Return a context manager that writes the finished designs if the scan is interrupted."""
-        try:
-            yield
-        except BaseException:
-            if self.done:
-                self._write(to_table(self.rows, self.meta))
-            raise
+    def table(self, **meta: object) -> QTable:
+        """Return the table of the finished designs, with additional entries of its ``meta``."""
+        return to_table(self.rows, {**self.meta, **meta, "digest": digest_of(self.rows)})
 
     def save(self) -> None:
         """Write the finished designs, unless the file was written in the last ten seconds."""
         if self._path is not None and monotonic() - self._last > EVERY:
-            self._write(to_table(self.rows, self.meta))
+            self._write(self.table())
             self._last = monotonic()
 
     def finish(self, table) -> None:
@@ -86,7 +106,8 @@ class Checkpoint:
 
     def _write(self, table):
         if self._path is not None:
-            write_table(table, self._path, overwrite=True)
+            write_table(table, self._path, overwrite=self._overwrite)
+            self._overwrite = True  # from now on, the file is the file of this scan
 
     def _load(self):
         """Return the rows of the finished designs in an existing file."""
@@ -100,4 +121,8 @@ class Checkpoint:
         own = np.column_stack([rows[name] for name in AXES])
         if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
             raise InputError(f"{self._path} is damaged: its designs differ from the designs of the scan")
+        if table.meta.get("digest") != digest_of(rows):
+            raise InputError(
+                f"{self._path} is damaged: its values differ from the values that the scan wrote; give another path"
+            )
         return rows

@@ -14,7 +14,7 @@ from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
-from rfpsurvey.design._rows import FIGURES, to_table
+from rfpsurvey.design._rows import FIGURES
 from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
 from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
@@ -120,8 +120,8 @@ def explore_designs(
     Raises
     ------
     InputError
-        If a parameter is out of range, if the name of a definition or column is unknown, or if the file contains
-        another scan.
+        If a parameter is out of range, if the name of a definition or column is unknown, if another run uses the file,
+        or if the file is damaged or contains another scan.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly. Designs that were already written remain in the file.
 
@@ -198,13 +198,13 @@ def scan(
     if start is not None:
         designs, row, record = start.among(designs)
         request["start"] = record
-    checkpoint = Checkpoint(path, request, designs, resume=resume, overwrite=overwrite)
-    _run(task, designs, checkpoint, executor, progress=progress)
-    table = to_table(checkpoint.rows, {**checkpoint.meta, "objectives": objectives})
-    if start is not None:
-        table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
-    table["pareto"] = on_front(table, objectives)
-    checkpoint.finish(table)
+    with Checkpoint(path, request, designs, resume=resume, overwrite=overwrite) as checkpoint:
+        _run(task, designs, checkpoint, executor, progress=progress)
+        table = checkpoint.table(objectives=objectives)
+        if start is not None:
+            table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
+        table["pareto"] = on_front(table, objectives)
+        checkpoint.finish(table)
     _warn(table)
     return table
 
@@ -213,7 +213,7 @@ def _run(task, designs, checkpoint, executor, *, progress):
     """Compute all designs that are not finished, and add them to the checkpoint in order."""
     starts = range(checkpoint.done, len(designs), CHUNK)
     parts = (designs[start : start + CHUNK] for start in starts)
-    with checkpoint.open(), Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
+    with Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
         for rows in map_in_order(executor, task, starts, parts):
             checkpoint.add(rows)
             checkpoint.save()

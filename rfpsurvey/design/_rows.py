@@ -1,12 +1,14 @@
 """Convert the results of designs to records and tables."""
 
+import hashlib
+
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.design._axes import AXES
 
-__all__ = ["FIGURES", "ROW", "blank", "set_formats", "to_rows", "to_table"]
+__all__ = ["FIGURES", "ROW", "blank", "digest_of", "set_formats", "to_rows", "to_table"]
 
 UNITS = {
     **dict.fromkeys(("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation"), u.mm),
@@ -86,3 +88,12 @@ def to_rows(table: QTable) -> np.ndarray:
         # files can contain empty text as masked values
         rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values
     return rows
+
+
+def digest_of(rows: np.ndarray) -> str:
+    """Return a digest of records, which does not depend on the representation of NaN."""
+    found = hashlib.sha256()
+    for name in ROW.names:
+        values = rows[name]
+        found.update(np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values.copy())
+    return found.hexdigest()

@@ -39,11 +39,21 @@ def start_of(model: Instrument) -> Start:
         raise InputError(
             f"{model.name} must have at least two positioners, because a design needs a pitch, got one positioner"
         )
+    own = model.focal_plane.positioner.arm_model
+    if "elbow_to_tip" in model.arm_models:
+        model = model.with_arm_model("elbow_to_tip")
+    elif own == "outline":
+        raise InputError(
+            f"{model.name} must have the entry positioner.segment_clearance, because a scan of designs replaces the "
+            "outline of the arms by a segment with this clearance, got no such entry"
+        )
     facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
     unit = model.focal_plane.positioner
-    if unit.arm_model != "elbow_to_tip":
-        text = f"the scan uses the arm model 'elbow_to_tip' instead of the arm model {unit.arm_model!r} of {model.name}"
-        warn(text)
+    if own != "elbow_to_tip":
+        warn(
+            f"the scan uses the arm model 'elbow_to_tip' with a clearance of {unit.numbers.clearance:g} mm instead of "
+            f"the arm model {own!r} of {model.name}"
+        )
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:

@@ -28,7 +28,7 @@ def check_columns(plane) -> None:
     spectrograph, fiber_type = plane.spectrograph, plane.fiber_type
     columns = {
         "id": np.arange(n) if plane.id is None else to_labels(plane.id, "id"),
-        "spectrograph": np.zeros(n, int) if spectrograph is None else to_plain(spectrograph, "spectrograph"),
+        "spectrograph": np.zeros(n, int) if spectrograph is None else to_labels(spectrograph, "spectrograph"),
         "fiber_type": np.full(n, "") if fiber_type is None else to_plain(fiber_type, "fiber_type").astype(str),
         "disabled": np.zeros(n, bool) if plane.disabled is None else to_flags(plane.disabled, "disabled"),
     }

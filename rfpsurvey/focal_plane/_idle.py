@@ -20,6 +20,18 @@ class Idle:
     parked: np.ndarray
     """Whether each positioner is usable and parked, and is thus an obstacle."""
 
+    def at_angles(self, columns, angles: np.ndarray, *, obstacles: bool) -> "Idle":
+        """Return these poses, replaced by joint angles in radians, shape (2, n), where these are not NaN.
+
+        If ``obstacles`` is False, the angles of usable positioners are ignored, because their arms are not obstacles.
+        """
+        known = np.isfinite(angles).all(axis=0) & (~columns.usable | obstacles)
+        posed = np.empty_like(self.segments)
+        arms.pose(*(np.ascontiguousarray(v) for v in columns.from_joints(*angles)), columns.geometry, posed)
+        own = self.theta, self.phi, self.segments
+        values = [np.where(known, *pair) for pair in zip((*angles, posed), own, strict=True)]
+        return Idle(*values, np.where(known, columns.usable, self.parked))
+
 
 NEARLY_EQUAL = 0.05
 """If the nominal arm lengths are equal, idle positioners whose measured arm lengths differ by at most this fraction of

@@ -53,8 +53,8 @@ class AsBuilt:
             state, all positioners count as working.
         exclusions : str or path-like, optional
             Path of ``desi-exclusion_DATE.json`` (or ``.yaml``), which contains the exclusion polygons of the arms. The
-            clearance is set to the median half width of the polygons of the eccentric arm (``phi``), and
-            ``with_arm_model("outline")`` uses the most common polygons.
+            most common polygons are the outline of all positioners. The clearance of the arm model ``elbow_to_tip`` is
+            the median half width of the polygons of the eccentric arm (``phi``).
         time : Time or str, optional
             Time at which the state is evaluated, in UTC. By default, the state after the last event is used.
 

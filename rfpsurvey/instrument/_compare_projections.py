@@ -1,6 +1,7 @@
 """Comparison of models of the projection of an instrument, to find the cheapest model that is accurate enough."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +10,7 @@ from astropy.table import QTable
 
 from rfpsurvey._units import to_center, to_scalar, to_unit
 from rfpsurvey.errors import InputError, check_keywords
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._instrument import Instrument, as_instrument
 from rfpsurvey.observing import (
     MODELS,
@@ -17,7 +19,6 @@ from rfpsurvey.observing import (
     as_hour_angle,
     check_conditions,
     displacements,
-    drifts,
     field_of_model,
     model_of,
 )
@@ -27,8 +28,10 @@ __all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
 
 # Default tolerance, as a fraction of the fiber diameter.
 FRACTION = 0.1
-# Numbers of fibers for which displacements are computed: at all distances from the field center, and at the edge.
-N_FIBERS, N_EDGE = 240, 60
+# Numbers of points for which displacements are computed: centers of positioners, and points at the edge of the field.
+N_CENTERS, N_EDGE = 240, 90
+# Factor by which points without an image on the sky are moved toward the field center until they have one.
+SHRINK = 0.998
 ROUNDING = 1e-9 * u.mm
 
 
@@ -200,17 +203,13 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     entry = instrument.values.get("optics.fiber_diameter")
     if tolerance is None and entry is not None:
         tolerance = FRACTION * entry["value"] * u.Unit(entry["unit"])
-    xy = instrument.focal_plane.arrays.xy
-    order = np.argsort(np.hypot(*xy.T), kind="stable")
-    spread = np.linspace(0, len(xy) - 1, N_FIBERS).round().astype(int)
-    rows = order[np.append(np.unique(spread), np.arange(len(xy))[-N_EDGE:])]
-    n_spread = len(rows) - len(xy[-N_EDGE:])
     kinds = instrument.focal_plane.fiber_types if _by_type(instrument, cases[0]) else [None]
-    found = [displacements(xy[rows], kinds, *_field(instrument, plane, case)) for case in cases]
-    moved = {name: np.concatenate([one[name].reshape(-1, len(rows)) for one in found]) * u.mm for name in MODELS}
-    # the model ``full`` differs from itself only by rounding errors, which are replaced by 0
-    moved = {name: np.where(values > ROUNDING, values, 0 * u.mm) for name, values in moved.items()}
-    drift = max(drifts(xy[rows], kinds, *_field(instrument, plane, case)).max() for case in cases) * u.mm
+    points, n_spread = _points(instrument, plane.plain, kinds)
+    moved, drift = zip(*(displacements(points, kinds, *_field(instrument, plane, case)) for case in cases), strict=True)
+    moved = {name: np.concatenate([one[name] for one in moved]) * u.mm for name in MODELS}
+    # models without the neglected effect differ from the model ``full`` only by rounding errors, which become 0
+    moved = {name: np.where(values <= ROUNDING, 0 * u.mm, values) for name, values in moved.items()}
+    drift = np.max(drift) * u.mm
     largest = u.Quantity([np.max(values) for values in moved.values()])
     table = QTable(
         {
@@ -226,6 +225,32 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     for name in ("median", "p95", "max", "max_on_sky"):
         table[name].info.format = ".3g"
     return ProjectionComparison(table, tolerance, drift)
+
+
+def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int]:
+    """Return points (mm) for each fiber type, shape (m, n, 2), and how many of them are centers of positioners.
+
+    The other points are on the boundary of the convex hull of all patrol areas, where displacements are largest.
+    """
+    arrays = instrument.focal_plane.arrays
+    order = np.argsort(np.hypot(*arrays.xy.T), kind="stable")
+    rows = np.unique(np.linspace(0, len(order) - 1, N_CENTERS).round().astype(int))
+    points = np.array([np.vstack([arrays.xy[order[rows]], _edge(instrument.focal_plane)])] * len(kinds))
+    for own, kind in zip(points, kinds, strict=True):
+        # the radial map of the fiber type can end inside the patrol areas
+        while (beyond := np.isnan(static.unproject(own, kind)).any(axis=1)).any():
+            own[beyond] *= SHRINK
+    return points, len(rows)
+
+
+@lru_cache(maxsize=4)
+def _edge(plane: FocalPlane) -> np.ndarray:
+    """Return points (mm) on the boundary of the convex hull of all patrol areas, in equally spaced directions."""
+    arrays, turn = plane.arrays, 2 * np.pi * np.arange(N_EDGE) / N_EDGE
+    normals = np.column_stack([np.cos(turn), np.sin(turn)])
+    distance = sum(np.multiply.outer(*axis) for axis in zip(normals.T, arrays.xy.T, strict=True))
+    row = np.argmax(distance + arrays.largest_radius, axis=1)
+    return arrays.xy[row] + arrays.largest_radius[row, None] * normals
 
 
 def _by_type(instrument, conditions) -> bool:

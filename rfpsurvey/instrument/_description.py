@@ -65,7 +65,7 @@ def build(content: dict, folder: Path) -> dict:
         value = entry["value"]
         return value * u.Unit(entry["unit"]) if "unit" in entry else value
 
-    own = {"arm_angle", "outline", "full_outline"}
+    own = {"arm_angle", "outline", "full_outline", "segment_clearance"}
     options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in own}
     angle = values.get("positioner.arm_angle")
     if angle is not None:

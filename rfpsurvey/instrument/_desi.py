@@ -11,13 +11,14 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._io import to_path
-from rfpsurvey._readers import read_table
+from rfpsurvey._readers import entries_of, read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._arm_models import FULL_OUTLINE
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
 from rfpsurvey.positioner import ArmOutline
@@ -25,23 +26,25 @@ from rfpsurvey.positioner import ArmOutline
 __all__ = ["read", "recognizes"]
 
 N_POSITIONERS = 5000
+# Limits of possible values, in mm and deg.
+LARGEST, SMALLEST, CLOSEST = 420.0, 10.0, 5.0  # distances from the center, and between two positioners
+LONGEST, SHORTEST = 6.0, 1.0  # arm lengths
+MOST_ANGLE = 400.0
 METROLOGY = ("LOCATION", "PETAL_LOC", "DEVICE_LOC", "DEVICE_TYPE", "X_FP", "Y_FP")
 LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
 MODEL = ("LOCATION", "PETAL", "DEVICE", "DEVICE_TYPE", *LENGTHS, *ANGLES)
 LEFT_OUT = (
-    "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. A segment with a clearance "
-    "replaces the polygons of each positioner. The segment omits the wider elbow and the central bodies of the "
-    "positioners, which with_arm_model('outline') includes. Guide cameras, fiducials and petal edges are not treated "
-    "as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal surface. The radial "
-    "map is the map of the preset desi."
+    "x is the negative x of CS5, because +x is east in rfpsurvey and west in CS5. Guide cameras, fiducials and petal "
+    "edges are not treated as obstacles. The arms move in the plane of the centers, not in planes tangent to the focal "
+    "surface. The radial map is the map of the preset desi."
 )
 
 
 def recognizes(path: Path) -> bool:
     """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
     if path.is_dir():
-        return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in path.iterdir())
+        return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in entries_of(path))
     try:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2**14).decode("utf-8", "replace")
@@ -53,8 +56,9 @@ def recognizes(path: Path) -> bool:
 def read(preset, path, *, state=None, exclusions=None, time=None):
     """Return the preset of DESI with the positioners of a file; see `Instrument.from_desi`."""
     path, moment = to_path(path), None if time is None else moment_of(time, "time")
-    metrologies = sorted(path.glob("fp-metrology.csv*")) if path.is_dir() else []
-    if metrologies and not list(path.glob("desi-focalplane_*")):
+    files = entries_of(path) if path.is_dir() else []
+    metrologies = [file for file in files if file.name.startswith("fp-metrology.csv")]
+    if metrologies and not any(file.name.startswith("desi-focalplane_") for file in files):
         path = metrologies[0]
     if path.is_dir():
         path, beside = find_latest(path, moment)
@@ -92,8 +96,8 @@ def _from_metrology(preset, table, path):
 def _from_model(preset, table, path, state, exclusions, moment):
     table, others = _positioners(table, MODEL, path)
     ids = whole(table, "LOCATION", path)
-    r1, r2 = (numbers(table, name, u.mm, path) for name in ("LENGTH_R1", "LENGTH_R2"))
-    angles = {name: numbers(table, name, u.deg, path) for name in ANGLES}
+    r1, r2 = (numbers(table, name, u.mm, path, LONGEST, low=SHORTEST) for name in ("LENGTH_R1", "LENGTH_R2"))
+    angles = {name: numbers(table, name, u.deg, path, MOST_ANGLE, codes=name[:3] == "OFF") for name in ANGLES}
     notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{others}"], {}, None
     if state is None:
         notes.append("No state was given; therefore, all positioners count as working.")
@@ -109,16 +113,18 @@ def _from_model(preset, table, path, state, exclusions, moment):
             )
     positioner, entries, dropped = replace(_mirrored(preset.focal_plane.positioner), home=None), {}, ["positioner.home"]
     if exclusions is not None:
-        widths, outline, text = read_polygons(exclusions, polygons, len(ids))
-        positioner = replace(positioner, clearance=float(np.median(widths)) * u.mm)
-        source = "median half width of the phi polygons of all positioners"
-        entries["positioner.clearance"] = _entry(float(np.median(widths)), exclusions, source, "mm", "derived")
+        width, outline, text = read_polygons(exclusions, polygons, len(ids))
         notes.append(text)
+        entry = _entry(width, exclusions, "median half width of the phi polygons of all positioners", "mm", "derived")
         if outline is None:
+            preset = preset.with_arm_model("elbow_to_tip")
+            positioner = replace(positioner, arm_model="elbow_to_tip", outline=None, clearance=width * u.mm)
+            entries["positioner.clearance"] = entry
             dropped.append(FULL_OUTLINE)
         else:
+            positioner = replace(positioner, outline=outline.mirrored())
             source = "the most common polygons, divided into convex parts"
-            entries[FULL_OUTLINE] = _entry(outline.to_dict(), exclusions, source, "mm")
+            entries |= {SEGMENT_CLEARANCE: entry, OUTLINE: _entry(outline.to_dict(), exclusions, source, "mm")}
     plane = _plane(
         path,
         xy=_centers(table, "OFFSET_X", "OFFSET_Y", path),
@@ -157,11 +163,11 @@ def _built(preset, plane, entries, notes, dropped=()):
     values["positioner.handedness"] = {**values["positioner.handedness"], "value": "left"}
     for name in ("positioner.handedness", "positioner.theta_range", "positioner.phi_range"):
         values[name] = {**values[name], "status": "derived", "source": f"{values[name]['source']}; mirror image of CS5"}
-    if FULL_OUTLINE in values:
-        entry = values[FULL_OUTLINE]
+    if OUTLINE in values:
+        entry = values[OUTLINE]
         mirror = ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])).mirrored().to_dict()
         source = f"{entry['source']}; mirror image of CS5"
-        values[FULL_OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
+        values[OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
     return replace(preset, focal_plane=plane, layout="as built", values=values, notes=f"{notes} {LEFT_OUT}")
 
 
@@ -172,7 +178,7 @@ def _entry(value, path, source, unit=None, status="published"):
 def _mirrored(positioner):
     """Return the mirror image of a positioner that is described in CS5."""
     ranges = {name: -getattr(positioner, name)[::-1] for name in ("theta_range", "phi_range")}
-    return replace(positioner, handedness="left", **ranges)
+    return replace(positioner, handedness="left", outline=positioner.outline.mirrored(), **ranges)
 
 
 def _limits(limits) -> list[float]:
@@ -181,7 +187,19 @@ def _limits(limits) -> list[float]:
 
 
 def _centers(table, x, y, path):
-    return np.column_stack([-numbers(table, x, u.mm, path), numbers(table, y, u.mm, path)]) * u.mm
+    """Return the positions of the positioners, or raise an error if they are impossible."""
+    xy = np.column_stack(
+        [sign * numbers(table, name, u.mm, path, LARGEST, codes=True) for sign, name in ((-1, x), (1, y))]
+    )
+    ids = whole(table, "LOCATION", path)
+    apart = scipy.spatial.cKDTree(xy).query(xy, k=2)[0][:, 1]
+    for wrong, rule in (
+        (np.hypot(*xy.T) < SMALLEST, f"at least {SMALLEST:g} mm from the center"),
+        (apart < CLOSEST, f"at least {CLOSEST:g} mm from each other"),
+    ):
+        if wrong.any():
+            raise InputError(f"{path}: the positions {x}, {y} must be {rule}, but are not for {some(ids, wrong)}")
+    return xy * u.mm
 
 
 def _positioners(table, names, path):

@@ -9,11 +9,12 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._readers import content_of, read_table, sentence
+from rfpsurvey._readers import check_is_file, content_of, entries_of, read_table, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.positioner import ArmOutline
 
 __all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
@@ -24,7 +25,8 @@ LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
 STUCK, BROKEN, RESTRICTED = 2, 4, 8
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_BYTES = 2**28
-MOST_WIDTH = 1000
+MOST_WIDTH = 10
+MOST_ANGLE = 400.0
 
 
 def moment_of(value: object, what: str) -> datetime:
@@ -41,7 +43,7 @@ def moment_of(value: object, what: str) -> datetime:
 def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
     """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
     found = {}
-    for file in sorted(folder.iterdir()):
+    for file in entries_of(folder):
         match = NAME.fullmatch(file.name)
         if match:
             date = moment_of(match[2], f"{file}: the date in the name")
@@ -89,7 +91,9 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     fixed = (state & (STUCK | BROKEN)) != 0
     values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
     for name, column in values.items():
-        column[known] = numbers(own, name, u.deg, path)
+        most = MOST_ANGLE if name in LIMITS else np.inf
+        column[known] = numbers(own, name, u.deg, path, most)
+        column[is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)] = np.nan
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)
@@ -116,8 +120,8 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     return columns, limits, polygons.astype(str), text
 
 
-def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndarray, ArmOutline | None, str]:
-    """Return the half widths (mm) of the phi polygons of n positioners, one outline for all of them, and a note.
+def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[float, ArmOutline | None, str]:
+    """Return the median half width (mm) of the phi polygons of n positioners, their common outline, and a note.
 
     The outline, in CS5, consists of the most common polygons. It is None if these polygons form no outline.
     """
@@ -131,20 +135,18 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[np.ndar
         widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
     found = np.array([widths[name] for name in names.tolist()])
     text = (
-        f"The clearance is the median of the half widths of the phi polygons in {path.name}, which range from "
-        f"{found.min():.3f} to {found.max():.3f} mm."
+        f"The clearance of segments is the median of the half widths of the phi polygons in {path.name}, which range "
+        f"from {found.min():.3f} to {found.max():.3f} mm."
     )
     most, others = str(different[np.argmax(counts)]), n - int(counts.max())
     try:
         outline = find_outline(polygons[most])
     except (InputError, KeyError, IndexError, TypeError, ValueError):
-        return found, None, f"{text} The polygons with the name {most!r} do not form a valid outline."
-    text += f" The outline for with_arm_model consists of the polygons with the name {most!r}"
-    return (
-        found,
-        outline,
-        f"{text}, which also replace other polygons of {number_of(others, 'positioner')}." if others else f"{text}.",
-    )
+        text += f" The polygons with the name {most!r} do not form a valid outline; segments replace the outlines."
+        return float(np.median(found)), None, text
+    text += f" The outline of each positioner consists of the polygons with the name {most!r}"
+    text += f", which also replace other polygons of {number_of(others, 'positioner')}." if others else "."
+    return float(np.median(found)), outline, text
 
 
 def _half_width(polygon: object, what: str) -> float:
@@ -164,8 +166,7 @@ def _half_width(polygon: object, what: str) -> float:
 
 def _load(path: Path) -> dict:
     """Return the content of a file in JSON or YAML, which may be compressed."""
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path, most=MOST_BYTES)
     try:
         if ".yaml" in path.name:

@@ -5,24 +5,35 @@ import numpy as np
 
 from rfpsurvey._units import rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
+from rfpsurvey.instrument._missing import is_missing
 
 __all__ = ["check_columns", "numbers", "some", "whole"]
+
+ROW = "_row"
+"""Name of a column with the number of each row in the file, counted from 1."""
 
 SPELLED = {"degrees": u.deg}
 """Names of units that desimodel writes and astropy does not accept."""
 
 
 def check_columns(table, names, path) -> None:
-    """Raise an error if a table is empty or lacks a column."""
+    """Raise an error if a table is empty or lacks a column; number the rows."""
     for name in names:
         if name not in table.colnames:
             raise InputError(f"{path}: the table must have the column {name!r}, got {', '.join(table.colnames)}")
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")
+    table[ROW] = np.arange(1, len(table) + 1)
 
 
-def numbers(table, name: str, unit: u.UnitBase, path) -> np.ndarray:
-    """Return a column of finite numbers in a unit; a column without a unit is assumed to have this unit."""
+def numbers(
+    table, name: str, unit: u.UnitBase, path, most: float = np.inf, *, low: float | None = None, codes: bool = False
+) -> np.ndarray:
+    """Return a column of finite numbers in a unit; a column without a unit is assumed to have this unit.
+
+    Numbers from ``low`` (by default, ``-most``) to ``most`` are valid, except codes for missing values if ``codes`` is
+    true.
+    """
     column, what = table[name], f"{path}: column {name!r}"
     values = to_plain(column, what)
     if values.dtype.kind not in "iuf" or values.ndim != 1:
@@ -33,8 +44,18 @@ def numbers(table, name: str, unit: u.UnitBase, path) -> np.ndarray:
         raise InputUnitsError(f"{what} must have a unit convertible to {unit}, got {given}")
     missing = ~np.isfinite(values)
     if missing.any():
-        raise InputError(f"{what} must hold a finite number for each row, but {rows_of(missing)} have none")
-    return (values * given).to_value(unit)
+        in_file = np.zeros(table[ROW].max(), dtype=bool)
+        in_file[table[ROW][missing] - 1] = True
+        raise InputError(f"{what} must hold a finite number for each row, but {rows_of(in_file)} have none")
+    found = (values * given).to_value(unit)
+    low = -most if low is None else low
+    strange = np.flatnonzero(is_missing(found, low, most, codes=codes))
+    if len(strange):
+        raise InputError(
+            f"{what} must hold numbers from {low:g} to {most:g} {unit}{', and no codes such as 99 or -999' * codes}, "
+            f"got {found[strange[0]]:g} in row {table[ROW][strange[0]]}"
+        )
+    return found
 
 
 def whole(table, name: str, path) -> np.ndarray:

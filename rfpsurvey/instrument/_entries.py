@@ -108,6 +108,7 @@ ENTRIES = {
     "positioner.central_arm": LENGTH,
     "positioner.eccentric_arm": LENGTH,
     "positioner.clearance": CLOSED_LENGTH,
+    "positioner.segment_clearance": CLOSED_LENGTH,
     "positioner.step": _number("an angle of at least 0", 0, unit=u.rad),
     "positioner.handedness": _choice(*HANDEDNESS),
     "positioner.theta_range": ANGLES,

@@ -27,7 +27,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
-from rfpsurvey.instrument._arm_models import FULL_OUTLINE, ArmModels
+from rfpsurvey.instrument._arm_models import UNUSED, ArmModels
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
@@ -270,13 +270,14 @@ class Instrument(ArmModels, AsBuilt, Projections):
     @property
     def provenance(self) -> dict:
         """Information about the instrument that is stored in the records of results."""
-        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}
+        values = {name: v for name, v in self.values.items() if name not in UNUSED}
         plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
-        return {"name": self.name, "layout": self.layout, "values": plain, "digest": self._digest}
+        own = {"name": self.name, "arm_model": self.focal_plane.positioner.arm_model, "layout": self.layout}
+        return {**own, "values": plain, "digest": self._digest}
 
     @cached_property
     def _digest(self) -> str:
-        values = {name: v for name, v in self.values.items() if name != FULL_OUTLINE}  # no result depends on this entry
+        values = {name: v for name, v in self.values.items() if name not in UNUSED}
         plane = self.focal_plane
         parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()

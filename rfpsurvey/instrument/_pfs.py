@@ -6,12 +6,13 @@ Cobras, the positioners of PFS, have the identifiers of the observatory, 1 to 23
 import gzip
 import zlib
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import suffix_of, to_path
+from rfpsurvey._readers import entries_of, is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
@@ -40,15 +41,16 @@ def find_pfs_files(path: Path) -> dict | None:
     """
     if path.is_file():
         return {"dots": path} if _is_file_of_dots(path) else None
-    folders = [folder for folder in (path, path / "dot", path / "fiducials") if folder.is_dir()]
-    found = {name: [] for name in PATTERNS}
-    for name, pattern in PATTERNS.items():
-        for folder in folders:
-            found[name] += sorted(folder.glob(pattern))
+    own = entries_of(path) if path.is_dir() else []
+    others = [folder for folder in (path / "dot", path / "fiducials") if is_present(folder)]
+    if not any(fnmatchcase(file.name, PATTERNS["dots"]) for file in own) and not any(map(Path.is_dir, others)):
+        return None
+    entries = own + [file for folder in others for file in entries_of(folder)]
+    found = {name: [file for file in entries if fnmatchcase(file.name, PATTERNS[name])] for name in PATTERNS}
     if not found["dots"]:
         return None
     files = {name: paths[-1] for name, paths in found.items() if paths}
-    models = sorted(path.glob("*.xml"))
+    models = [file for file in own if file.suffix == ".xml"]
     return {**files, "cobras": models} if models else files
 
 
@@ -117,13 +119,12 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
 
     theta is measured from the counter-clockwise hard stop, and phi from the extended arm.
     """
-    bad = arms["status"] != GOOD
-    lengths = {}
-    unknown = np.zeros(N, dtype=bool)
-    for name in ("central_arm", "eccentric_arm"):
-        strange = ~((arms[name] > 1) & (arms[name] < 5))
-        unknown |= strange
-        lengths[name] = np.where(strange, getattr(positioner, name).to_value(u.mm), arms[name]) * u.mm
+    bad, unknown = arms["status"] != GOOD, arms["unknown"]
+    nominal = {"theta_low": 0.0, "theta_high": 0.0, "phi_low": 0.0, "phi_high": 180.0}
+    lengths = {name: getattr(positioner, name) for name in ("central_arm", "eccentric_arm")}
+    nominal |= {name: length.to_value(u.mm) for name, length in lengths.items()}
+    arms |= {name: np.where(unknown, value, arms[name]) for name, value in nominal.items()}
+    lengths = {name: arms[name] * u.mm for name in lengths}
     span = (arms["theta_high"] - arms["theta_low"] + 180) % 360 + 180
     columns = {
         **lengths,
@@ -142,9 +143,12 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
         "contain the poses of cobras that cannot move"
     )
-    others = int((unknown & ~bad).sum())
+    others = (np.flatnonzero(unknown) + 1).tolist()
     return columns, text + (
-        f"; {others} cobras with an arm length outside 1 to 5 mm are also parked." if others else "."
+        f"; cobras with impossible arm lengths (outside 1 to 5 mm), joint limits or centers have nominal values and "
+        f"are also parked: {', '.join(map(str, others))}."
+        if others
+        else "."
     )
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import content_of, read_table, sentence, to_path
+from rfpsurvey._readers import check_is_file, content_of, read_table, sentence, to_path
 from rfpsurvey.errors import InputError
+from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
 
 __all__ = ["GOOD", "read_cobras", "read_dots", "read_fiducials", "read_interference", "to_paths"]
@@ -16,6 +17,16 @@ N_FIDUCIALS = 96
 FARTHEST_DOT = 4.0
 FARTHEST_CENTER = 3.0
 GOOD = 1  # status of a cobra without a defect
+FARTHEST_FIDUCIAL = 300.0
+# Limits of the values of cobras (angles in deg, lengths in mm); cobras with other values are parked.
+LIMITS = {
+    "theta_low": (-360, 360),
+    "theta_high": (-360, 720),
+    "phi_low": (-90, 270),
+    "phi_high": (-90, 270),
+    "central_arm": (1, 5),
+    "eccentric_arm": (1, 5),
+}
 KINEMATICS = {
     "x": "Global_base_pos_x",
     "y": "Global_base_pos_y",
@@ -51,11 +62,16 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
     table = _read(path, ("fiducialId", "x_mm", "y_mm", "flag"))
     _check_ids(path, table["fiducialId"], "fiducialId", N_FIDUCIALS)
     xy = np.column_stack([table["x_mm"], table["y_mm"]])
-    seen = np.isfinite(xy).all(axis=1)
-    if (seen != np.isfinite(xy).any(axis=1)).any():
-        raise InputError(f"{path}: x_mm and y_mm must be given together, got only one of them for a fiducial")
+    missing = is_missing(xy, -FARTHEST_FIDUCIAL, FARTHEST_FIDUCIAL) | (xy == 0).all(axis=1)[:, None]
+    seen = ~missing.all(axis=1)
+    if (missing.any(axis=1) & seen).any():
+        k = int(np.flatnonzero(missing.any(axis=1) & seen)[0])
+        raise InputError(
+            f"{path}: x_mm and y_mm must both be positions within {FARTHEST_FIDUCIAL:g} mm, or both be missing, got "
+            f"{xy[k].tolist()} in row {k + 1}"
+        )
     extent = np.hypot(*xy[seen].T).max(initial=0.0)
-    if not 150 < extent < 300:
+    if not 150 < extent < FARTHEST_FIDUCIAL:
         raise InputError(f"{path}: the outermost fiducial must be 150 to 300 mm from the center, got {extent:.4g}")
     circles = np.column_stack([xy[seen], np.zeros(seen.sum())]) * u.mm
     none = [str(int(k)) for k in np.sort(table["fiducialId"][~seen])]
@@ -72,6 +88,7 @@ def read_interference(path: Path) -> np.ndarray:
     table = _read(path, ("cobra_id", *names))
     _check_ids(path, table["cobra_id"], "cobra_id", N)
     limits = np.column_stack([table[name] for name in names])[np.argsort(table["cobra_id"])]
+    limits[is_missing(limits, -np.inf, np.inf) & is_missing(limits, 0, 360, codes=False)] = np.nan
     given = np.isfinite(limits)
     if (given.any(axis=1) != given.all(axis=1)).any():
         row = int(np.flatnonzero(given.any(axis=1) != given.all(axis=1))[0]) + 1
@@ -86,7 +103,11 @@ def read_interference(path: Path) -> np.ndarray:
 
 
 def read_cobras(paths) -> dict:
-    """Return the columns of the calibration model, with one row for each cobra (lengths in mm, angles in deg)."""
+    """Return the columns of the calibration model, with one row for each cobra (lengths in mm, angles in deg).
+
+    The column ``unknown`` states which cobras have values that are impossible. A cobra with a defect whose center is
+    impossible has the nominal center.
+    """
     rows = [row for path in to_paths(paths) for row in _containers(path)]
     names = ", ".join(str(path) for path in to_paths(paths))
     columns = {name: np.array([row[name] for row in rows]) for name in (*HEADER, *KINEMATICS)}
@@ -103,13 +124,18 @@ def read_cobras(paths) -> dict:
                 "a camera cannot be used"
             )
     good = columns["status"] == GOOD
-    apart = np.hypot(*(np.column_stack([columns["x"], columns["y"]]) - nominal_centers()).T)
+    nominal = nominal_centers()
+    apart = np.hypot(*(np.column_stack([columns["x"], columns["y"]]) - nominal).T)
     if good.any() and apart[good].max() > FARTHEST_CENTER:
         row = int(np.flatnonzero(good)[apart[good].argmax()])
         raise InputError(
             f"{names}: each cobra must be within {FARTHEST_CENTER:g} mm of its nominal center on the PFI, got "
             f"{apart[row]:.3g} mm for cobra {row + 1}"
         )
+    far = apart > FARTHEST_CENTER
+    columns["x"], columns["y"] = np.where(far, nominal.T, (columns["x"], columns["y"]))
+    wrong = [is_missing(columns[name], *limits, codes=False) for name, limits in LIMITS.items()]
+    columns["unknown"] = far | np.any(wrong, axis=0) | (columns["theta_low"] == -99) | (columns["theta_high"] == -99)
     return columns
 
 
@@ -117,8 +143,7 @@ def _containers(path: Path):
     """Yield the values of each cobra in a calibration file."""
     from xml.etree import ElementTree
 
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     content = content_of(path)
     if b"<!DOCTYPE" in content[:4096] or b"<!ENTITY" in content:
         raise InputError(f"{path}: the XML must have no document type and no entities, got one")

@@ -15,10 +15,11 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._io import to_path
-from rfpsurvey._readers import read_table
+from rfpsurvey._readers import is_present, read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, check_choice, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument._missing import is_missing
 
 __all__ = ["PRESETS", "read", "recognizes"]
 
@@ -29,12 +30,19 @@ FIBERS = {"BOSS": ("bossX", "bossY"), "APOGEE": ("apX", "apY"), "METROLOGY": ("m
 VECTORS = ("ix", "iy", "iz", "jx", "jy", "jz")
 COEFFICIENTS = ("c0", "c1", "c2", "c3", "c4")
 HOLE = re.compile(r"R[+-]?\d+C\d+")
-LARGEST = 1000.0  # mm; the wok has a radius of about 350 mm
+# Limits of possible values; other values count as missing. Lengths are in mm, and angles in degrees.
+LARGEST = 400.0  # distance from the center of the wok, whose radius is about 350 mm
+MOST_OFFSET = {"alphaOffset": 90.0, "betaOffset": 90.0, "dx": 5.0, "dy": 5.0}
+MOST_SHIFT = {"x": 100.0, "y": 100.0, "xTilt": 10.0, "yTilt": 10.0}
+FARTHEST = 5.0  # distance of a hole from its nominal position
+ARMS_DIFFER = 0.2  # relative difference of an arm from the nominal arm
+MAPS_DIFFER = 0.1  # relative difference of the radius of a field from the nominal radius
+MOST_FIBERS = 500
 
 
 def recognizes(path: Path) -> bool:
     """Return whether a folder contains the table of the robots of SDSS-V."""
-    return (path / TABLE).is_file()
+    return is_present(path / TABLE)
 
 
 def read(preset, folder, *, site: str | None = None, disabled=()):
@@ -50,7 +58,7 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
     robots.order_as(nominal.focal_plane.id)
     ids = robots.text("holeID")
     robots.check_unique("holeID")
-    xy, axis = _bases(folder, site, robots, notes)
+    xy, axis = _bases(folder, site, robots, nominal.focal_plane, notes)
     types = _fiber_types(folder, site, robots, notes)
     plane = _plane(nominal.focal_plane, robots, ids, xy, axis, types, notes)
     plane = replace(plane, obstacles=_obstacles(folder, site, nominal.focal_plane.obstacles, ids, notes))
@@ -76,6 +84,10 @@ class _Rows:
 
     def __init__(self, path: Path, names: tuple[str, ...]):
         self.path, self.table = path, read_table(path)
+        self.number = np.arange(1, len(self.table) + 1)
+        """Number of each row in the file, counted from 1."""
+        self.impossible: list[str] = []
+        """Values that are not missing in the file, but count as missing."""
         for name in names:
             if name not in self.table.colnames:
                 got = ", ".join(self.table.colnames)
@@ -95,21 +107,40 @@ class _Rows:
         values = to_plain(column, f"{self.path}: column {name!r}").astype(str)
         return np.char.strip(np.where(np.ma.getmaskarray(np.ma.asarray(column)), "", values))
 
-    def numbers(self, name: str, *, finite: bool = False) -> np.ndarray:
-        """Return a column as numbers; missing values become NaN or, if ``finite`` is true, raise an error."""
+    def numbers(
+        self, name: str, most: float = 1e6, *, low: float | None = None, codes: bool = True, finite: bool = False
+    ) -> np.ndarray:
+        """Return a column as numbers; missing values become NaN or, if ``finite`` is true, raise an error.
+
+        Values outside the limits ``low`` (by default, ``-most``) and ``most`` count as missing, and also codes for
+        missing values if ``codes`` is true.
+        """
         texts = self.text(name)
         try:
             values = np.array([float(text) if text else np.nan for text in texts.tolist()])
         except ValueError as error:
             raise InputError(f"{self.path}: column {name!r} must hold numbers, {error}") from None
-        wrong = np.abs(values) > 1e6
-        wrong |= ~np.isfinite(values) if finite else np.isinf(values)
+        missing = is_missing(values, -most if low is None else low, most, codes=codes)
+        wrong = missing if finite else np.isinf(values)
         if wrong.any():
             k = int(np.flatnonzero(wrong)[0])
             raise InputError(
-                f"{self.path}: column {name!r} must hold finite numbers, got {str(texts[k])!r} in row {k + 1}"
+                f"{self.path}: column {name!r} must hold finite numbers"
+                f"{f' from {-most:g} to {most:g}' if most < 1e6 else ''}, and no codes such as 99 or -999, got "
+                f"{str(texts[k])!r} in row {self.number[k]}"
             )
-        return values
+        self.doubt(missing & ~np.isnan(values), name)
+        return np.where(missing, np.nan, values)
+
+    def doubt(self, wrong: np.ndarray, name: str) -> None:
+        """Record the values of a column that are impossible."""
+        got = np.asarray(self.text(name))
+        self.impossible += [f"{name} = {got[k]} in row {self.number[k]}" for k in np.flatnonzero(wrong)]
+
+    def note(self) -> list[str]:
+        """Return a note on the impossible values of this table, if there are any."""
+        values = ", ".join(dict.fromkeys(self.impossible))
+        return [f"These values in {self.path.name} are impossible and count as missing: {values}."] if values else []
 
     def keep_site(self, site: str | None) -> str:
         """Keep the rows of a site, and return the site; None stands for the only site of the table."""
@@ -125,17 +156,18 @@ class _Rows:
             raise InputError(f"{self.path}: site must be {' or '.join(PRESETS)}, got {site!r}")
         if not (found == site).any():
             raise InputError(f"{self.path}: the table must have rows of the site {site}, got {', '.join(set(found))}")
-        self.table = self.table[found == site]
+        self.keep(found == site)
         return site
 
-    def keep(self, mask: np.ndarray) -> None:
-        self.table = self.table[mask]
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep the rows that an index or a mask selects."""
+        self.table, self.number = self.table[rows], self.number[rows]
 
     def order_as(self, ids: np.ndarray) -> None:
         """Sort the rows in the order of the holes in the preset; rows of other holes follow."""
         place = {name: k for k, name in enumerate(ids.tolist())}
         order = [place.get(hole, len(place)) for hole in self.text("holeID").tolist()]
-        self.table = self.table[np.argsort(order, kind="stable")]
+        self.keep(np.argsort(order, kind="stable"))
 
     def check_unique(self, name: str) -> None:
         values, counts = np.unique(self.text(name), return_counts=True)
@@ -152,9 +184,9 @@ class _Rows:
 
 
 def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes: list[str]) -> _Rows | None:
-    """Return the rows of a site from a file, or None if the folder does not contain the file."""
+    """Return the rows of a site from a file, or None if the folder does not contain a file with this name."""
     path = folder / file
-    if not path.is_file():
+    if not is_present(path):
         notes.append(f"There is no {file}; its values are taken from the preset.")
         return None
     rows = _Rows(path, ("site", *names))
@@ -162,7 +194,7 @@ def _optional(folder: Path, file: str, site: str, names: tuple[str, ...], notes:
     return rows
 
 
-def _bases(folder, site, robots, notes):
+def _bases(folder, site, robots, nominal, notes):
     """Return the positions of the robots' holes (mm), and the direction of the unit vector i (rad) at each hole."""
     wok = _Rows(folder / "wokCoords.csv", ("site", "holeID", "xWok", "yWok"))
     wok.keep_site(site)
@@ -173,10 +205,20 @@ def _bases(folder, site, robots, notes):
         hole = robots.text("holeID")[rows < 0][0]
         raise InputError(f"{wok.path}: the table must have all holes of {TABLE}, but {hole} is missing")
     notes.append(f"wokCoords.csv has {number_of(len(wok) - len(rows), 'hole')} without a robot.")
-    xy = np.column_stack([wok.numbers(name, finite=True) for name in ("xWok", "yWok")])[rows]
+    wok.keep(rows)
+    xy = np.column_stack([wok.numbers(name, LARGEST, finite=True) for name in ("xWok", "yWok")])
+    places = dict(zip(nominal.id.tolist(), nominal.arrays.xy.tolist(), strict=True))
+    apart = [np.hypot(*(place - places.get(hole, place))) for hole, place in zip(wok.text("holeID"), xy, strict=True)]
+    far = np.array(apart) > FARTHEST
+    if far.any():
+        k = int(np.flatnonzero(far)[0])
+        raise InputError(
+            f"{wok.path}: xWok and yWok must be within {FARTHEST:g} mm of the nominal position of the hole, got "
+            f"{xy[k].tolist()} for {wok.text('holeID')[k]} in row {wok.number[k]}"
+        )
     if not all(wok.has(name) for name in VECTORS):
         return xy, np.full(len(rows), -np.pi / 2)
-    i_x, i_y, i_z, j_x, j_y, j_z = (wok.numbers(name, finite=True)[rows] for name in VECTORS)
+    i_x, i_y, i_z, j_x, j_y, j_z = (wok.numbers(name, finite=True) for name in VECTORS)
     bad = (np.abs([i_z, j_z, j_x + i_y, j_y - i_x, np.hypot(i_x, i_y) - 1]) > 1e-6).any(axis=0)
     if bad.any():
         raise InputError(
@@ -190,7 +232,7 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
     """Return whether each robot has the fibers BOSS and APOGEE, shape (n, 2)."""
     holes = robots.text("holeID")
     path = folder / "fiberAssignments.csv"
-    if not path.is_file():
+    if not is_present(path):
         wok = _Rows(folder / "wokCoords.csv", ("holeID", "holeType"))
         kind = np.char.lower(wok.text("holeType")[wok.rows_of(holes)])
         notes.append("There is no fiberAssignments.csv; holeType in wokCoords.csv states the fibers of each robot.")
@@ -209,16 +251,28 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
         text = f"fiberAssignments.csv has {number_of(extra, 'positioner')} without a row in {TABLE}"
         notes.append(f"{text}; these positioners are not used.")
         warn(f"{folder}: {text}; {TABLE} may be truncated")
-    fibers = np.column_stack([rows.text(name) != "" for name in ("BOSSFiber", "APOGEEFiber")])
+    numbers = [rows.numbers(name, MOST_FIBERS, low=1, codes=False) for name in ("BOSSFiber", "APOGEEFiber")]
+    fibers = np.isfinite(numbers).T
+    notes += rows.note()
     return fibers[index] & (index >= 0)[:, None]
 
 
 def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
     """Return the focal plane; robots whose values are incomplete are disabled and have nominal values."""
-    places = {name: np.column_stack([robots.numbers(column) for column in columns]) for name, columns in FIBERS.items()}
-    own = {name: robots.numbers(name) for name in ("alphaArmLen", *OFFSETS)}
-    bad = (own["alphaArmLen"] <= 0) | ~np.isfinite(list(own.values())).all(axis=0)
-    standard = {"alphaArmLen": nominal.arrays.central_arm[0], **dict.fromkeys(OFFSETS, 0.0)}
+    places = {}
+    for name, columns in FIBERS.items():
+        place = np.column_stack([robots.numbers(column) for column in columns])
+        length = np.hypot(*place.T)
+        wrong = np.abs(length / nominal.arrays.eccentric_arm[0] - 1) > ARMS_DIFFER
+        for column in columns:
+            robots.doubt(wrong, column)
+        places[name] = np.where(wrong[:, None], np.nan, place)
+    arm = nominal.arrays.central_arm[0]
+    own = {"alphaArmLen": robots.numbers("alphaArmLen", arm * (1 + ARMS_DIFFER), low=arm * (1 - ARMS_DIFFER))}
+    own |= {name: robots.numbers(name, most) for name, most in MOST_OFFSET.items()}
+    bad = ~np.isfinite(list(own.values())).all(axis=0)
+    notes += robots.note()
+    standard = {"alphaArmLen": arm, **dict.fromkeys(OFFSETS, 0.0)}
     values = {name: np.where(bad, standard[name], v) for name, v in own.items()}
     if bad.any():
         notes.append(f"These robots are disabled, because values in {TABLE} are missing: {', '.join(ids[bad])}.")
@@ -240,10 +294,6 @@ def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
     # (tx + dx) i + (ty + dy) j, where j is i rotated by +90 deg
     c, s = np.cos(axis), np.sin(axis)
     base = xy + np.column_stack([c * values["dx"] - s * values["dy"], s * values["dx"] + c * values["dy"]])
-    if (np.abs(base) > LARGEST).any():
-        raise InputError(
-            f"{robots.path}: robots must be within {LARGEST:g} mm of the center, got {np.abs(base).max():g}"
-        )
     zeros = np.column_stack([axis + np.deg2rad(values["alphaOffset"]), np.deg2rad(values["betaOffset"])])
     return FocalPlane(
         base * u.mm,
@@ -263,11 +313,12 @@ def _obstacles(folder, site, nominal, ids, notes):
     rows = _optional(folder, "fiducialCoords.csv", site, ("holeID", "xWok", "yWok"), notes)
     if rows is None:
         return nominal
-    between = np.array([HOLE.fullmatch(hole) is not None for hole in rows.text("holeID").tolist()])
-    xy = np.column_stack([rows.numbers(name, finite=True) for name in ("xWok", "yWok")])[between]
+    n = len(rows)
+    rows.keep(np.array([HOLE.fullmatch(hole) is not None for hole in rows.text("holeID").tolist()]))
+    xy = np.column_stack([rows.numbers(name, LARGEST, finite=True) for name in ("xWok", "yWok")])
     radius = nominal[0, 2].to_value(u.mm)
     notes.append(
-        f"Fiducials between the robots ({len(xy)} of {len(rows)} in fiducialCoords.csv) are obstacles of radius "
+        f"Fiducials between the robots ({len(xy)} of {n} in fiducialCoords.csv) are obstacles of radius "
         f"{radius:g} mm; other fiducials and the guide cameras are not obstacles."
     )
     return np.column_stack([xy, np.full(len(xy), radius)]) * u.mm
@@ -289,16 +340,21 @@ def _maps(folder, site, nominal, notes):
             )
         radius, *terms = (float(rows.numbers(c, finite=True)[found[0]]) for c in ("R", *COEFFICIENTS))
         maps[name] = replace(old, coefficients=tuple(terms), radius=radius * u.mm)
+        edge = float(maps[name].to_radius(old.max_angle) / old.to_radius(old.max_angle))
+        if not abs(edge - 1) < MAPS_DIFFER:
+            raise InputError(
+                f"{rows.path}: R and c0 to c4 must give the nominal radius of the field within {MAPS_DIFFER:.0%}, got "
+                f"{edge:.3g} times this radius in row {rows.number[found[0]]}"
+            )
     return maps
 
 
 def _check_orientation(folder, site, notes) -> None:
     """Warn if the wok is shifted or tilted, because projections of the sky neglect the shift and the tilt."""
-    names = ("x", "y", "xTilt", "yTilt")
-    rows = _optional(folder, "wokOrientation.csv", site, names, notes)
+    rows = _optional(folder, "wokOrientation.csv", site, tuple(MOST_SHIFT), notes)
     if rows is None:
         return
-    values = {name: rows.numbers(name, finite=True)[0] for name in names}
+    values = {name: rows.numbers(name, most, finite=True)[0] for name, most in MOST_SHIFT.items()}
     if any(values.values()):
         given = ", ".join(f"{name} = {value:g}" for name, value in values.items() if value)
         text = f"{rows.path}: the wok is shifted or tilted ({given}); projections of the sky neglect the shift and tilt"

@@ -2,7 +2,7 @@
 
 from rfpsurvey.observing._conditions import ObservingConditions, as_hour_angle, check_conditions
 from rfpsurvey.observing._field import ObservedField
-from rfpsurvey.observing._models import MODELS, displacements, drifts, field_of_model, model_of
+from rfpsurvey.observing._models import MODELS, displacements, field_of_model, model_of
 from rfpsurvey.observing._plane import ObservedPlane
 from rfpsurvey.observing._sites import SITES, location
 
@@ -15,7 +15,6 @@ __all__ = [
     "as_hour_angle",
     "check_conditions",
     "displacements",
-    "drifts",
     "field_of_model",
     "location",
     "model_of",

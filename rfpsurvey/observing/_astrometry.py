@@ -1,5 +1,6 @@
 """Directions of stars as an observer sees them, computed with ERFA on arrays without units."""
 
+from copy import copy
 from functools import cache
 
 import astropy.units as u
@@ -12,14 +13,11 @@ from rfpsurvey._units import to_lonlat
 from rfpsurvey.errors import InputError
 from rfpsurvey.observing._conditions import RATE, ObservingConditions
 
-__all__ = ["Instant", "instants_of"]
-
-# Points and weights of Gauss-Legendre quadrature over an exposure that starts at -1 and ends at 1.
-NODES, WEIGHTS = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
+__all__ = ["Instants"]
 
 
-class Instant:
-    """The sky at one instant: conversion of ICRS directions to observed directions.
+class Instants:
+    """The sky at k instants: conversion of ICRS directions to observed directions.
 
     Parameters
     ----------
@@ -27,11 +25,11 @@ class Instant:
         The observing conditions.
     ra_rad : float
         Right ascension of the field center (rad); it is used only if the conditions have an hour angle.
-    seconds : float
-        Time since the midpoint of the exposure.
+    seconds : ndarray, shape (k,)
+        Time of each instant since the midpoint of the exposure.
     """
 
-    def __init__(self, conditions: ObservingConditions, ra_rad: float, seconds: float):
+    def __init__(self, conditions: ObservingConditions, ra_rad: float, seconds: np.ndarray):
         self.weather = (
             conditions.pressure.to_value(u.hPa),
             conditions.temperature.to_value(u.deg_C),
@@ -50,34 +48,32 @@ class Instant:
             difference, x, y = _earth_rotation(utc)
             self.astrom, _ = erfa.apco13(utc.jd1, utc.jd2, difference, *self.place, x, y, 0.0, 0.0, 0.0, 0.5)
 
+    def __getitem__(self, index: slice | list[int]) -> "Instants":
+        """Return some of the instants."""
+        some = copy(self)
+        some.astrom = self.astrom[index]
+        return some
+
     def observe(self, vectors: np.ndarray, wavelength_um: float) -> np.ndarray:
-        """Return observed directions, shape (n, 3), in the frame east, north, zenith; NaN below the horizon."""
-        lon, lat = to_lonlat(vectors)
-        if not self.apparent:
-            lon, lat = erfa.atciqz(lon, lat, self.astrom)
-        astrom = self.astrom.copy()
-        astrom["refa"], astrom["refb"] = erfa.refco(*self.weather, wavelength_um)
-        azimuth, zenith, *_ = erfa.atioq(lon, lat, astrom)
+        """Return observed directions, shape (k, n, 3), in the frame east, north, zenith; NaN below the horizon."""
+        azimuth, zenith = self._horizontal(vectors, *erfa.refco(*self.weather, wavelength_um))
         zenith = np.where(zenith < np.pi / 2, zenith, np.nan)
         sine = np.sin(zenith)
-        return np.column_stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(zenith)])
+        return np.stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(zenith)], axis=-1)
 
-    def altitude(self, vector: np.ndarray) -> float:
-        """Return the altitude (rad) of one ICRS unit vector without refraction."""
-        lon, lat = to_lonlat(vector)
+    def altitudes(self, vector: np.ndarray) -> np.ndarray:
+        """Return the altitude (rad) of one ICRS unit vector at each instant, without refraction."""
+        return np.pi / 2 - self._horizontal(vector[None], 0.0, 0.0)[1][:, 0]
+
+    def _horizontal(self, vectors, a, b):
+        """Return azimuths and zenith distances (rad), shape (k, n), for the coefficients a and b of the refraction."""
+        lon, lat = to_lonlat(vectors)
+        astrom = self.astrom[:, None]
         if not self.apparent:
-            lon, lat = erfa.atciqz(lon, lat, self.astrom)
-        astrom = self.astrom.copy()
-        astrom["refa"] = astrom["refb"] = 0.0
-        return np.pi / 2 - float(erfa.atioq(lon, lat, astrom)[1])
-
-
-def instants_of(conditions: ObservingConditions, ra_rad: float) -> list[tuple[float, Instant]]:
-    """Return pairs (weight, instant); a weighted mean over the instants approximates the mean over the exposure."""
-    half = conditions.exposure_time.to_value(u.s) / 2
-    if half == 0:
-        return [(1.0, Instant(conditions, ra_rad, 0.0))]
-    return [(w, Instant(conditions, ra_rad, half * node)) for node, w in zip(NODES, WEIGHTS, strict=True)]
+            lon, lat = erfa.atciqz(lon, lat, astrom)
+        astrom = astrom.copy()
+        astrom["refa"], astrom["refb"] = a, b
+        return erfa.atioq(lon, lat, astrom)[:2]
 
 
 @cache
@@ -86,7 +82,7 @@ def _tables():
     return iers.IERS_A.read(iers.IERS_A_FILE)
 
 
-def _earth_rotation(utc: Time) -> tuple[float, float, float]:
+def _earth_rotation(utc: Time) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return UT1 - UTC (s) and the position of the pole (rad); no file is downloaded."""
     table = _tables()
     x, y = table.pm_xy(utc)

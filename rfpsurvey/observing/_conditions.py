@@ -97,7 +97,7 @@ class ObservingConditions:
         if (self.time is None) == (self.hour_angle is None):
             both = "none of them" if self.time is None else "both"
             raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
-        if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar):
+        if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar and not self.time.mask):
             raise InputTypeError(f"time must be one Time, got {short(self.time)}")
         if self.time is not None and self.time.scale in ("ut1", "local"):
             raise InputError(f"time must be in a scale such as UTC, got the scale {self.time.scale}; give UTC")

@@ -1,9 +1,12 @@
 """The projection of one field for given observing conditions; its methods use arrays without units."""
 
+from functools import cache
+
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.observing._astrometry import Instant, instants_of
+from rfpsurvey.observing._astrometry import Instants
 from rfpsurvey.observing._conditions import ObservingConditions
 from rfpsurvey.projection import FieldProjection, RadialMap
 
@@ -13,6 +16,10 @@ __all__ = ["ObservedField"]
 # MOST_STEPS: largest number of iterations of the inverse projection.
 # ROUNDING: largest change of a unit vector that can be a rounding error.
 STEP, MOST_STEPS, ROUNDING = 1e-4, 60, 1e-14
+# FEWEST, MOST: smallest and largest number of instants from which the mean over an exposure is computed.
+# CONVERGED: largest error (rad) of a mean direction. RADIUS: smallest radius (rad) of the ring whose error is tested.
+FEWEST, MOST, CONVERGED, RADIUS = 3, 65, 1e-9, 0.01
+TURNS = np.arange(8) * np.pi / 4
 
 
 class ObservedField:
@@ -40,8 +47,13 @@ class ObservedField:
     ----------
     basis, focal_length, distortion, conditions
         The values of the parameters with these names.
-    frames : list of ndarray, shape (3, 3)
-        Directions of +x, +y and the field center at each instant of the exposure, in the frame (east, north, zenith).
+    frames : ndarray, shape (k, 3, 3)
+        Directions of +x, +y and the field center in the frame (east, north, zenith), at instants from the start to the
+        end of the exposure.
+    seconds : ndarray, shape (k,)
+        Time of each instant since the midpoint of the exposure.
+    weights : ndarray, shape (k,)
+        Weight of each instant in the mean over the exposure.
 
     Raises
     ------
@@ -73,9 +85,28 @@ class ObservedField:
     ):
         self.basis, self.focal_length, self.distortion, self.conditions = basis, focal_length, distortion, conditions
         self._optics = FieldProjection(np.eye(3), focal_length, distortion)
-        ra = float(np.arctan2(basis[2, 1], basis[2, 0]))
-        self._instants = instants_of(conditions, ra)
-        self.frames = [self._frame(instant, radius) for _, instant in self._instants]
+        self._ra = float(np.arctan2(basis[2, 1], basis[2, 0]))
+        half, n = conditions.exposure_time.to_value(u.s) / 2, FEWEST
+        if half == 0:
+            self._sample(np.zeros(1), np.ones(1), radius)
+        while half > 0:
+            moments, few, more = _moments(n)
+            self._sample(half * moments, few, radius)
+            if n >= MOST or self._error(more, max(radius, RADIUS)) <= CONVERGED:
+                break
+            n = 2 * n - 1
+
+    def frames_at(self, seconds: np.ndarray) -> np.ndarray:
+        """Return the frames, as in the attribute ``frames``, at times (s) since the midpoint of the exposure."""
+        return self._frames(Instants(self.conditions, self._ra, seconds), 0.0)
+
+    def drift(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
+        """Return the largest distance (mm) between each target and its mean position during the exposure."""
+        mean, largest = self.project(vectors, fiber_type), np.zeros(len(vectors))
+        for one in np.eye(len(self.frames)) if len(self.frames) > 1 else ():
+            image = self._optics.project(self._observe(vectors, fiber_type, one), fiber_type)
+            largest = np.fmax(largest, np.hypot(*(image - mean).T))
+        return largest
 
     def project(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
         """Project unit vectors (n, 3) to points (n, 2) on the focal plane in mm; NaN where there is no image."""
@@ -114,43 +145,80 @@ class ObservedField:
             for name in np.unique(types)
         ]
 
-    def _observe(self, vectors, fiber_type):
+    def _observe(self, vectors, fiber_type, weights=None):
         """Return observed directions, averaged over the exposure, in the frame of the field, shape (n, 3)."""
         out = np.empty((len(vectors), 3))
+        weights = self.weights if weights is None else weights
         for rows, wavelength in self.wavelength_groups(fiber_type, len(vectors)):
             part = 0.0
-            for (weight, instant), frame in zip(self._instants, self.frames, strict=True):
-                part = part + weight * (instant.observe(vectors[rows], wavelength) @ frame.T)
-            out[rows] = part / np.linalg.norm(part, axis=1)[:, None] if len(self.frames) > 1 else part
+            for k in np.flatnonzero(weights):
+                seen = self._instants[k : k + 1].observe(vectors[rows], wavelength)[0]
+                part = part + weights[k] * (seen @ self.frames[k].T)
+            out[rows] = part / np.linalg.norm(part, axis=1)[:, None] if np.count_nonzero(weights) > 1 else part
         return out
 
-    def _frame(self, instant: Instant, radius: float) -> np.ndarray:
+    def _sample(self, seconds, weights, radius) -> None:
+        """Set the instants of the exposure."""
+        self.seconds, self.weights = seconds, weights
+        self._instants = Instants(self.conditions, self._ra, seconds)
+        self.frames = self._frames(self._instants, radius)
+
+    def _error(self, weights: np.ndarray, radius: float) -> float:
+        """Return the largest change (rad) of the mean directions at the edge if the weights of the instants change."""
+        x, y, center = self.basis
+        ring = np.cos(TURNS)[:, None] * x + np.sin(TURNS)[:, None] * y
+        points = np.vstack([center, np.cos(radius) * center + np.sin(radius) * ring])
+        waves = self.conditions.wavelengths_um
+        waves = list(waves.values()) if isinstance(waves, dict) else [waves]
+        found = []
+        for wave in {min(waves), max(waves), self._guide_um}:
+            seen = self._instants.observe(points, wave) @ self.frames.transpose(0, 2, 1)
+            found.append(np.tensordot(weights - self.weights, seen, 1))
+        return np.nanmax(np.abs(found))
+
+    @property
+    def _guide_um(self) -> float:
+        return self.conditions.guide_wavelength.to_value(u.um)
+
+    def _frames(self, instants: Instants, radius: float) -> np.ndarray:
         """Return the observed directions of +x, +y and the field center; raise an error if the field is too low."""
         x, y, center = self.basis
         around = np.array([center, center + STEP * x, center - STEP * x, center + STEP * y, center - STEP * y])
         around /= np.linalg.norm(around, axis=1)[:, None]
-        seen = instant.observe(around, self.conditions.guide_wavelength.to_value("um"))
-        center = seen[0]
-        lowest = np.arcsin(center[2]) - radius
-        if not (np.isfinite(seen).all() and lowest > 0):
-            raise self._below_horizon(instant, radius)
-        along_x, along_y = seen[1] - seen[2], seen[3] - seen[4]
-        x = along_x + np.cross(along_y, center)  # the direction for which the mean rotation is 0
-        x -= (x @ center) * center
-        x /= np.linalg.norm(x)
-        return np.array([x, np.cross(center, x), center])
+        center, x_more, x_less, y_more, y_less = np.moveaxis(instants.observe(around, self._guide_um), 1, 0)
+        lowest = np.arcsin(center[:, 2]) - radius
+        if not (lowest > 0).all():  # a direction below the horizon is NaN
+            raise self._below_horizon(instants, radius)
+        x = x_more - x_less + np.cross(y_more - y_less, center)  # the direction for which the mean rotation is 0
+        x -= (x * center).sum(axis=1)[:, None] * center
+        x /= np.linalg.norm(x, axis=1)[:, None]
+        return np.stack([x, np.cross(center, x), center], axis=1)
 
-    def _below_horizon(self, instant: Instant, radius: float) -> InputError:
+    def _below_horizon(self, instants: Instants, radius: float) -> InputError:
         """Return the error for a field that is not above the horizon."""
         conditions = self.conditions
-        altitude = np.rad2deg(instant.altitude(self.basis[2]))
+        altitude = np.rad2deg(instants.altitudes(self.basis[2]).min())
         if conditions.time is None:
             when = f"hour angle {conditions.hour_angle.to_value('hourangle'):.4g} h"
         else:
             when = f"{conditions.time.utc.iso} UTC"
         extent = f" with its radius of {np.rad2deg(radius):.4g} deg" if radius else ""
-        during = " during the exposure" if len(self._instants) > 1 else ""
+        during = " during the exposure" if len(self.seconds) > 1 else ""
         return InputError(
             f"the whole field{extent} must be above the horizon, got the altitude {altitude:.4g} deg of its center at "
             f"{when}{during}; choose another time or hour angle, or another field"
         )
+
+
+@cache
+def _moments(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return instants of an exposure from -1 to 1, and their weights in two rules of Gauss-Legendre quadrature.
+
+    The rules have n and 2 n - 1 points. The first and the last instant are the start and the end of the exposure.
+    """
+    rules = [np.polynomial.legendre.leggauss(size) for size in (n, 2 * n - 1)]
+    moments = np.unique(np.concatenate([[-1.0, 1.0], *(points for points, _ in rules)]))
+    weights = np.zeros((2, len(moments)))
+    for row, (points, values) in zip(weights, rules, strict=True):
+        row[np.searchsorted(moments, points)] = values / 2
+    return moments, *weights

@@ -1,8 +1,7 @@
 """Models of the projection, from the fastest to the most complete, and the displacements that each model neglects."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice
@@ -10,7 +9,7 @@ from rfpsurvey.observing._conditions import ObservingConditions
 from rfpsurvey.observing._field import ObservedField
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["MODELS", "displacements", "drifts", "field_of_model", "model_of"]
+__all__ = ["MODELS", "displacements", "field_of_model", "model_of"]
 
 MODELS = {
     "tangent": "tangent plane with one plate scale",
@@ -46,36 +45,32 @@ def field_of_model(
 
 
 def displacements(
-    points: np.ndarray, fiber_types: Iterable[str], *field: object, names: Iterable[str] = MODELS
-) -> dict[str, np.ndarray]:
-    """Return, for each model, the distances (mm) between the images of targets in this model and in the model ``full``.
+    points: np.ndarray, fiber_types: Sequence[str | None], *field: object
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Compare the images of targets in each model with their images in the model ``full``.
 
-    ``points`` (n, 2) are positions of fibers (mm); ``field`` contains all arguments of `field_of_model`
-    except the name of the model.
+    Parameters
+    ----------
+    points : ndarray, shape (m, n, 2)
+        Positions of the images in the model ``full``, in mm, for each fiber type.
+    fiber_types : sequence of str or None
+        The m fiber types of the targets.
+    *field : object
+        All arguments of `field_of_model` except the name of the model.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (m, n)
+        For each model, the distances (mm) from the images in the model ``full``.
+    ndarray, shape (m, n)
+        The largest distance (mm) between the image and its mean position during the exposure.
     """
-    full = field_of_model("full", *field)
-    out = {name: [] for name in names}
-    for kind in fiber_types:
-        vectors = full.unproject(points, kind)
-        for name in names:
-            image = field_of_model(name, *field).project(vectors, kind)
-            out[name].append(np.hypot(*(image - points).T))
-    return {name: np.concatenate(found) for name, found in out.items()}
-
-
-def drifts(points: np.ndarray, fiber_types: Iterable[str], *field: object) -> np.ndarray:
-    """Return the largest distance (mm) between the image of each target and its mean position during the exposure."""
-    basis, focal_length, distortion, conditions, *radius = field
-    half = conditions.exposure_time / 2
-    if half == 0 * u.s:
-        return np.zeros(len(points) * len(list(fiber_types)))
-    full = field_of_model("full", *field)
-    ends = [
-        ObservedField(basis, focal_length, distortion, conditions.without_exposure.shifted(time), *radius)
-        for time in (-half, half)
-    ]
-    found = []
-    for kind in fiber_types:
-        vectors = full.unproject(points, kind)
-        found.append(np.max([np.hypot(*(end.project(vectors, kind) - points).T) for end in ends], axis=0))
-    return np.concatenate(found)
+    fields = {name: field_of_model(name, *field) for name in MODELS}
+    full = fields.pop("full")
+    targets = [(full.unproject(own, kind), own, kind) for own, kind in zip(points, fiber_types, strict=True)]
+    moved = {
+        name: np.array([np.hypot(*(one.project(vectors, kind) - own).T) for vectors, own, kind in targets])
+        for name, one in fields.items()
+    }
+    moved["full"] = np.zeros(points.shape[:2])
+    return moved, np.array([full.drift(vectors, kind) for vectors, _, kind in targets])

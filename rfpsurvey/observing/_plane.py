@@ -15,6 +15,9 @@ from rfpsurvey.projection import TangentPlane
 
 __all__ = ["ObservedPlane"]
 
+# MOST_STEP: largest change (rad) of the parallactic angle in a step. SHORTEST: shortest step (s).
+MOST_STEP, SHORTEST = np.pi / 6, 1e-6
+
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
@@ -86,23 +89,30 @@ class ObservedPlane(TangentPlane):
     @property
     def parallactic_angle(self) -> Angle:
         """Position angle of the zenith, seen from the field center, at the midpoint of the exposure."""
-        return Angle(self._zenith_angles()[len(self.plain.frames) // 2], u.rad).wrap_at(180 * u.deg).to(u.deg)
+        return Angle(self._zenith_angles(self._frame[None])[0], u.rad).wrap_at(180 * u.deg).to(u.deg)
 
     @property
     def field_rotation(self) -> Angle:
         """Change of the parallactic angle during the exposure, which the rotator of an alt-azimuth mount removes."""
-        angles = np.unwrap(self._zenith_angles())
-        # The change is scaled, because the exposure is longer than the interval between the first and the last instant.
-        scale = 1.0 if len(angles) == 1 else 1 / 0.6**0.5
-        return Angle((angles[-1] - angles[0]) * scale, u.rad).to(u.deg)
+        seconds, frames = self.plain.seconds, self.plain.frames
+        while True:
+            angles = self._zenith_angles(frames)
+            steps = np.mod(np.diff(angles) + np.pi, 2 * np.pi) - np.pi
+            # Near the zenith, the parallactic angle changes rapidly: halve intervals with large changes.
+            wide = np.flatnonzero((np.abs(steps) > MOST_STEP) & (np.diff(seconds) > SHORTEST))
+            if len(wide) == 0:
+                return Angle(steps.sum(), u.rad).to(u.deg)
+            new = (seconds[wide] + seconds[wide + 1]) / 2
+            frames = np.insert(frames, wide + 1, self.plain.frames_at(new), axis=0)
+            seconds = np.insert(seconds, wide + 1, new)
 
     @property
     def _frame(self) -> np.ndarray:
         return self.plain.frames[len(self.plain.frames) // 2]
 
-    def _zenith_angles(self) -> np.ndarray:
-        """Return the position angle of the zenith at each instant, in radians."""
+    def _zenith_angles(self, frames: np.ndarray) -> np.ndarray:
+        """Return the position angle of the zenith in each frame, in radians."""
         x, y, center = self.plain.basis
         east = np.array([-center[1], center[0], 0.0])
         of_y = np.arctan2(y @ east, x @ east)  # at a pole, both arguments are 0
-        return np.array([of_y + np.arctan2(frame[0, 2], frame[1, 2]) for frame in self.plain.frames])
+        return of_y + np.arctan2(frames[:, 0, 2], frames[:, 1, 2])

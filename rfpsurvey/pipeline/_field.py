@@ -14,6 +14,7 @@ from rfpsurvey.allocation import (
     TargetColumns,
     assign,
     service_order,
+    tie_order,
     to_subpriorities,
 )
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
@@ -41,6 +42,8 @@ class FieldTargets(NamedTuple):
     """Unit vectors of other targets, which are not assigned; blank sky positions must avoid these targets."""
     extra: dict | None = None
     """Additional columns of the plan; each key is the name of a column, and each value contains a value per target."""
+    numbered: bool = False
+    """Whether the identifiers are row numbers, because the catalog has no identifiers."""
 
 
 class FieldPlan(NamedTuple):
@@ -117,9 +120,13 @@ def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocat
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
     seconds = perf_counter() - begin
     columns = targets.columns._replace(fiber_type=fiber_type)
+    values = columns.subpriority
     if options.subpriority is not None:
         values = to_subpriorities(options.subpriority, targets.id, targets.extra)
+    if values is not None:
         columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
+    elif options.breaks_ties:
+        others["order"] = tie_order(xy, None if targets.numbered else targets.id)
     allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
     allocation.seconds["projection"] = seconds
     return allocation

@@ -4,6 +4,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from rfpsurvey._units import exact_text
+
 __all__ = ["OUTCOMES", "Outcome", "category_classes", "outcome_codes", "priority_classes"]
 
 
@@ -51,7 +53,7 @@ def priority_classes(priority: np.ndarray | None, counts: np.ndarray) -> tuple[n
         group = np.unique(before * N_RANGES // numbers.sum(), return_inverse=True)[1].reshape(-1)
     low = values[np.searchsorted(group, np.arange(group[-1] + 1))]
     high = values[np.searchsorted(group, np.arange(group[-1] + 1), side="right") - 1]
-    names = [f"{a:.15g}" if a == b else f"{a:.15g} to {b:.15g}" for a, b in zip(low, high, strict=True)]
+    names = [exact_text(a) if a == b else f"{exact_text(a)} to {exact_text(b)}" for a, b in zip(low, high, strict=True)]
     place = np.clip(np.searchsorted(low, priority, side="right") - 1, 0, len(low) - 1)
     return (len(low) - 1 - place).astype(np.uint8), names[::-1]
 

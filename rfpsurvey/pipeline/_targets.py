@@ -8,7 +8,7 @@ from rfpsurvey.pipeline._field import FieldTargets
 
 __all__ = ["PLANNED_COLUMNS", "field_targets", "reusable_targets"]
 
-PLANNED_COLUMNS = ("priority", "kind", "category", "fiber_type")
+PLANNED_COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 """Optional columns of a catalog that allocators use."""
 
 
@@ -27,7 +27,8 @@ def field_targets(
     columns = {name: getattr(catalog, name) for name in PLANNED_COLUMNS}
     columns = {name: None if values is None else values[row] for name, values in columns.items()}
     extra = {name: values[row] for name, values in catalog.arrays.extra.items()}
-    return FieldTargets(vectors, catalog.id[row], TargetColumns(**columns, is_required=is_required), others, extra)
+    columns = TargetColumns(**columns, is_required=is_required)
+    return FieldTargets(vectors, catalog.id[row], columns, others, extra, catalog.numbered)
 
 
 def reusable_targets(

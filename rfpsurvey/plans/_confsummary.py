@@ -4,7 +4,6 @@ import gzip
 import re
 import tempfile
 import warnings
-import zlib
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +17,7 @@ from rfpsurvey._io import output_path
 from rfpsurvey._readers import content_of, is_number, sentence
 from rfpsurvey.errors import InputError
 from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -59,13 +59,7 @@ def recognizes(path: Path) -> bool:
     """Return whether a file is a yanny file with the table FIBERMAP, or has a name that ends in ``.par``."""
     if ".par" in path.suffixes[-2:]:
         return True
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
-            head = file.read(2**14)
-    except (OSError, EOFError, zlib.error):
-        return False
+    head = head_of(path, 2**14)
     return head.startswith(b"#%yanny") and b"FIBERMAP" in head
 
 
@@ -129,6 +123,7 @@ def read(path: Path) -> QTable:
         position_angle=rotation,
         epoch=None if epoch is None else f"J{Time(epoch, format='jd').jyear:.6f}",
         struct=[f"{kind} {name}" for name, kind in struct.items()],  # a list, because ECSV sorts the keys of a dict
+        **from_keywords(header),
     )
 
 
@@ -259,9 +254,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
         if base in TYPES:
             shape = (int(size),) if size else ()
             values = np.full((n, *shape), MISSING) if values is None else np.asarray(values)
-            fields.append(
-                (name, TYPES[base], shape, _whole(values, name, path) if base in "short int long" else values)
-            )
+            fields.append((name, TYPES[base], shape, to_type(values, TYPES[base], f"{path}: the column {name!r}")))
         else:
             values = np.full(n, "") if values is None else np.asarray(values).astype(str)
             _check_text(values, name, path)
@@ -286,7 +279,9 @@ def _given(plan: QTable, struct: dict) -> dict:
         none = np.isin(ids, ("", "-1"))
         if not np.char.isdecimal(ids[~none]).all():
             raise InputError("catalogid must be whole numbers, got text for the identifiers of targets")
-        ids = np.where(none, "-1", ids).astype(np.int64)
+        ids = to_type(np.where(none, "-1", ids), "i8", "catalogid")
+    if (ids[plain["assigned"].astype(bool)] == MISSING).any():
+        raise InputError(f"catalogid must differ from {MISSING} for all targets, because {MISSING} means no target")
     given["catalogid"] = np.where(ids == -1, MISSING, ids)
     given["assigned"] = plain["assigned"].astype(int)
     given.setdefault("valid", np.isfinite(x).astype(int))
@@ -311,12 +306,6 @@ def _joined(category, fibers):
     return np.array([f"{c}_{t.lower()}" for c, t in zip(category.tolist(), fibers, strict=True)])
 
 
-def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
-    if values.dtype.kind not in "iub":
-        raise InputError(f"{path}: the column {name!r} must be whole numbers, got {values.dtype}")
-    return values
-
-
 def _check_text(values: np.ndarray, name: str, path: Path) -> None:
     """Raise an error for text that yanny files cannot contain."""
     for text in np.unique(values).tolist():
@@ -339,6 +328,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
             "decCen": meta.get("deccen", MISSING),
             "pa": meta.get("position_angle", MISSING),
         }
+    header = without_keywords(header) | to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
     for key, text in header.items():
         _check_text(np.array([text]), key, path)

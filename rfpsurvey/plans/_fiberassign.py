@@ -5,7 +5,6 @@ FIELDROT are in the coordinate system CS5, in which +x is west; x and the positi
 opposite signs.
 """
 
-import gzip
 import re
 import warnings
 from pathlib import Path
@@ -17,8 +16,9 @@ from astropy.table import QTable, Table
 from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import read_tables
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -59,6 +59,8 @@ COMMON = {
     "priority": "PRIORITY",
 }
 """Name of each column in a plan, and its name in a fiberassign file; ``x`` and ``FIBERASSIGN_X`` differ in sign."""
+EXACT, RANKS = "PRIORITY_VALUE", "PRIORANK"
+"""Column with the priorities of a plan if PRIORITY contains ranks, and keyword that states this."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
@@ -72,13 +74,7 @@ SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA
 
 def recognizes(path: Path) -> bool:
     """Return whether a file is a FITS file with the extension FIBERASSIGN in its first 256 KiB."""
-    try:
-        with open(path, "rb") as file:
-            opener = gzip.open if file.read(2) == b"\x1f\x8b" else open
-        with opener(path, "rb") as file:
-            head = file.read(2**18)
-    except (OSError, EOFError):
-        return False
+    head = head_of(path, 2**18)
     return head.startswith(b"SIMPLE") and NAME.search(head) is not None
 
 
@@ -101,11 +97,12 @@ def read(path: Path) -> QTable:
         "kind": _kinds(values),
         "assigned": _is_assigned(status, values["TARGETID"]),
         "x": -values["FIBERASSIGN_X"],
+        **({"priority": to_plain(table[EXACT])} if EXACT in table.colnames else {}),
     }
     header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
     plan = make_plan(
         columns,
-        {name: _native(table[name]) for name in table.colnames if name not in COMMON.values()},
+        {name: _native(table[name]) for name in table.colnames if name not in (*COMMON.values(), EXACT)},
         format="fiberassign",
         instrument="desi",
         header=header,
@@ -113,6 +110,7 @@ def read(path: Path) -> QTable:
         deccen=_angle(header, "TILEDEC", path),
         position_angle=_opposite(_angle(header, "FIELDROT", path)),
         epoch=_epoch(values.get("REF_EPOCH")),
+        **from_keywords(header),
     )
     plan.meta["columns"] = list(table.colnames)
     plan.meta["extensions"] = [one for one in tables if one is not table]
@@ -129,7 +127,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     if suffix_of(path) != ".fits":
         raise InputError(f"{path}: the name of a fiberassign file must end in .fits or .fits.gz")
     header = _header(plan)
-    columns = _columns(plan, header)
+    columns = _columns(plan, header, path)
     shared = {name: header[name] for name in SHARED if name in header}
     with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
         primary = fits.PrimaryHDU()
@@ -139,6 +137,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
             own = {name: table[name] for name in table.colnames}
             units.append(_to_hdu(table.meta.get("EXTNAME"), own, table.meta, path))
         fits.HDUList(units).writeto(temporary)
+    if EXACT in columns:
+        warn(
+            f"{path}: PRIORITY contains ranks, which are larger for more important targets, because 32-bit integers "
+            f"cannot represent the priorities; the column {EXACT} contains the priorities"
+        )
 
 
 def lost(plan: QTable) -> list[str]:
@@ -226,14 +229,15 @@ def _header(plan) -> dict:
             header[name] = plan.meta[entry]
     if plan.meta.get("position_angle") is not None and ("FIELDROT" in header or not _is_own(plan)):
         header["FIELDROT"] = 0.0 - plan.meta["position_angle"]
-    return header
+    header.pop(RANKS, None)
+    return without_keywords(header) | to_keywords(plan.meta)
 
 
 def _is_own(plan) -> bool:
     return plan.meta.get("format") == "fiberassign"
 
 
-def _columns(plan, header) -> dict:
+def _columns(plan, header, path) -> dict:
     """Return the columns of FIBERASSIGN, by name.
 
     The columns have the order of the file from which the plan was read or, for plans of other formats, of ``TYPES``.
@@ -244,6 +248,10 @@ def _columns(plan, header) -> dict:
     words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
     common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
     common["FIBERASSIGN_X"] = -plan["x"]
+    if "PRIORITY" in common:
+        common |= _priorities(np.asarray(common["PRIORITY"]), assigned)
+        if EXACT in common:
+            header[RANKS] = f"PRIORITY: ranks of {EXACT}"
     if _is_own(plan):
         found = {name: plan[name] for name in plan.colnames if name not in (*COMMON, "fiber_type", "kind", "assigned")}
         found |= common
@@ -274,8 +282,10 @@ def _columns(plan, header) -> dict:
             "TARGET_RA": np.full(n, np.nan),
             "TARGET_DEC": np.full(n, np.nan),
         } | common
-        found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"])
-        found = {name: _typed(column, TYPES[name], UNITS.get(name)) for name, column in found.items()}
+        found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"], path)
+    for name, kind in TYPES.items():
+        if name in found and not (_is_own(plan) and _has_kind(found[name], kind)):
+            found[name] = _typed(found[name], kind, UNITS.get(name), f"{path}: {name}")
     order = dict.fromkeys([*plan.meta.get("columns", TYPES), *found])
     return {name: found[name] for name in order if name in found}
 
@@ -294,14 +304,31 @@ def _locations(plan) -> np.ndarray:
     return ids.astype(np.int64)
 
 
-def _targets(ids, location, assigned, tile) -> np.ndarray:
-    """Return the identifiers of the targets; each fiber without a target has its own negative number."""
-    values = np.where(assigned, np.asarray(ids), 0 if np.asarray(ids).dtype.kind in "iu" else "0")
+def _priorities(values, assigned) -> dict:
+    """Return the columns of priorities: PRIORITY and, if 32-bit integers cannot represent all priorities, also EXACT.
+
+    Without the column EXACT, the priority of fibers without a target is 0 if it is missing. With this column, PRIORITY
+    contains ranks: 1 for the smallest priority, and 0 for missing priorities.
+    """
+    known = np.isfinite(values) if values.dtype.kind == "f" else np.ones(len(values), dtype=bool)
+    whole = np.where(known | assigned, values, 0)
     try:
-        found = values.astype(np.int64)
-    except ValueError:
-        raise InputError(f"target_id must be whole numbers in a file of fiberassign, got {str(values[0])!r}") from None
-    return np.where(assigned, found, -1 - 10_000 * tile - location)
+        return {"PRIORITY": to_type(whole, "i4", "PRIORITY")}
+    except InputError:
+        rank = np.zeros(len(values), dtype="i4")
+        rank[known] = np.unique(values[known], return_inverse=True)[1].reshape(-1) + 1
+        return {"PRIORITY": rank, EXACT: values}
+
+
+def _has_kind(column, kind) -> bool:
+    """Return whether a column has a type of the same kind as in the data model, which is written unchanged."""
+    return np.asarray(column).dtype.kind in {"i": "iu", "u": "iu", "f": "f", "U": "SUO"}[np.dtype(kind).kind]
+
+
+def _targets(ids, location, assigned, tile, path) -> np.ndarray:
+    """Return the identifiers of the targets; each fiber without a target has its own negative number."""
+    values = np.where(assigned, np.asarray(ids), 0 if np.asarray(ids).dtype.kind in "iuf" else "0")
+    return np.where(assigned, to_type(values, "i8", f"{path}: target_id"), -1 - 10_000 * tile - location)
 
 
 def _year(epoch) -> float:
@@ -310,9 +337,11 @@ def _year(epoch) -> float:
     return float(match[1]) if match else 0.0
 
 
-def _typed(column, kind, unit):
+def _typed(column, kind, unit, what):
+    """Return a column with the type of the data model; raise an error if this type cannot represent the values."""
     values = column.to_value(unit) if unit is not None and isinstance(column, u.Quantity) else to_plain(column)
-    return values.astype(kind) if unit is None else u.Quantity(values.astype(kind), unit)
+    values = values.astype(kind) if np.dtype(kind).kind == "U" else to_type(values, kind, what)
+    return values if unit is None else u.Quantity(values, unit)
 
 
 def _to_hdu(name, columns, header, path):
@@ -337,6 +366,6 @@ def _add(header, keywords, path) -> None:
         warnings.simplefilter("ignore")  # ignore warnings about names with more than eight characters
         for name, value in keywords.items():
             try:
-                header[name] = value
+                header[f"HIERARCH {name}" if "." in name else name] = value
             except ValueError as error:
                 raise InputError(f"{path}: the keyword {name} cannot be written: {error}") from None

@@ -3,9 +3,7 @@
 The data model is defined by https://github.com/Subaru-PFS/datamodel, versions 3 and 4.
 """
 
-import gzip
 import re
-import zlib
 from pathlib import Path
 
 import astropy.units as u
@@ -15,8 +13,18 @@ from astropy.table import QTable
 from rfpsurvey._readers import read_fits_units
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import pfs_fibers
-from rfpsurvey.plans._pfsdesign_write import FLUXES, FORMATS, NATIVE, PFI_ANGLE, design_id, wrapped, write
+from rfpsurvey.plans._pfsdesign_write import (
+    FLUXES,
+    FORMATS,
+    FROM_TILE,
+    NATIVE,
+    PFI_ANGLE,
+    design_id,
+    wrapped,
+    write,
+)
 from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._values import from_keywords, head_of
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
@@ -30,13 +38,7 @@ STRUCTURE = re.compile(
 
 def recognizes(path: Path) -> bool:
     """Return whether a file is a FITS file with a design identifier and the extension DESIGN."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
-            head = file.read(2**16)
-    except (OSError, EOFError, zlib.error):
-        return False
+    head = head_of(path, 2**16)
     return head.startswith(b"SIMPLE") and b"W_PFDSGN=" in head and b"EXTNAME = 'DESIGN  '" in head
 
 
@@ -111,13 +113,17 @@ def read(path: Path) -> QTable:
         position_angle=wrapped(float(header.get("POSANG", 0.0)) + PFI_ANGLE),
         epoch=str(epochs[0]) if len(epochs) == 1 else None,
         **meta,
+        **from_keywords(header),
     )
 
 
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
-    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE, *FORMATS, *FLUXES, "filterName"}
-    names |= {*dict(plan.meta.get("formats", ()))} if plan.meta["format"] == "pfsdesign" else {"spectrograph"}
+    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE}
+    if plan.meta["format"] == "pfsdesign":
+        names |= {*FORMATS, *FLUXES, "filterName", *dict(plan.meta.get("formats", ()))}
+    else:
+        names |= {*FROM_TILE, "spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if plan.meta["format"] not in ("pfsdesign", "tile") and plan.meta["header"]:
         found.append("the keywords of the header")

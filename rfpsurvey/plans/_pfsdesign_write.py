@@ -11,8 +11,9 @@ from astropy.table import QTable
 from rfpsurvey._io import output_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
-__all__ = ["FLUXES", "FORMATS", "NATIVE", "PFI_ANGLE", "design_id", "wrapped", "write"]
+__all__ = ["FLUXES", "FORMATS", "FROM_TILE", "NATIVE", "PFI_ANGLE", "design_id", "wrapped", "write"]
 
 # Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
 # +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
@@ -41,6 +42,9 @@ FORMATS = {
     "fiberStatus": "J",
 }
 """Columns of the table DESIGN in a new file, with their FITS formats."""
+FROM_TILE = ("tract", "patch", "catId", "proposalId", "obCode")
+"""Columns of DESIGN that are copied from a tile with columns of these names."""
+DTYPES = {"B": "u1", "I": "i2", "J": "i4", "K": "i8", "E": "f4"}
 FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
 FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
 GUIDE_STARS = {
@@ -72,7 +76,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     """
     from astropy.io import fits
 
-    rows, header = _rows(plan, path), _header(plan, path)
+    rows, header = _rows(plan, path), without_keywords(_header(plan, path)) | to_keywords(plan.meta)
     number = _identifier(plan, rows)
     header["W_PFDSGN"] = number
     match = NAME.fullmatch(path.name)
@@ -145,7 +149,7 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
     if target.dtype.kind == "U":
         if not np.char.isdecimal(target[has_target]).all():
             raise InputError(f"{path}: objId must be whole numbers, got text for the identifiers of targets")
-        target = np.where(has_target, target, "-1").astype(np.int64)
+        target = to_type(np.where(has_target, target, "-1"), "i8", f"{path}: objId")
     kinds = np.where(plain["kind"] == "", "science", plain["kind"])
     types = np.where(has_target, [TYPES.get(kind, 1) for kind in kinds.tolist()], UNASSIGNED)
     spare = np.setdiff1d(pfs_engineering_fibers(), fiber[cobra - 1])
@@ -156,28 +160,29 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
         values = plain.get(name, np.full(len(plan), default)).astype(float)
         return np.concatenate([np.where(has_target, values, default), np.full(n, default)])[order]
 
-    def texts(value):
-        return np.full(len(order), value)
-
     def whole(values, default):
         return np.concatenate([values, np.full(n, default)])[order]
+
+    def own(name, default, spare=None):
+        values = np.where(has_target, plain.get(name, np.full(len(plan), default)), default if spare is None else spare)
+        return whole(values, default if spare is None else spare)
 
     found = {
         "fiberId": np.concatenate([fiber[cobra - 1], spare])[order],
         "cobraId": whole(cobra, NO_COBRA),
-        "tract": np.full(len(order), -1),
-        "patch": texts("0,0"),
+        "tract": own("tract", -1),
+        "patch": own("patch", "0,0"),
         "ra": numbers("ra"),
         "dec": numbers("dec"),
-        "catId": whole(np.where(has_target, 0, -1), -1),
+        "catId": own("catId", 0, -1),
         "objId": whole(np.where(has_target, target, -1), -1),
         "targetType": whole(types, ENGINEERING),
-        "epoch": texts(str(plan.meta.get("epoch") or "J2000.0")),
+        "epoch": np.full(len(order), str(plan.meta.get("epoch") or "J2000.0")),
         "pmRa": numbers("pm_ra", 0.0),
         "pmDec": numbers("pm_dec", 0.0),
         "parallax": np.full(len(order), 1e-8),
-        "proposalId": texts("N/A"),
-        "obCode": texts("N/A"),
+        "proposalId": own("proposalId", "N/A"),
+        "obCode": own("obCode", "N/A"),
         "pfiNominal": np.column_stack([numbers("x"), numbers("y")]),
         "fiberStatus": np.full(len(order), GOOD),
     }
@@ -237,10 +242,11 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     """Return a table as a header-data unit; ``columns`` contains the values and the FITS format of each column."""
     from astropy.io import fits
 
-    made = [
-        fits.Column(name=k, format=form, array=values, unit=(units or {}).get(k))
-        for k, (values, form) in columns.items()
-    ]
+    made = []
+    for key, (values, form) in columns.items():
+        kind = DTYPES.get(form[-1])
+        array = values if kind is None else to_type(values, kind, f"column {key!r} of {name}")
+        made.append(fits.Column(name=key, format=form, array=array, unit=(units or {}).get(key)))
     return fits.BinTableHDU.from_columns(made, header, name=name)
 
 

@@ -14,7 +14,9 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
+from rfpsurvey._readers import check_is_file
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+from rfpsurvey.plans._values import ENTRIES
 
 __all__ = [
     "COLUMNS",
@@ -85,7 +87,8 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         contains these data: ``theta``, ``phi`` (joint angles), ``ra``, ``dec`` (ICRS), ``pm_ra``, ``pm_dec`` and
         ``priority``. All other columns of the file follow under their own names. The ``meta`` contains ``format``,
         ``instrument`` and ``header`` (all keywords of the file). The entries ``racen``, ``deccen`` (field center, deg),
-        ``position_angle`` (deg) and ``epoch`` of the ``meta`` are missing if the file does not contain these data.
+        ``position_angle`` (deg), ``epoch``, ``north_of``, ``projection`` and ``conditions`` (as in the provenance of a
+        tile) of the ``meta`` are missing if the file does not contain these data.
 
     Raises
     ------
@@ -288,6 +291,7 @@ def as_plan(plan: object) -> QTable:
         deccen=parameters.get("dec_deg"),
         position_angle=parameters.get("position_angle_deg"),
         epoch=parameters.get("epoch"),
+        **{name: parameters.get(name) for name in ENTRIES},
     )
 
 
@@ -330,8 +334,7 @@ def _filled(ids, has_target) -> np.ndarray:
 
 def _existing(path: object) -> Path:
     path = to_path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: {'this is a folder' if path.is_dir() else 'there is no such file'}")
+    check_is_file(path)
     return path
 
 

@@ -25,6 +25,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     of the sum is a product of two ratios of areas.
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
+    _check_arms(plane, "closed_form", "elbow_to_tip", "capsule")
     d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
     if variant == "printed":
@@ -58,6 +59,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     Each positioner observes one target. Targets are assumed to be uniformly distributed in the area that the
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
+    _check_arms(plane, "close_pair", "elbow_to_tip", "capsule", "fiber_tip")
     area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
     # a point in several patrol areas is counted only once: for the last positioner (largest row) that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
@@ -65,6 +67,16 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)
     others = np.count_nonzero(plane.arrays.usable) - 1
     return np.full(len(plane), 1 - (1 - near) ** max(others, 0)), {"reached_area_mm2": union}
+
+
+def _check_arms(plane, method, *models):
+    """Raise an error if a formula does not describe the arm model, such as an outline, whose clearance can be 0."""
+    own = plane.positioner.arm_model
+    if own not in models:
+        raise InputError(
+            f"the arm model must be {' or '.join(models)} for the method {method!r}, got {own!r}; use the method "
+            "quadrature, which supports all arm models, or another arm model of the instrument (with_arm_model)"
+        )
 
 
 def _pairs_within(plane, radius):

@@ -153,7 +153,8 @@ def _from_catalog(instrument, targets, center):
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")
         center = targets.mean_direction
-    science = np.arange(len(targets)) if targets.kind is None else np.flatnonzero(targets.kind == "science")
+    wanted = np.ones(len(targets), dtype=bool) if targets.kind is None else targets.kind == "science"
+    science = np.flatnonzero(wanted if targets.visits is None else wanted & (targets.visits > 0))
     types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
     xy, types = project_field(instrument, instrument.projection(center).plain, targets.arrays.vectors[science], types)
     return _given(xy, types, priority)
@@ -161,5 +162,7 @@ def _from_catalog(instrument, targets, center):
 
 def _given(points, types=None, priority=None):
     if len(points) == 0:
-        raise InputError("targets must have at least one row (a Catalog, at least one science target), got none")
+        raise InputError(
+            "targets must have at least one row (a Catalog, one science target with requested visits), got none"
+        )
     return Source("given", points=points, types=types, priority=priority)

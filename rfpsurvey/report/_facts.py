@@ -27,8 +27,10 @@ TILE = {
     "n_wrong_fiber": "  without the required fiber type",
     "n_unusable": "rows not scored: disabled or stuck",
     "n_parked": "  parked, as obstacles",
+    "n_recorded": "  at recorded poses, as obstacles",
     "n_idle": "  idle, not as obstacles",
     "n_colliding": "  in collision",
+    "arm_model": "    arm model",
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
     "collision_rate": "collision rate",
@@ -134,6 +136,7 @@ def survey_facts(survey: "Survey") -> dict:
         "  to sky": s.get("n_sky", 0),
         "  fraction of all fibers": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
+        "  arm model": s.get("arm_model", "unknown"),  # surveys of earlier versions have no arm model
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
         "unmet requirements, sum over tiles": s["n_unmet"],

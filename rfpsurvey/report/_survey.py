@@ -29,6 +29,8 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Picture("The completeness of the survey after each tile.", plot_completeness(survey), _about_curves(survey)),
     ]
     model = {"model": s["model"]} if "model" in s else {}  # summaries of older versions have no model
+    columns = survey.provenance.get("catalog", {}).get("columns")
+    model |= {"columns of the catalog": columns} if columns else {}
     after = "The table lists the completeness after each pass, for each priority class and for all targets."
     sections = [
         Section("Result", [Facts("", survey_facts(survey) | model)]),

@@ -10,7 +10,7 @@ from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
-from rfpsurvey.tile import Tile
+from rfpsurvey.tile import Tile, collision_shape
 
 __all__ = ["page_of_tile"]
 
@@ -72,7 +72,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
-    lead = f"{counts}; {arms} in collision."
+    lead = f"{counts}; {arms} in collision{collision_shape(summary)}."
     return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
 
 
@@ -91,6 +91,8 @@ def _asked(tile) -> dict:
         asked["center (ICRS)"] = f"{p['ra_deg']:.6f} {p['dec_deg']:+.6f} deg"
         asked["position angle"] = f"{p['position_angle_deg']:g} deg from the north of {p['north_of']}"
     asked["catalog"] = catalog.get("file") or catalog.get("synthetic") or "given in memory"
+    if catalog.get("columns"):
+        asked["columns of the catalog"] = catalog["columns"]
     asked["epoch"] = p.get("epoch") or "not stated"
     asked["requirements"] = p.get("requirements") or "none"
     if p.get("required"):
@@ -104,6 +106,8 @@ def _asked(tile) -> dict:
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:
         asked["model"] = tile.summary["model"]
+    if tile.summary.get("poses_without_target"):
+        asked["poses"] = tile.summary["poses_without_target"]
     projection = tile.summary.get("projection", {})
     if "sentence" in projection:
         asked["projection"] = f"{projection['model']}; {projection['sentence']}"
@@ -147,9 +151,12 @@ def _pictures(tile) -> list:
             "positioners in collision."
         )
     else:
+        shading = "The shading around each arm is half the minimum separation wide on each side"
+        if tile.summary.get("arm_model") == "outline":
+            shading = "The shading is the outline of both arms of a positioner"
         words = (
-            "Circles are the outer edges of patrol areas, and dotted circles are the inner edges. The shading around "
-            "each arm is half the minimum separation wide on each side: two arms collide if their shadings overlap."
+            "Circles are the outer edges of patrol areas, and dotted circles are the inner edges. "
+            f"{shading}: two arms collide if their shadings overlap."
         )
     if "position_angle_deg" in tile.provenance["parameters"]:
         words += " East is to the left of north, as on the sky; arrows point to north and east."

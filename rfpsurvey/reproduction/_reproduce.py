@@ -10,6 +10,7 @@ from pathlib import Path
 
 from astropy.table import QTable
 
+from rfpsurvey._folder import locked
 from rfpsurvey._io import check_output, output_path, to_path, write_table
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
 from rfpsurvey.plot import draw_reproduction
@@ -90,8 +91,8 @@ def reproduce(
     Raises
     ------
     InputError
-        If the name of the experiment is unknown, if ``rng`` or ``workers`` is invalid, if ``folder`` is a file, or if
-        outputs exist and ``overwrite`` is False.
+        If the name of the experiment is unknown, if ``rng`` or ``workers`` is invalid, if ``folder`` is a file or is
+        used by another run, or if outputs exist and ``overwrite`` is False.
 
     References
     ----------
@@ -113,10 +114,16 @@ def reproduce(
         raise InputError(f"rng must be a seed, a whole number of at least 0, got {rng!r}")
     workers = os.cpu_count() or 1 if workers is None else workers
     check_whole(workers, "workers")
-    folder = _folder(folder, names, overwrite)
+    folder = to_path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} must be a folder, but it is a file")
+    folder.mkdir(parents=True, exist_ok=True)
     claims: list[Claim] = []
     made: dict[str, QTable] = {}
-    with ThreadPoolExecutor(workers) as executor:
+    with locked(folder, folder / "lock"), ThreadPoolExecutor(workers) as executor:
+        for name in ("claims", *(table for one in names for table in TABLES[one])):
+            for ending in (".ecsv", ".rst" if name == "claims" else ".png"):
+                check_output(folder / f"{name}{ending}", (ending,), overwrite=overwrite)
         settings = Settings(quick, executor, progress, rng)
         for name in names:
             run = EXPERIMENTS[name]
@@ -135,16 +142,6 @@ def reproduce(
     table = claims_table(claims)
     table.meta.update(_provenance(settings), made_by="reproduce", folder=str(folder))
     return table
-
-
-def _folder(folder, names, overwrite):
-    folder = to_path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} must be a folder, but it is a file")
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in ("claims", *(t for n in names for t in TABLES[n])):
-        check_output(folder / f"{name}.ecsv", (".ecsv",), overwrite=overwrite)
-    return folder
 
 
 def _write_claims(folder: Path, claims: list[Claim], settings: Settings) -> None:

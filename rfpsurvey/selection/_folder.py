@@ -6,10 +6,9 @@ from time import monotonic
 
 import numpy as np
 
-from rfpsurvey._io import output_path
+from rfpsurvey._folder import RequestFolder, check_file
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.selection._state import State
-from rfpsurvey.survey import RequestFolder
 
 __all__ = ["NAME", "SelectionFolder"]
 
@@ -29,19 +28,26 @@ class SelectionFolder(RequestFolder):
     request_name = "selection.json"
     work, parts = "computation of selection probabilities", "realizations"
 
-    @property
-    def result(self) -> Path | None:
-        """Path of the file with the result; None if the computation is not finished."""
-        return self.path / NAME if (self.path / NAME).is_file() else None
-
     def _open(self):
         super()._open()
         self._last = monotonic()
 
+    def verified(self, name: str) -> Path | None:
+        """Return the path of a file, or None if the file is missing or damaged; a damaged file causes a warning."""
+        path = self.path / name
+        if name not in self._known or not path.exists():
+            return None
+        try:
+            check_file(self.path, name, self._known)
+        except InputError as error:
+            warn(f"{error}; its tiles are planned again")
+            return None
+        return path
+
     def load(self, name: str) -> dict[str, np.ndarray] | None:
         """Return the arrays of a file, or None if the file is missing or damaged."""
-        path = self.path / f"{name}.npz"
-        if not path.exists():
+        path = self.verified(f"{name}.npz")
+        if path is None:
             return None
         try:
             with path.open("rb") as stream, np.load(stream) as file:
@@ -52,7 +58,7 @@ class SelectionFolder(RequestFolder):
 
     def save(self, name: str, **arrays: np.ndarray) -> None:
         """Write arrays to a file; if writing fails, no incomplete file remains."""
-        with self._told(), output_path(self.path / f"{name}.npz", (".npz",), overwrite=True) as temporary:
+        with self.writing(f"{name}.npz") as temporary:
             np.savez(temporary, **arrays)
 
     def save_state(self, number: int, state: State) -> None:
@@ -81,10 +87,12 @@ class SelectionFolder(RequestFolder):
         return None if found is None else (found["mask"], found["counts"])
 
     def finish(self) -> None:
-        """Remove the files that are required only to continue an unfinished computation."""
+        """Remove the files that are required only to continue an unfinished computation, and their checksums."""
         with self._told():
             for path in self.path.glob("*.npz"):
                 path.unlink()
+        self._known = {NAME: self._known[NAME]}
+        super().finish()
 
 
 def _block(number: int) -> str:

@@ -1,5 +1,6 @@
 """Potential assignments: the tiles and positioners that can reach the points of a random catalog."""
 
+import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
@@ -67,7 +68,8 @@ def potential_assignments(
     passes : list of int, optional
         Passes of the tiling to use; by default all passes.
     epoch : Time, str or float, optional
-        Epoch to which the points are moved by their proper motions.
+        Epoch to which the points are moved by their proper motions; by default, the times of the tiles, if the tiling
+        has conditions with times.
     survey : Survey, optional
         A survey planned with these tiles. In each tile, positioners whose target is lost to a collision reach no point.
     executor : concurrent.futures.Executor, optional
@@ -221,6 +223,7 @@ class PotentialAssignments:
             "INSTRUME": (self.request.instrument.name, "instrument"),
             "NTILES": (len(self), "number of tiles"),
             "NPOINTS": (len(self.request.source), "number of points"),
+            _io.META_KEY: json.dumps({"request": self.request.identity()}, separators=(",", ":"), default=str),
         }
         return _io.write_fits_rows(path, _io.FitsRows(self._dtype, cards, self._rows()), overwrite=overwrite)[0]
 

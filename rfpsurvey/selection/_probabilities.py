@@ -10,6 +10,8 @@ from astropy.table import QTable
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
+from rfpsurvey._folder import check_file, read_index
+from rfpsurvey._units import to_visits
 from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
 from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error
@@ -256,7 +258,8 @@ class SelectionProbabilities:
         Parameters
         ----------
         path : str or path-like
-            Path of the file, or of the folder in which `selection_probabilities` wrote it.
+            Path of the file, or of the folder in which `selection_probabilities` wrote it. The content is compared with
+            the checksum that the index of this folder contains; a file without an index is not checked.
 
         Returns
         -------
@@ -269,7 +272,11 @@ class SelectionProbabilities:
             If the file does not contain selection probabilities, or is damaged.
         """
         path = _io.to_path(path)
-        path = path / "selection.fits" if path.is_dir() else path
+        in_folder = path.is_dir()
+        path = path / "selection.fits" if in_folder else path
+        known = read_index(path.parent)
+        if path.is_file() and (in_folder or path.name in known):
+            check_file(path.parent, path.name, known)
         table = _io.read_table(path)
         meta = table.meta
         lacking = [name for name in COLUMNS if name not in table.colnames]
@@ -277,6 +284,9 @@ class SelectionProbabilities:
             what = f"a table without {', '.join(lacking)}" if lacking else "a table without provenance"
             raise InputError(f"{path} must contain selection probabilities, got {what}")
         realizations = _io.read_table(path, number=1)
+        kinds = {name: np.asarray(table[name]).dtype.kind for name in ("BITWEIGHTS", "n_tiles")}
+        if set(kinds.values()) - {*"iu"} or np.asarray(table["n_tiles"]).min(initial=0) < 0:
+            raise InputError(f"{path} must store integers in BITWEIGHTS, and integers of at least 0 in n_tiles")
         bits = np.asarray(table["BITWEIGHTS"]).astype(np.int64, copy=False).reshape(len(table), -1).view(np.uint64)
         if bits.shape[1] != n_words(len(realizations)):
             raise InputError(
@@ -290,7 +300,7 @@ class SelectionProbabilities:
         }
         n_tiles = np.asarray(table["n_tiles"])
         n_tiles = n_tiles.astype(np.uint16 if n_tiles.max(initial=0) < 1 << 16 else np.uint32)
-        requested = np.asarray(table["requested"]).astype(np.uint8)
+        requested = to_visits(table["requested"], len(table))
         return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations)
 
     def __len__(self):

@@ -41,6 +41,7 @@ def realization_table(request, seeds: list[int], counts: np.ndarray, *, together
             "n_tiles": len(request.tiling),
             "n_rounds": len(request.rounds),
             "n_fibers": n_usable * len(request.tiling),
+            **({} if request.moved is None else {"epoch": request.moved}),
             "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
         },
         "provenance": request.provenance,

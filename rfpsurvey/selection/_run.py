@@ -36,9 +36,9 @@ def run(
         request.check_text()
         where = SelectionFolder(path, {**request.identity(), "n_realizations": n}, resume=resume)
     with where as folder:
-        if folder is not None and folder.result is not None:
+        if folder is not None and folder.verified(NAME) is not None:
             folder.finish()  # the earlier run may have ended between writing the result and removing the checkpoints
-            return SelectionProbabilities.read(folder.result)
+            return SelectionProbabilities.read(folder.path)
         together = in_batch(request)
         seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)
         book = request.open_state()
@@ -72,7 +72,8 @@ def run(
             realization_table(request, seeds, np.concatenate(counts), together=together),
         )
         if folder is not None:
-            result.write(folder.path / NAME, overwrite=True)
+            with folder.writing(NAME) as temporary:
+                result.write(temporary)
             folder.finish()
     return result
 

@@ -1,6 +1,5 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
-from rfpsurvey.survey._folder import RequestFolder
 from rfpsurvey.survey._joint import JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
@@ -13,7 +12,6 @@ __all__ = [
     "Job",
     "JointOptions",
     "Request",
-    "RequestFolder",
     "Survey",
     "plan_survey",
     "prepare_request",

@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, as_table, is_table, to_time
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, as_table, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -29,7 +29,7 @@ from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling, as_tiling, warn_of_targets
+from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_targets
 
 __all__ = ["plan_survey", "prepare_request"]
 
@@ -83,7 +83,8 @@ def plan_survey(
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions.
+        Epoch to which the targets are moved by their proper motions. By default, the time of each tile, if the tiling
+        has conditions with times; otherwise, the targets are not moved. ``summary["epoch"]`` states the epoch.
     lost_in_collision : bool, optional
         Whether a target counts as not observed if the arm at this target collides, so that other tiles can observe it.
     order : {"color", "given", "joint"} or JointOptions, optional
@@ -188,18 +189,20 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
-    if epoch is not None:
-        to_time(epoch, "epoch")
+    tiles, joint = as_tiling(tiling), as_joint(order)
+    times = times_of_tiles(tiles) if len(tiles) else None
     if isinstance(catalog, PartitionedCatalog):
-        source = Partitioned(catalog, epoch)
+        used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)
+        source = Partitioned(catalog, used)
     else:
         catalog = as_catalog(catalog)
-        if epoch is not None and not catalog.has_proper_motion:
-            warn("the epoch has no effect, because the targets have no proper motions")
-        source = InMemory(catalog if epoch is None else catalog.at_epoch(epoch))
-    tiles, joint = as_tiling(tiling), as_joint(order)
+        used, moved = choose_epoch(catalog, epoch, times)
+        source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if joint is not None:
         check_joint(asked)
+        first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
+        if first.subpriority is not None:
+            warn("the subpriorities of the catalog have no effect on a joint plan")
     if is_table(tiling):
         warn_of_targets(as_table(tiling)[0], len(source))
     request = make_request(
@@ -212,6 +215,8 @@ def prepare_request(
         seed=to_seed(rng),
         order="color" if joint is not None else check_choice(order, (*ORDERS, "joint"), "order"),
         epoch=None if epoch is None else str(epoch),
+        moved=moved,
+        reference=used if epoch is None else None,
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
     )

@@ -6,10 +6,12 @@ from functools import cached_property
 
 import astropy.units as u
 import numpy as np
+from astropy.time import Time
 
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_plain, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
+from rfpsurvey.catalog import epoch_text
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import blank_ids, mark_required, reusable_targets
@@ -18,7 +20,7 @@ from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
 from rfpsurvey.tile import versions
-from rfpsurvey.tiling import Tiling, conditions_of_tiles, largest_field_rad, places_of_tiles
+from rfpsurvey.tiling import Tiling, conditions_of_tiles, largest_field_rad, places_of_tiles, times_of_tiles
 
 __all__ = ["Request", "make_request"]
 
@@ -48,6 +50,10 @@ class Request:
     epoch: str | None
     seed: int
     lost_in_collision: bool
+    moved: str | None = None
+    """Sentence that states the epoch of the targets; None if they have no proper motions."""
+    reference: Time | None = None
+    """Epoch of the positions in ``source``; None if the targets are not moved to the times of the tiles."""
     joint: object = None
     """Options of the joint plan; None if the tiles are planned one after the other."""
 
@@ -57,6 +63,19 @@ class Request:
         return largest_field_rad(self.tiling, self.conditions, self.instrument)
 
     @cached_property
+    def years(self) -> np.ndarray | None:
+        """Time of each tile since the reference epoch, in years; None if the targets are not moved to these times."""
+        if self.reference is None:
+            return None
+        return (times_of_tiles(self.tiling).tdb - self.reference.tdb).to_value(u.yr)
+
+    @cached_property
+    def margin_rad(self) -> float:
+        """Upper limit of the angle (radians) by which any target moves between the reference epoch and a tile."""
+        longest = 0.0 if self.years is None else float(np.abs(self.years).max())
+        return longest * self.source.fastest_rad if longest else 0.0
+
+    @cached_property
     def conditions(self) -> list | None:
         """Observing conditions of each tile; None if refraction is neglected."""
         return conditions_of_tiles(self.tiling)
@@ -64,13 +83,15 @@ class Request:
     @cached_property
     def rounds(self) -> list[np.ndarray]:
         """Rows of the tiles of each round; the tiles of a round share no targets and can be planned simultaneously."""
-        return make_rounds(self.tiling.vectors, 2 * self.radius_rad * (1 + 1e-9), self.number, self.order)
+        return make_rounds(
+            self.tiling.vectors, 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9), self.number, self.order
+        )
 
     @cached_property
     def model(self) -> Model:
         """The data that the jobs of all tiles share."""
         blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
-        return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units, self.epoch)
+        return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units)
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
@@ -90,14 +111,21 @@ class Request:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
         # blank sky positions must not be close to any target, including targets without remaining visits
         rest = self.options.sky_separation is not None
-        field = self.source.field(self.tiling.vectors[tile], self.radius_rad, left, rest=rest)
+        years = 0.0 if self.years is None else float(self.years[tile])
+        field = self.source.field(
+            self.tiling.vectors[tile], self.radius_rad, left, rest=rest, years=years, margin_rad=self.margin_rad
+        )
         if self.is_required is not None:
             columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
+            field = field._replace(targets=field.targets._replace(columns=columns))
+        if self.joint is not None:  # joint plans do not support subpriorities
+            columns = field.targets.columns._replace(subpriority=None)
             field = field._replace(targets=field.targets._replace(columns=columns))
         name, *where = self._names[tile], *self._places[tile].tolist()
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
-        return Job(self.model, name, *where, field, seed, as_file, conditions)
+        epoch = self.epoch if self.years is None else f"J{self.reference.jyear + years:.6f}"
+        return Job(self.model, name, *where, field, seed, as_file, conditions, epoch)
 
     @cached_property
     def _names(self) -> list:
@@ -119,7 +147,7 @@ class Request:
             **self.options.record,
             "passes": self.passes,
             "order": self.order,
-            "epoch": self.epoch,
+            "epoch": self.epoch if self.years is None else epoch_text(times_of_tiles(self.tiling)),
             "rng": self.seed,
             "lost_in_collision": self.lost_in_collision,
             "radius_deg": float(np.rad2deg(self.radius_rad)),

@@ -88,12 +88,14 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "fiber_use": total["n_assigned"] / max(n_usable * len(request.tiling), 1),
         "n_colliding": total["n_colliding"],
         "n_colliding_pairs": total["n_colliding_pairs"],
+        "arm_model": request.instrument.focal_plane.positioner.arm_model,
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "n_unmet": total["n_unmet"],
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
         "unmet": _unmet(request.source, missed, why),
+        **({} if request.moved is None else {"epoch": request.moved}),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 

@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey.allocation import TargetColumns
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, move_vectors
 from rfpsurvey.pipeline import PLANNED_COLUMNS, FieldTargets, field_targets
 
 __all__ = ["Field", "InMemory", "Partitioned", "digest"]
@@ -39,22 +40,50 @@ class InMemory:
     def __len__(self):
         return len(self._index)
 
+    @cached_property
+    def _motion(self) -> np.ndarray:
+        """Proper motions in radians per year, in the order of rows."""
+        icrs = self._catalog.coord.icrs
+        return np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
+
+    @property
+    def fastest_rad(self) -> float:
+        """Largest proper motion in radians per year."""
+        return float(np.nan_to_num(np.hypot(*self._motion.T)).max(initial=0.0))
+
+    def _vectors(self, slot: np.ndarray, years: float) -> np.ndarray:
+        """Return the directions of targets after a number of years."""
+        vectors = self._index.vectors[slot]
+        return vectors if years == 0 else move_vectors(vectors, self._motion[self._index.order[slot]], years)
+
     def field(
-        self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False, by_row: bool = False
+        self,
+        center: np.ndarray,
+        radius_rad: float,
+        left: np.ndarray,
+        *,
+        rest: bool = False,
+        by_row: bool = False,
+        years: float = 0.0,
+        margin_rad: float = 0.0,
     ) -> Field:
         """Return the targets in a circle that still require a visit.
 
         ``left`` is the number of remaining visits of each target, in the order of slots or, if ``by_row`` is true, in
         the order of rows. If ``rest`` is true, the field also contains the directions of the targets without remaining
-        visits, as ``targets.others``.
+        visits, as ``targets.others``. The targets are moved by their proper motions in a number of ``years``, by at
+        most the angle ``margin_rad``.
         """
         left = self.to_slots(left) if by_row else left
-        slot, others = self._index.near(center, radius_rad, None if rest else left), None
+        slot, others = self._index.near(center, radius_rad + margin_rad, None if rest else left), None
+        if years:
+            apart = np.linalg.norm(self._vectors(slot, years) - center, axis=1)
+            slot = slot[apart <= 2 * np.sin(radius_rad / 2)]
         if rest:
-            others = self._index.vectors[slot[left[slot] == 0]]
+            others = self._vectors(slot[left[slot] == 0], years)
             slot = slot[left[slot] > 0]
         row = self._index.order[slot]
-        return Field(slot, row, field_targets(self._catalog, row, self._index.vectors[slot], others=others))
+        return Field(slot, row, field_targets(self._catalog, row, self._vectors(slot, years), others=others))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return, for each circle, the sum of the values of the targets inside; ``values`` is in the order of slots."""
@@ -144,25 +173,42 @@ class Partitioned:
                 self._kept.popitem(last=False)
         return self._kept[k]
 
-    def field(self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, rest: bool = False) -> Field:
+    @property
+    def fastest_rad(self) -> float:
+        """Largest proper motion in radians per year."""
+        return max(self._part(k).fastest_rad for k in range(len(self._parts.files)))
+
+    def field(
+        self,
+        center: np.ndarray,
+        radius_rad: float,
+        left: np.ndarray,
+        *,
+        rest: bool = False,
+        years: float = 0.0,
+        margin_rad: float = 0.0,
+    ) -> Field:
         """Return the targets in a circle that still require a visit.
 
         ``left`` is the number of remaining visits of each target, in the order of slots. If ``rest`` is true, the field
-        also contains the directions of the targets without remaining visits, as ``targets.others``.
+        also contains the directions of the targets without remaining visits, as ``targets.others``. The targets are
+        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``.
         """
         found = []
-        for k in self._parts.near(center, radius_rad + self._margin_rad).tolist():
+        for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
-            field = self._part(k).field(center, radius_rad, left[first:last], rest=rest, by_row=True)
+            field = self._part(k).field(
+                center, radius_rad, left[first:last], rest=rest, by_row=True, years=years, margin_rad=margin_rad
+            )
             if len(field.row) or rest or not found:
                 found.append(field._replace(slot=field.row + first, row=field.row + first))
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
         slot, row, targets = zip(*found, strict=True)
-        vectors, ids, columns, others, extra = zip(*targets, strict=True)
+        vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
         columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
         extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
-        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra)
+        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0])
         return Field(_stack(slot), _stack(row), targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:

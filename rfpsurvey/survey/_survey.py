@@ -11,9 +11,10 @@ from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
 from rfpsurvey._display import show, to_html
+from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.survey._folder import JOINT, TABLES, part_name, read_index, read_verified
+from rfpsurvey.survey._folder import JOINT, TABLES, part_name
 from rfpsurvey.tile import with_unit
 
 __all__ = ["Survey"]
@@ -223,7 +224,7 @@ class Survey:
                 "survey with resume=True (--resume) before you read it"
             )
         for name in TABLES:
-            read_verified(folder, name, known)
+            check_file(folder, name, known)
         tables = [_io.read_table(folder / name) for name in TABLES]
         for name, table, columns in zip(TABLES, tables, COLUMNS, strict=True):
             _check_columns(folder / name, table.colnames, columns)
@@ -232,7 +233,7 @@ class Survey:
                 raise InputError(f"{folder / TABLES[0]} must hold the {name} of a survey, got none")
         joint = None
         if JOINT in known:
-            read_verified(folder, JOINT, known)
+            check_file(folder, JOINT, known)
             joint = _io.read_table(folder / JOINT)
         return cls(*tables, folder, joint=joint)
 

@@ -59,8 +59,6 @@ class Model:
         Whether a target counts as not observed if the arm at this target collides.
     units : dict
         Units of the additional columns of the catalog, by name.
-    epoch : str or None
-        Epoch of the positions of the targets; None if no epoch was requested.
     """
 
     def __init__(
@@ -70,14 +68,13 @@ class Model:
         blank: BlankIds | None,
         lost_in_collision: bool,
         units: dict,
-        epoch: str | None,
     ):
         self.instrument, self.options, self.blank = instrument, options, blank
-        self.lost_in_collision, self.units, self.epoch = lost_in_collision, units, epoch
+        self.lost_in_collision, self.units = lost_in_collision, units
 
     @cached_property
     def _packed(self) -> bytes:
-        asked = self.instrument, self.options, self.blank, self.lost_in_collision, self.units, self.epoch
+        asked = self.instrument, self.options, self.blank, self.lost_in_collision, self.units
         return pickle.dumps(asked, protocol=5)
 
     def __reduce__(self):
@@ -88,8 +85,6 @@ class Model:
         units = {"ra": "deg", "dec": "deg", **self.units}
         cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
-        if self.epoch is not None:
-            cards["REFEPOCH"] = (self.epoch, "epoch of the target positions")
         return tuple(cards.items())
 
 
@@ -111,6 +106,8 @@ class Job(NamedTuple):
     as_file: bool
     """Whether the visits are returned as the content of a FITS file instead of an array."""
     conditions: ObservingConditions | None = None
+    epoch: str | None = None
+    """Epoch of the positions of the targets; None if the targets were not moved."""
 
 
 class Done(NamedTuple):
@@ -165,6 +162,8 @@ def work(job: Job) -> Done:
         "n_unmet": len(plan.allocation.unmet),
     }
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
+    if job.epoch is not None:
+        cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
     cards.update((card, (counts[name], words)) for card, (name, words) in COUNTS.items())
     part, visits = (fits_bytes(visits, cards, model.cards(tuple(columns))), None) if job.as_file else (None, visits)
     return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)

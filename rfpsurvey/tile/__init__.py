@@ -3,7 +3,7 @@
 from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
 from rfpsurvey.tile._field import north_of_date
-from rfpsurvey.tile._model import model_sentence
+from rfpsurvey.tile._model import collision_shape, model_sentence
 from rfpsurvey.tile._plan import plan_tile
 from rfpsurvey.tile._score import score_tile
 from rfpsurvey.tile._tile import Tile
@@ -14,6 +14,7 @@ __all__ = [
     "TARGET_COLUMNS",
     "TILE_COLUMNS",
     "Tile",
+    "collision_shape",
     "describe",
     "model_sentence",
     "north_of_date",

@@ -45,15 +45,15 @@ def build_tile(
     versions of further packages, which the provenance of the tile lists.
     """
     plane = instrument.focal_plane
-    projection = parameters.get("projection", "radial")
+    projection, status = parameters.get("projection", "radial"), status_of(plane, posed)
     summary = {
         **summary,
         "n_positioners": len(plane),
         "n_assigned": int(posed.assigned.sum()),
-        "n_parked": int(posed.parked.sum()),
-        "n_idle": int((status_of(plane, posed) == "idle").sum()),
+        **{f"n_{word}": int((status == word).sum()) for word in ("parked", "idle")},
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_colliding_pairs": len(report.pairs),
+        "arm_model": plane.positioner.arm_model,
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,

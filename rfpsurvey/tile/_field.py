@@ -3,13 +3,19 @@
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import FK5, SkyCoord
-from astropy.time import Time
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
 
-__all__ = ["epoch_text", "field_center", "field_value", "north_of_date", "where"]
+__all__ = [
+    "field_center",
+    "field_value",
+    "north_of_date",
+    "recorded_equinox",
+    "recorded_projection",
+    "where",
+]
 
 # names under which planners store the center and the orientation of a field, in columns or in the meta of a table
 FIELD = {
@@ -62,14 +68,37 @@ def field_value(table, what: str) -> float:
             return float(values[0])
         if name in meta:
             return float(_degrees(meta[name], name))
-    own = (meta.get("provenance") or {}).get("parameters", {}) if isinstance(meta.get("provenance"), dict) else {}
-    if own.get("north_of") == "icrs" and OWN[what] in own:
+    own = recorded_projection(table)
+    if OWN[what] in own:
         return float(own[OWN[what]])
     option = "--pa" if what == "position angle" else "--center"
     raise InputError(
         f"the {what} of the field must be given ({option}), or be in a column or meta entry "
         f"{' or '.join(FIELD[what][:2])}"
     )
+
+
+def recorded_projection(table) -> dict:
+    """Return the meta of a table or, for a tile of this package, its parameters.
+
+    The entries ``north_of``, ``projection`` and ``conditions`` describe how sky positions were projected.
+    """
+    provenance = table.meta.get("provenance")
+    return provenance.get("parameters", {}) if isinstance(provenance, dict) else table.meta
+
+
+def recorded_equinox(table) -> str | None:
+    """Return the equinox whose north defines the position angle in a table; None stands for the north of ICRS."""
+    north = recorded_projection(table).get("north_of", "icrs")
+    if north == "icrs":
+        return None
+    frame, _, equinox = str(north).partition(" ")
+    if frame != "fk5" or not equinox:
+        raise InputError(
+            f"the position angle in the table must be measured from the north of icrs or fk5, got {north}; give center "
+            "(in the frame whose north you use) and position_angle"
+        )
+    return equinox
 
 
 def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
@@ -81,12 +110,3 @@ def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
         "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
         "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
     }
-
-
-def epoch_text(epoch: Time | None) -> str | None:
-    """Return the epoch of the positions as text for the provenance."""
-    if epoch is None:
-        return None
-    years = np.atleast_1d(epoch.jyear)
-    low, high = float(years.min()), float(years.max())
-    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"

@@ -6,7 +6,7 @@ from rfpsurvey.collision import Arms, Configuration, near_pairs
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import MODELS
 
-__all__ = ["model_sentence"]
+__all__ = ["collision_shape", "model_sentence"]
 
 TYPES = {
     2: "only arms of adjacent positioners can touch (collision type 2)",
@@ -18,6 +18,11 @@ ARMS = {
     "fiber_tip": "points at the fiber",
     "outline": "outlines (polygons, capsules and discs)",
 }
+
+
+def collision_shape(summary: dict) -> str:
+    """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
+    return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""
 
 
 def model_sentence(instrument: Instrument, posed: Arms | None = None, projection: str = "radial") -> str:

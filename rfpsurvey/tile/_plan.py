@@ -22,7 +22,7 @@ from rfpsurvey.allocation import (
     packages,
     sentences,
 )
-from rfpsurvey.catalog import Catalog, as_catalog, to_time
+from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
 from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
@@ -36,7 +36,7 @@ from rfpsurvey.pipeline import (
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, where
+from rfpsurvey.tile._field import where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
@@ -44,6 +44,7 @@ __all__ = ["plan_tile"]
 
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
+COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -81,8 +82,9 @@ def plan_tile(
     position_angle : Quantity, optional
         Position angle of the +y axis of the focal plane, measured from north toward east.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions (a number is a Julian year). With None, the targets
-        are not moved.
+        Epoch to which the targets are moved by their proper motions (a number is a Julian year). By default, the
+        time of the conditions; without such a time, the targets are not moved. The entry ``epoch`` of the summary
+        states to which epoch the targets were moved.
     allocator : AllocationOptions or str or callable, optional
         The allocator with its options, such as required numbers of sky fibers and standards, required targets, and
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
@@ -137,12 +139,10 @@ def plan_tile(
     _warn_of_unknown_categories(asked, catalog)
     is_required = mark_required(options.required, [catalog.id])
     n_required = 0 if is_required is None else int(is_required.sum())
-    if epoch is not None:
-        to_time(epoch, "epoch")
-        if not catalog.has_proper_motion:
-            warn("the epoch has no effect, because the targets have no proper motions")
-        near = catalog.arrays.rows_near(center, radius, epoch)
-        catalog = catalog[near].at_epoch(epoch)
+    used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
+    if used is not None:
+        near = catalog.arrays.rows_near(center, radius, used)
+        catalog = catalog[near].at_epoch(used)
         is_required = None if is_required is None else is_required[near]
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
@@ -152,26 +152,18 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    given = rows
-    if catalog.kind is not None and not options.requirements:
-        wanted = catalog.kind[rows] == "science"
-        given = rows[wanted if is_required is None else wanted | is_required[rows]]
-    if len(given) == 0:
-        raise InputError(
-            f"none of the {len(rows)} targets in the field is a science target; "
-            "requirements such as 'sky=20' also assign targets of other kinds"
-        )
+    given = rows[_wanted(catalog, rows, is_required, others=bool(options.requirements))]
     n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
         text += "; each row is planned as a separate target"
         warn(text)
-    columns = {name: getattr(catalog, name) for name in ("priority", "kind", "category", "fiber_type")}
+    columns = {name: getattr(catalog, name) for name in COLUMNS}
     columns = {name: None if values is None else values[given] for name, values in columns.items()}
     columns["is_required"] = None if is_required is None else is_required[given]
     extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
     vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as vectors[given]
-    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), extra=extra)
+    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), None, extra, catalog.numbered)
     blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
@@ -190,12 +182,13 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows, plan),
+        "kinds": counts_by_kind(catalog, rows, given, plan),
         "n_required": n_required,
         "n_required_observed": _n_required_observed(plan, columns["is_required"]),
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
         "projection": chosen,
+        "epoch": moved,
         "seconds": {k: round(v, 6) for k, v in seconds.items()},
     }
     log.info("planned a tile of %s: %s", instrument.name, summary)
@@ -227,6 +220,26 @@ def plan_tile(
         targets=TargetsOfField(catalog, rows, given, plan),
         software=packages(options),
     )
+
+
+def _wanted(catalog: Catalog, rows: np.ndarray, is_required: np.ndarray | None, *, others: bool) -> np.ndarray:
+    """Return a mask of the targets in the given rows that the allocator receives.
+
+    These are all required targets, the science targets with requested visits and, if ``others`` is true, the targets of
+    other kinds.
+    """
+    science = np.ones(len(rows), dtype=bool) if catalog.kind is None else catalog.kind[rows] == "science"
+    wanted = science if catalog.visits is None else science & (catalog.visits[rows] > 0)
+    if others:
+        wanted = wanted | ~science
+    if is_required is not None:
+        wanted = wanted | is_required[rows]
+    if not wanted.any():
+        what = "is a science target" + (" with requested visits" if science.any() else "")
+        remedy = "requirements such as 'sky=20' also assign targets of other kinds"
+        remedy = "the column of visits states 0 for all of them" if science.all() else remedy
+        raise InputError(f"none of the {len(rows)} targets in the field {what}; {remedy}")
+    return wanted
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:

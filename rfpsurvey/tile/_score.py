@@ -9,7 +9,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_center, to_flags, to_plain
-from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table
+from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import (
     InputError,
@@ -19,14 +19,26 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.focal_plane import accepted_types
-from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import epoch_text, field_center, field_value, north_of_date, where
+from rfpsurvey.tile._field import (
+    field_center,
+    field_value,
+    north_of_date,
+    recorded_equinox,
+    recorded_projection,
+    where,
+)
+from rfpsurvey.tile._recorded import find_recorded, sentence_of, warn_of_neglected
+from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
 
 __all__ = ["score_tile"]
+
+MOST_OUT_OF_REACH = 0.2
+"""Fraction of targets out of reach from which on a warning states that plan and instrument do not match."""
 
 
 @check_keywords
@@ -47,7 +59,8 @@ def score_tile(
     """Find the collisions in assignments that another program planned.
 
     If a target is out of reach, the arm of its positioner is stretched toward the target as far as possible, and is
-    counted in the collision rate.
+    counted in the collision rate. Arms without a target are in the pose that a plan records: at its joint angles
+    ``theta`` and ``phi`` or, if it has none, at its fiber positions. Poses that are not recorded are assumed.
 
     Parameters
     ----------
@@ -65,29 +78,34 @@ def score_tile(
         Position angle of the +y axis of the focal plane, measured from north in the frame of the center; by default it
         is read from the column or meta entry ``position_angle`` or ``field_pa`` of the table.
     equinox : str, optional
-        Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS.
+        Equinox that defines north for position angles, such as ``"J2026.0"``; by default, north is that of ICRS, or of
+        the frame that a plan records with its position angle.
         ``equinox`` is not allowed together with ``center``, because the frame of ``center`` defines north.
     epoch : Time, str or float, optional
-        Epoch to which sky positions are moved by their proper motions.
+        Epoch to which sky positions are moved by their proper motions. By default, they are moved to the epoch of the
+        observation if the plan is a file of SDSS-V that records it, and are not moved otherwise, because the positions
+        of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
         plane are used if the table contains them.
     conditions : ObservingConditions, optional
-        Observing conditions, from which the refraction of positions on the sky is computed. By default, refraction is
-        neglected.
+        Observing conditions, from which the refraction of positions on the sky is computed. By default, the conditions
+        and the model of the projection that a tile or a plan of this package records are used; without recorded
+        conditions, refraction is neglected.
     columns, units : dict, optional
         Names and units of columns, as in `Catalog.from_table`; ``columns`` can also contain the keys ``positioner``,
         ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
-        Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
-        arms of equal length can be parked.
+        Whether positioners without a target are obstacles for other arms: in their recorded pose or, if it is unknown
+        and both arms have equal lengths, in the parked pose.
 
     Returns
     -------
     Tile
         The tile, which has no table of outcomes. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber``
-        (number of positioners without the fiber type that their target requires) and ``n_unusable`` (number of rows for
-        disabled or stuck positioners, which are not scored).
+        (number of positioners without the fiber type that their target requires), ``n_unusable`` (number of rows for
+        disabled or stuck positioners, which are not scored), ``n_recorded`` (number of usable positioners without a
+        target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses).
 
     Raises
     ------
@@ -120,7 +138,8 @@ def score_tile(
     columns = {**roles, **columns} if isinstance(columns, dict) else columns
     plane = instrument.focal_plane
     full = Finder(table, columns, units or {})
-    rows, who, name = _positioners(full, instrument)
+    owner, rows, name = _positioners(full, instrument)
+    who = owner[rows]
     if len(rows) == 0:
         raise InputError("the table must assign at least one positioner, got none")
     part = table[rows]
@@ -134,27 +153,45 @@ def score_tile(
     accepted_types(plane, asked, len(part))
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
-    ids = _target_ids(find, name)
+    others, moved = _without(find, name), None
+    ids = others.labels("id")
+    ids = np.arange(len(part)) if ids is None else ids
     parameters = {
         "allocator": "scored",
         "positions": positions,
         "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
     }
+    north = center is not None or position_angle is not None or equinox is not None or "north_of" in table.meta
+    warn_of_neglected(part, sky=positions == "sky", north=north)
     if positions == "sky":
+        recorded, model = recorded_projection(part), None
+        if conditions is None:
+            model = recorded.get("projection")
+            if recorded.get("conditions") is not None:
+                conditions = ObservingConditions.from_record(recorded["conditions"])
         catalog = Catalog.from_table(part, columns=columns, units=units)
         if len(catalog) < len(part):
             raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
-        catalog = catalog if epoch is None else catalog.at_epoch(epoch)
-        center = north_of_date(field_center(part), equinox) if center is None else to_center(center)
+        of_catalog = table.meta.get("format") == "confsummary" and find.name_of("ra") == "ra"
+        if epoch is None and of_catalog and catalog.epoch is not None:
+            epoch = table.meta.get("epoch")
+        used, moved = choose_epoch(catalog, epoch, None)
+        catalog = catalog if used is None else catalog.at_epoch(used)
+        if center is None:
+            is_recorded = equinox is None and position_angle is None
+            center = north_of_date(field_center(part), recorded_equinox(part) if is_recorded else equinox)
+        center = to_center(center)
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
-        plain = instrument.projection(center, position_angle, conditions).plain
+        plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
         xy = plain.project(catalog.arrays.vectors, fibers)
         icrs = catalog.coord.icrs
         sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
         parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
         if conditions is not None:
-            parameters.update(projection="full", conditions=conditions.record)
+            parameters.update(conditions=conditions.record)
+        if conditions is not None or chosen["model"] != "radial":
+            parameters.update(projection=chosen["model"])
     else:
         if None in xy_names:
             raise find.missing("x and y")
@@ -171,7 +208,7 @@ def score_tile(
                 f"these parameters are not used, because the table has positions on the focal plane: "
                 f"{', '.join(unused)}; to use positions on the sky, give positions='sky'"
             )
-        xy = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+        xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
         sky_deg = _sky_deg(find)
     if not np.isfinite(xy).all():
         raise InputError(
@@ -183,14 +220,25 @@ def score_tile(
     types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    posed = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked_obstacles, clip=True)
+    has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
+    own = _on_focal_plane(find, xy_names if has_places else [None], len(plane), who)
+    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
+    posed = place_arms(
+        plane,
+        tips * u.mm,
+        handedness=recorded.handedness,
+        fiber_type=types,
+        parked_obstacles=parked_obstacles,
+        clip=True,
+        idle_angles=recorded.idle_angles,
+    )
     if _is_ours(part):  # arms that were already stretched when this tile was made remain out of reach
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
-    if 2 * n_out > len(part):
+    if n_out >= MOST_OUT_OF_REACH * len(part):
         warn(
-            f"{n_out} of {len(part)} targets are out of reach of their positioners: check instrument, field center, "
-            f"position angle and units"
+            f"{n_out} of {len(part)} targets are out of reach of their positioners: plan and instrument do not match; "
+            "check instrument, calibration, field center, position angle and units"
         )
     report = find_collisions(plane, posed)
     summary = {
@@ -199,16 +247,21 @@ def score_tile(
         "n_out_of_reach": n_out,
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
+        "epoch": moved,
+        "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
+        "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
+    used = ("ra", "dec", "pmra", "pmdec", "epoch") if positions == "sky" else ("x", "y")
+    meta["columns"] = f"positioner: {name}, {others.statement(('id', 'fiber_type', *used))}"
     return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
 
 
 def _positioners(find: Finder, instrument: Instrument):
     """Return the assignments of a table.
 
-    The returned tuple contains the rows that assign a positioner, the index of the positioner of each of these rows,
+    The returned tuple contains the index of the positioner of each row (-1: none), the rows that assign a positioner,
     and the name of the column with the identifiers of the positioners.
     """
     plane = instrument.focal_plane
@@ -226,24 +279,23 @@ def _positioners(find: Finder, instrument: Instrument):
     index = {str(i): k for k, i in enumerate(plane.id)}
     # a row assigns no positioner if the identifier is blank, or is -1 and no positioner has the identifier -1
     rows = np.flatnonzero(_assigned(find.table) & (names != "") & ((names != "-1") | ("-1" in index)))
-    names = names[rows].tolist()
-    unknown = [v for v in names if v not in index]
+    owner = np.array([index.get(v, -1) for v in names.tolist()], dtype=int)
+    unknown = names[rows[owner[rows] < 0]].tolist()
     if unknown:
         nominal = is_plan(find.table) and instrument.layout == "nominal"
         hint = "; use the instrument as built, because its positioners have the ids of this plan" if nominal else ""
         raise InputError(
             f"column {name!r} names positioners that the instrument does not have: "
-            f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(names)} rows); "
+            f"{', '.join(dict.fromkeys(unknown[:3]))} ({len(unknown)} of {len(rows)} rows); "
             f"examples of its ids are {plane.id[0]} and {plane.id[-1]}{hint}"
         )
-    who = np.array([index[v] for v in names], dtype=int)
-    twice, counts = np.unique(who, return_counts=True)
+    twice, counts = np.unique(owner[rows], return_counts=True)
     if (counts > 1).any():
         raise InputError(
             f"positioner {plane.id[twice[counts > 1][0]]} is assigned more than once; "
             f"if the table holds several fields, score one field at a time, for example with --select COLUMN=VALUE"
         )
-    return rows, who, name
+    return owner, rows, name
 
 
 def _is_ours(table) -> bool:
@@ -264,11 +316,19 @@ def _assigned(table) -> np.ndarray:
     return to_flags(table["assigned"], "column 'assigned'")
 
 
-def _target_ids(find: Finder, positioner_column: str) -> np.ndarray:
-    """Return the identifiers of the targets; the column with the identifiers of positioners is ignored."""
+def _without(find: Finder, positioner_column: str) -> Finder:
+    """Return a finder that ignores the column with the identifiers of positioners."""
     names = [c for c in find.table.colnames if c != positioner_column]
-    ids = Finder(find.table[names], {k: v for k, v in find.columns.items() if k == "id"}).labels("id")
-    return np.arange(len(find.table)) if ids is None else ids
+    columns = {role: name for role, name in find.columns.items() if name.removeprefix("-") in names}
+    return Finder(find.table[names], columns)
+
+
+def _on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:
+    """Return the recorded positions of the targets in mm, one row for each positioner; NaN if there are none."""
+    found = np.full((n, 2), np.nan)
+    if None not in names:
+        found[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+    return found
 
 
 def _sky_deg(find: Finder) -> np.ndarray:

@@ -69,6 +69,7 @@ def status_of(plane, posed: Arms) -> np.ndarray:
     status = np.full(len(plane), "idle", dtype="U12")
     for flag, word in (
         (posed.parked, "parked"),
+        (slice(0) if posed.recorded is None else posed.recorded, "recorded"),
         (plane.disabled, "disabled"),
         (plane.arrays.is_stuck, "stuck"),
         (posed.assigned, "assigned"),

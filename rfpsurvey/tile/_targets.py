@@ -108,17 +108,19 @@ class TargetsOfField:
         return describe(table, OUTCOMES_COLUMNS, KEPT_COLUMN)
 
 
-def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
+def counts_by_kind(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> dict:
     """Return, for each kind, the numbers of targets in the field, of assigned targets, and of observed targets.
 
-    ``rows`` contains the rows, in the catalog, of the targets in the field. A target is observed if it is assigned and
-    not lost to a collision.
+    ``rows`` contains the rows, in the catalog, of the targets in the field, and ``given`` those of the targets that the
+    allocator received. Other science targets are not counted, because none of their visits are requested. A target is
+    observed if it is assigned and not lost to a collision.
     """
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:
         is_kind = plan.kind == kind
-        n_in_field = len(rows) * (kind == "science") if catalog.kind is None else (catalog.kind[rows] == kind).sum()
+        there = given if kind == "science" else rows
+        n_in_field = len(there) * (kind == "science") if catalog.kind is None else (catalog.kind[there] == kind).sum()
         counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
         if kind == "science" or any(counts.values()):
             found[kind] = {name: int(number) for name, number in counts.items()}
@@ -140,14 +142,14 @@ def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict
 def completeness_table(outcomes: QTable) -> QTable:
     """Return a table with a row for each kind, each category, and each priority class of science targets."""
     outcome = np.asarray(outcomes["outcome"])
+    kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
+    science = kind == "science"
     masks = {
-        "n_in_field": np.ones(len(outcome), dtype=bool),
+        "n_in_field": ~science | (outcome != UNUSED),  # science targets that are not requested are not counted
         "n_reachable": (outcome != UNREACHED) & (outcome != UNUSED),
         "n_assigned": (outcome == OBSERVED) | (outcome == LOST),
         "n_observed": outcome == OBSERVED,
     }
-    kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
-    science = kind == "science"
     rows = []
 
     def add(selected, **labels):
@@ -163,7 +165,7 @@ def completeness_table(outcomes: QTable) -> QTable:
         for k, name in enumerate(names if len(names) > 1 else []):
             add(class_of == k, category=name)
     if "priority" in outcomes.colnames:
-        class_of, names = priority_classes(np.asarray(outcomes["priority"]), science)
+        class_of, names = priority_classes(np.asarray(outcomes["priority"]), science & masks["n_in_field"])
         for k, name in enumerate(names if len(names) > 1 else []):
             add(science & (class_of == k), kind="science", priority=name)
     return describe(QTable(rows=rows, names=list(COMPLETENESS)), COMPLETENESS)

@@ -18,6 +18,7 @@ from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plans import write_plan
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
+from rfpsurvey.tile._model import collision_shape
 from rfpsurvey.tile._table import TableOfTile
 from rfpsurvey.tile._targets import TargetsOfField, completeness_table
 
@@ -43,16 +44,17 @@ class Tile:
     table : QTable
         Table with a row for each positioner. Columns: ``id``, ``spectrograph`` (if there are several), ``x``, ``y``
         (center of the positioner), ``status`` (``assigned``; ``out_of_reach``: the arm cannot reach its target;
-        ``parked``: without a target, and an obstacle for other positioners; ``idle``: without a target, and not an
-        obstacle; ``disabled``; ``stuck``), ``target_id`` (masked for positioners without a target), ``ra``, ``dec``
-        (ICRS), ``fiber_type`` (if there are several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``,
-        ``tip_y``, ``in_collision``, ``colliding_with`` (identifiers of the positioners and obstacles with which the
-        arm collides, separated by spaces, such as ``12 obstacle-3``), ``clearance`` (distance to the nearest other arm
-        minus the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can
-        collide). The tables of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty;
-        stuck positioners can also observe sky), and the columns ``category`` and ``priority`` and all further columns
-        of the catalog, if the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they
-        are integers. The ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
+        ``parked``: without a target, and an obstacle for other positioners; ``recorded``: the same, but in the pose
+        that a scored plan records; ``idle``: without a target, and not an obstacle; ``disabled``; ``stuck``),
+        ``target_id`` (masked for positioners without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are
+        several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``,
+        ``colliding_with`` (identifiers of the positioners and obstacles with which the arm collides, separated by
+        spaces, such as ``12 obstacle-3``), ``clearance`` (distance to the nearest other arm minus the minimum
+        separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can collide). The tables
+        of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners
+        can also observe sky), and the columns ``category`` and ``priority`` and all further columns of the catalog, if
+        the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they are integers. The
+        ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
@@ -340,7 +342,7 @@ class Tile:
         s = self.summary
         return (
             f"<Tile of {self.instrument!r}: {s['n_assigned']} of {s['n_positioners']} positioners assigned"
-            f"{self._kinds()}, {s['n_colliding']} in collision>"
+            f"{self._kinds()}, {s['n_colliding']} in collision{collision_shape(s)}>"
         )
 
     def _kinds(self) -> str:

@@ -19,7 +19,15 @@ from rfpsurvey.pipeline import field_radius_rad
 if TYPE_CHECKING:
     from rfpsurvey.tiling._tiling import Tiling
 
-__all__ = ["WHEN", "conditions_of_tiles", "convert_when", "largest_field_rad", "places_of_tiles", "when_of"]
+__all__ = [
+    "WHEN",
+    "conditions_of_tiles",
+    "convert_when",
+    "largest_field_rad",
+    "places_of_tiles",
+    "times_of_tiles",
+    "when_of",
+]
 
 WHEN = ("time", "hour_angle")
 # If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
@@ -50,11 +58,7 @@ def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
     name = when_of(tiling.table)
     if name is None:
         return [common] * len(tiling)
-    values = tiling.table[name]
-    if name == "time":
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", erfa.ErfaWarning)
-            values = Time(np.asarray(values), scale="utc")
+    values = _read_times(tiling) if name == "time" else tiling.table[name]
     return [replace(common, **{**dict.fromkeys(WHEN), name: value}) for value in values]
 
 
@@ -79,6 +83,24 @@ def largest_field_rad(tiling: "Tiling", conditions: list[ObservingConditions] | 
             raise InputError(f"tile {name}: {error}") from None
     lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
     return field_radius_rad(instrument, lowest) * MARGIN
+
+
+def times_of_tiles(tiling: "Tiling") -> Time | None:
+    """Return the time of each tile; None if the tiling has no conditions, or conditions with hour angles."""
+    common = tiling.conditions
+    name = None if common is None else when_of(tiling.table)
+    if name == "time":
+        return _read_times(tiling)
+    if common is None or common.time is None or name is not None:
+        return None
+    return common.time + np.zeros(len(tiling)) * u.s
+
+
+def _read_times(tiling: "Tiling") -> Time:
+    """Return the times in the column ``time`` of the table of tiles."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        return Time(np.asarray(tiling.table["time"]), scale="utc")
 
 
 def _times(column, tile) -> np.ndarray:

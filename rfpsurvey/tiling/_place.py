@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_scalar, to_seed, to_visits
 from rfpsurvey.allocation import AllocationOptions, as_options
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, is_table
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -171,6 +171,7 @@ def place_tiles(
     summary = {
         "method": method,
         "instrument": "" if model is None else model.name,
+        "arm_model": model.focal_plane.positioner.arm_model if by_positioners else "",
         "n_tiles": 0,
         "passes": 0,
         "radius_deg": float(np.rad2deg(radius_rad)),
@@ -188,6 +189,8 @@ def place_tiles(
     if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
         raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
+    if catalog.has_proper_motion:
+        summary["epoch"] = choose_epoch(catalog, None, None)[1]
     wanted = _wanted(catalog, visits, exclude)
     beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
     n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())

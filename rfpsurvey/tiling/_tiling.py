@@ -344,7 +344,7 @@ def _integers(column, tile):
         raise InputError(
             f"pass must be a whole number for every tile, got text such as {str(values.flat[0])!r}"
         ) from None
-    bad = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.rint(numbers))))
+    bad = np.flatnonzero(~((np.abs(numbers) < 2.0**53) & (numbers == np.rint(numbers))))
     if len(bad):
         raise InputError(f"pass must be a whole number for every tile, got {numbers[bad[0]]:g} for tile {tile[bad[0]]}")
     return numbers.astype(np.int64)

@@ -184,3 +184,16 @@ def test_densities_that_stand_in_for_queues():
 def test_bad_input_of_probabilities_is_named(call, message):
     with pytest.raises(rs.InputError, match=message):
         call()
+
+
+def test_the_benchmark_of_collisions_refuses_outlines(presets):
+    """Methods without support for outlines were compared with the distances of segments without a clearance."""
+    with pytest.raises(rs.InputError, match="the arms must be segments for this benchmark"):
+        rs.benchmark.benchmark_collisions(presets["desi"], methods=["exact"], repeats=1)
+
+
+def test_the_benchmark_of_probabilities_omits_methods_without_outlines(presets):
+    unit = presets["desi"].focal_plane.positioner
+    plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=10.4 * u.mm)
+    table = rs.benchmark.benchmark_probability(plane, repeats=1, precision=1e-2)
+    assert set(table["method"]) == {"overlap_ratio", "quadrature", "monte_carlo", "conditional"}

@@ -1,6 +1,7 @@
 """Catalogs in many files: files are read only if they are required, and results equal those of a single table."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import astropy.units as u
@@ -132,11 +133,11 @@ def changes(sky):
 
 
 def plain_partitions(catalog, folder):
-    """Return partitions with uncompressed files, whose sizes do not depend on values."""
+    """Return partitions with uncompressed files without checksums, whose sizes do not depend on values."""
     with pytest.MonkeyPatch.context() as patch:
         write = pq.write_table
         plain = {"compression": "none", "use_dictionary": False}
-        patch.setattr(pq, "write_table", lambda table, path: write(table, path, **plain))
+        patch.setattr(pq, "write_table", lambda table, path, **_: write(table, path, **plain))
         return rs.partition_catalog(catalog, folder, order=3)
 
 
@@ -166,7 +167,8 @@ def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts.parts.files:
         table = pq.read_table(path, partitioning=None)
-        pq.write_table(table.append_column("flux", pa.array(np.arange(float(len(table))))), path)
+        table = table.append_column("flux", pa.array(np.arange(float(len(table)))))
+        pq.write_table(table, path, write_page_checksum=True)
     wider = rs.PartitionedCatalog(tmp_path / "sky")
     rs.plan_survey(wider, small, TILES, folder=tmp_path / "survey", resume=True)
 
@@ -180,7 +182,10 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):
             rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
-    with pytest.raises(rs.InputError, match=r"epoch differs \(epoch was None and is now 2026.5\)"):
+    with (
+        pytest.raises(rs.InputError, match=r"epoch differs \(epoch was None and is now 2026.5\)"),
+        pytest.warns(rs.errors.RfpsurveyWarning, match="the epoch has no effect"),
+    ):
         rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey", resume=True, epoch=2026.5)
 
 
@@ -288,6 +293,32 @@ def write(path, **columns):
     pq.write_table(pa.table(columns), path)
 
 
+def test_of_threads_that_write_one_folder_one_writes(tmp_path, sky):
+    def write(k):
+        try:
+            return len(rs.partition_catalog(sky[k:], tmp_path / "parts", order=1))
+        except rs.InputError:
+            return None
+
+    with ThreadPoolExecutor(4) as pool:
+        (n,) = (n for n in pool.map(write, range(4)) if n is not None)
+    assert len(rs.PartitionedCatalog(tmp_path / "parts").read()) == n
+    assert [path.name for path in tmp_path.iterdir()] == ["parts"]
+
+
+def test_damaged_partitions_are_refused(tmp_path):
+    """A flipped bit in a value of a partition remained undetected, because the pages had no checksums."""
+    sky = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 2 * u.deg, n_targets=300, rng=1)
+    rs.partition_catalog(sky, tmp_path / "parts", order=0)
+    (path, *_) = (tmp_path / "parts").rglob("Npix=*.parquet")
+    content = bytearray(path.read_bytes())
+    column = next(c for k in range(12) if (c := pq.read_metadata(path).row_group(0).column(k)).path_in_schema == "ra")
+    content[column.data_page_offset + column.total_compressed_size // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(rs.InputError, match=r"\.parquet cannot be read as parquet: .*checksum verification failed"):
+        rs.PartitionedCatalog(tmp_path / "parts").read()
+
+
 def test_bad_folders(tmp_path, sky, folder, small):
     with pytest.raises(rs.InputError, match="there is no such folder"):
         rs.PartitionedCatalog(tmp_path / "nowhere")
@@ -304,6 +335,9 @@ def test_bad_folders(tmp_path, sky, folder, small):
     write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="no column for ra"):
         rs.PartitionedCatalog(tmp_path / "names")
+    (tmp_path / "names" / "hats.properties").symlink_to(tmp_path / "nowhere")  # its column names were not used
+    with pytest.raises(rs.InputError, match=r"hats\.properties cannot be read: No such file"):
+        rs.PartitionedCatalog(tmp_path / "names")
     write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
     with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="got 1 of 2 rows without finite"):
         rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
@@ -319,3 +353,81 @@ def test_bad_folders(tmp_path, sky, folder, small):
         with pytest.raises(rs.InputError, match="order must be"):
             rs.partition_catalog(sky, tmp_path / "none", order=order)
     assert not any(name.startswith(".") for name in os.listdir(tmp_path))
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory):
+    """Return the folder of a HATS collection with a margin and an index, and the targets of its main table."""
+    root = tmp_path_factory.mktemp("collection")
+    sky = rs.synthetic_catalog("uniform", SkyCoord("3h +20d"), 5 * u.deg, n_targets=3000, rng=1)
+    rs.partition_catalog(sky, root / "stars", order=4)
+    margin = rs.partition_catalog(sky[:754], root / "stars_margin", order=4)
+    (margin.folder / "hats.properties").write_text(
+        "obs_collection=stars_margin\ndataproduct_type=margin\nhats_nrows=754\nhats_col_ra=ra\nhats_col_dec=dec\n"
+        "hats_margin_threshold=600\nhats_primary_table_url=stars\n"
+    )
+    (root / "collection.properties").write_text(
+        "#HATS Collection\nobs_collection=stars\nhats_primary_table_url=stars\nall_margins=stars_margin\n"
+        "default_margin=stars_margin\nall_indexes=id stars_id_index\n"
+    )
+    return root, sky
+
+
+def test_only_the_main_table_of_a_collection_is_read(collection, run):
+    """The main table and its margin were read as one catalog: 3000 targets became 3754."""
+    root, sky = collection
+    parts = rs.PartitionedCatalog(root)
+    assert len(parts) == len(parts.read()) == 3000
+    assert sorted(parts.read().id.tolist()) == sorted(sky.id.tolist())
+    about = "main table stars; not read: margin stars_margin, index stars_id_index"
+    assert parts.meta["collection"] == parts.read().meta["collection"] == about
+    assert len(replace(parts, kept_rows=5)) == 3000
+    code, out, _ = run("plan", root, "--instrument", "sdss_apo")
+    assert code == 0
+    assert out.splitlines()[0] == f"collection: {about}"
+    assert out.splitlines()[1].startswith("columns: priority: none, visits: none, id: id, ra: ra, dec: dec; not used: ")
+
+
+@pytest.mark.parametrize("place", ["stars_margin", "stars_margin/dataset"])
+def test_margins_are_refused(collection, place):
+    with pytest.raises(rs.InputError, match="must be object, got margin.*; open the main table, stars"):
+        rs.PartitionedCatalog(collection[0] / place)
+
+
+def test_folders_of_several_catalogs_are_refused(collection, tmp_path):
+    for name in ("one", "two"):
+        rs.partition_catalog(collection[1], tmp_path / name, order=0)
+    with pytest.raises(rs.InputError, match="must contain one catalog, got partitions in .*one/dataset and .*two/data"):
+        rs.PartitionedCatalog(tmp_path)
+
+
+@pytest.mark.parametrize("url", ["", "nowhere", "https://data.lsdb.io/hats/gaia"])
+def test_main_tables_of_collections_must_exist(tmp_path, url):
+    (tmp_path / "collection.properties").write_text(f"hats_primary_table_url={url}\n")
+    with pytest.raises(rs.InputError, match=f"must be the folder of the main table, got '{url}'"):
+        rs.PartitionedCatalog(tmp_path)
+
+
+def test_properties_state_the_epoch_and_the_identifiers(tmp_path):
+    columns = {"ra": [45.0, 46.0], "dec": [1.0, 2.0], "pmra": [100.0, 0.0], "pmdec": [0.0, 0.0], "key": [7, 8]}
+    write(tmp_path / "dataset" / "Norder=0" / "Npix=0.parquet", **columns)
+    path = tmp_path / "hats.properties"
+    path.write_text("dataproduct_type=object\nhats_coordinate_epoch=J2016.0\nhats_cols_survey_id=key\n")
+    for folder in (tmp_path, tmp_path / "dataset"):
+        parts = rs.PartitionedCatalog(folder)
+        for catalog in (parts.read(), parts.parts.part(0)):
+            assert catalog.id.tolist() == [7, 8]
+            assert catalog.epoch.jyear == 2016
+    path.write_text("hats_col_j2000_ra=ra\nhats_cols_survey_id=key other\n")
+    assert rs.PartitionedCatalog(tmp_path).read().id.tolist() == [0, 1]
+    for text, message in (
+        ("hats_frame=galactic", "hats_frame must be equatorial"),
+        ("hats_coordinate_epoch=long ago", "hats_coordinate_epoch must be a Time, a Julian year"),
+        ("dataproduct_type=association", "got association, which means pairs of rows of two catalogs$"),
+    ):
+        path.write_text(f"{text}\n")
+        with pytest.raises(rs.InputError, match=message):
+            rs.PartitionedCatalog(tmp_path)
+    path.write_text("dataproduct_type=source\n")
+    with pytest.warns(rs.RfpsurveyWarning, match="each detection of an object is planned as a separate target"):
+        rs.PartitionedCatalog(tmp_path)

@@ -137,10 +137,11 @@ def test_score(run, tmp_path):
     assert code == 0
     assert rs.Tile.read(tmp_path / "out.ecsv").summary["n_assigned"] == 2
     assert "allocator scored" in out
+    assert "poses: 3998 positioners without a target: 3998 assumed to be parked" in out
     # a tile of this package contains the name of its instrument
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0
-    assert out.startswith("lamost")
+    assert out.splitlines()[1].startswith("lamost")
     assert "--instrument must be the instrument of the tile, lamost" in sentence(
         *run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2]
     )
@@ -441,3 +442,51 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         assert code == 2
         assert "1 values of 'note' contain other characters (for example, 'ä')" in err
     assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0
+
+
+def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
+    path = tmp_path / "tile.fits"
+    code, out, err = run("plan", "--instrument", "desi", "--arm-model", "elbow_to_tip", "--output", path)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    k = next(k for k, line in enumerate(lines) if line.startswith("  in collision"))
+    assert lines[k + 1].split() == ["arm", "model", "elbow_to_tip"]
+    tile = rs.Tile.read(path)
+    assert tile.summary["arm_model"] == tile.provenance["instrument"]["arm_model"] == "elbow_to_tip"
+    assert repr(tile).endswith(f"{tile.summary['n_colliding']} in collision (arm model: elbow_to_tip)>")
+    code, scored, _ = run("score", path, "--arm-model", "outline")
+    assert code == 0
+    assert "    arm model                        outline" in scored
+    facts = {text.strip(): int(value) for text, _, value in (line.rpartition(" ") for line in scored.splitlines()[4:9])}
+    assert facts["in collision"] > 2 * tile.summary["n_colliding"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["compare-allocators", "--allocator", "nearest"], "sdss_apo, arm model elbow_to_tip; "),
+        (["survey"], "  arm model                       elbow_to_tip"),
+        (["tile", "--allocator", "lamost", "--n-tiles", "1", "--method", "max_density"], "arm model"),
+    ],
+)
+def test_commands_take_an_arm_model(run, arguments, words):
+    code, out, err = run(*arguments, "--instrument", "sdss_apo", "--arm-model", "elbow_to_tip")
+    assert code == 0, err
+    assert words in out
+
+
+@pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "probability"])
+def test_an_arm_model_that_an_instrument_does_not_have_is_refused(run, command):
+    model = ["lamost"] if command == "probability" else ["--instrument", "lamost"]
+    code, _, err = run(command, *model, "--arm-model", "outline")
+    assert code != 0
+    assert "--arm-model must be one of elbow_to_tip, fiber_tip for lamost, got 'outline'" in err
+
+
+def test_the_command_probability_states_the_arm_model(run):
+    code, out, _ = run("probability", "desi", "--method", "closed_form", "--arm-model", "elbow_to_tip")
+    assert code == 0
+    assert out.startswith("desi, arm model elbow_to_tip, closed_form, independent targets")
+    code, _, err = run("probability", "desi", "--method", "closed_form")
+    assert code != 0
+    assert "got 'outline'" in err

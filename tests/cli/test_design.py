@@ -42,7 +42,9 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     assert b"</svg>" in plot.read_bytes()
     code, _, err = run("design", *axes, "--output", output)
     assert "exists; continue the scan (--resume" in sentence(code, err)
-    assert run("design", *axes, "--output", output, "--resume", "--plot", plot)[0] == 0
+    code, _, err = run("design", *axes, "--output", output, "--resume", "--plot", plot)
+    assert "front.svg exists; to replace it, use overwrite=True (or --overwrite)" in sentence(code, err)
+    assert run("design", *axes, "--output", output, "--resume", "--plot", plot, "--overwrite")[0] == 0
 
 
 def test_rows_of_the_front_are_told_apart(capsys):
@@ -133,8 +135,8 @@ def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(r
     assert "largest coverage with at most this loss: the value of this instrument" in out
     assert re.search(r"by pitch 28\.16 mm \(\+10 %, at the edge of the scan\)", out)
     assert "mine" in plot.read_text()
-    assert run(*call, "--central-arm", 8.25, "--resume")[0] == 0
-    code, _, err = run(*call, "--central-arm", 8.3, "--resume")
+    assert run(*call, "--central-arm", 8.25, "--resume", "--overwrite")[0] == 0
+    code, _, err = run(*call, "--central-arm", 8.3, "--resume", "--overwrite")
     assert "holds another scan: --central-arm, start differ" in sentence(code, err)
 
 

@@ -1,5 +1,7 @@
 """Scans around an instrument: the design of the instrument, the scan, and the comparison with the best designs."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -54,6 +56,17 @@ def test_the_minimum_separation_is_that_of_the_instrument(presets):
     unit = presets["sdss_apo"].focal_plane.positioner
     assert own_row(table)["min_separation"].to_value(MM) == pytest.approx(unit.min_separation.to_value(MM), abs=1e-9)
     assert own_row(table)["eccentric_arm"].to_value(MM) == pytest.approx(unit.eccentric_arm.to_value(MM))
+
+
+def test_designs_around_an_instrument_with_outlines_have_the_clearance_of_its_segments(presets):
+    """The clearance of the outline is 0; segments without a clearance have too few collisions."""
+    with pytest.warns(rs.RfpsurveyWarning, match="a clearance of 0.99 mm instead of the arm model 'outline' of desi"):
+        table = rs.design.explore_around("desi", n_nodes=2)
+    assert own_row(table)["clearance"].to_value(MM) == 0.99
+    desi = presets["desi"]
+    values = {k: v for k, v in desi.values.items() if k != "positioner.segment_clearance"}
+    with pytest.raises(rs.InputError, match="desi must have the entry positioner.segment_clearance"):
+        rs.design.explore_around(replace(desi, values=values), n_nodes=2)
 
 
 def test_improvements_are_those_of_a_search_of_all_designs(lamost):

@@ -21,6 +21,11 @@ field,{0},Boss,9208,8432,0.7,-1.7e-03,-9.2e-05,1.8e-06,6.4e-07
 field,{0},Apogee,8939,8163,0.7,-1.5e-03,-8.6e-05,3.1e-06,3.1e-07
 """
 
+MODEL_LCO = """direction,site,waveCat,R,b,c0,c1,c2,c3,c4
+focal,LCO,Boss,9940,8432,1.9,1.3e-02,1.1e-04,5.8e-05,0
+focal,LCO,Apogee,8900,8163,2.1,1.4e-02,1.3e-04,7.0e-05,0
+"""
+
 
 def write_csv(path, rows):
     with path.open("w", newline="") as file:
@@ -73,7 +78,7 @@ def calibration(folder, *, site="APO", index="", **changes):
     }
     for name, rows in files.items():
         write_csv(folder / f"{name}.csv", changes[name](rows) if name in changes else rows)
-    (folder / "focalPlaneModel.csv").write_text(MODEL.format(site))
+    (folder / "focalPlaneModel.csv").write_text(MODEL_LCO if site == "LCO" else MODEL.format(site))
     return folder
 
 

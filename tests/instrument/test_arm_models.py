@@ -47,27 +47,72 @@ def assert_legacy(outline, sign=1):
     assert theta.area > 15
 
 
+def colliding_polygons(centers, theta, phi, n):
+    """Return the pairs of the first n positioners whose published shapes overlap, except those of two central arms."""
+    shapes = [enclosed([UPPER + LOWER[::-1]], LEGACY["phi"]["circles"]), enclosed([THETA], LEGACY["theta"]["circles"])]
+
+    def placed(k):
+        x, y = centers[k]
+        c, s = np.cos(theta[k]), np.sin(theta[k])
+        d, t = np.cos(theta[k] + phi[k]), np.sin(theta[k] + phi[k])
+        move = shapely.affinity.affine_transform
+        arm = move(shapes[0], [d, -t, t, d, x + 3 * c, y + 3 * s])
+        return arm, move(shapes[1], [c, -s, s, c, x, y])
+
+    near = shapely.STRtree(shapely.points(centers)).query(shapely.points(centers), "dwithin", distance=16)
+    found, parts = set(), {}
+    for i, j in near.T.tolist():
+        if i < j < n and np.isfinite(theta[[i, j]]).all():
+            (a, b), (c, d) = (parts.setdefault(k, placed(k)) for k in (i, j))
+            gap = max(shapely.intersection(p, q).area for p, q in ((a, c), (a, d), (b, c)))
+            if gap > 1e-5:  # circles of shapely are polygons
+                found.add((i, j))
+    return found
+
+
 def test_the_outline_of_desi_covers_the_published_shapes(presets):
-    desi = presets["desi"].with_arm_model("outline")
+    desi = presets["desi"]
     unit = desi.focal_plane.positioner
     assert_legacy(unit.outline)
     assert unit.clearance == unit.min_separation == 0 * u.mm
     assert desi.values["positioner.outline"]["status"] == "published"
     assert "positioner.full_outline" not in desi.values
-    assert desi.arm_models == ("outline",)
-    assert desi.provenance["digest"] != presets["desi"].provenance["digest"]
+    segment = desi.with_arm_model("elbow_to_tip")
+    assert segment.focal_plane.positioner.outline is None
+    assert segment.focal_plane.positioner.clearance == 0.99 * u.mm
+    assert segment.provenance["digest"] != desi.provenance["digest"]
+    assert_legacy(segment.with_arm_model("outline").focal_plane.positioner.outline)
 
 
-def test_the_provenance_omits_an_outline_that_is_not_used(presets):
+def test_a_plan_of_desi_without_collisions_has_no_collisions_of_the_published_polygons(presets):
+    """The arms of the preset were segments; plans without collisions of segments had more than 90 colliding pairs."""
+    plane = presets["desi"].focal_plane
+    rng = np.random.default_rng(0)
+    r, angle = 410 * np.sqrt(rng.random(5300)), rng.uniform(0, 2 * np.pi, 5300)
+    xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+    counts = {}
+    for allocator in ("repair", "balanced"):
+        plan = rs.allocate(plane, xy, allocator=allocator)
+        tips = np.full((len(plane), 2), np.nan)
+        assigned = plan.target_of_positioner >= 0
+        tips[assigned] = (xy[plan.target_of_positioner[assigned]] - plane.xy[assigned]).to_value(u.mm)
+        theta, phi = (angle.to_value(u.rad) for angle in plane.positioner.inverse(tips * u.mm))
+        counts[allocator] = len(colliding_polygons(plane.xy.to_value(u.mm), theta, phi, 2000))
+        assert (len(rs.find_collisions(plane, plan).pairs) > 0) == (allocator == "balanced")
+    assert counts["repair"] == 0
+    assert counts["balanced"] > 30
+
+
+def test_the_provenance_omits_arm_models_that_are_not_used(presets):
     desi = presets["desi"]
-    assert "positioner.full_outline" in desi.values
-    assert "positioner.full_outline" not in desi.provenance["values"]
+    assert "positioner.segment_clearance" not in desi.provenance["values"]
+    assert "positioner.full_outline" not in desi.with_arm_model("elbow_to_tip").provenance["values"]
 
 
 @pytest.mark.parametrize(
     ("name", "models"),
     [
-        ("desi", ("elbow_to_tip", "fiber_tip", "outline")),
+        ("desi", ("outline", "elbow_to_tip", "fiber_tip")),
         ("sdss_apo", ("capsule", "elbow_to_tip", "fiber_tip")),
         ("pfs", ("elbow_to_tip", "fiber_tip")),
     ],
@@ -91,31 +136,13 @@ def test_other_arm_models_are_refused(presets):
 
 def test_collisions_with_the_outline_of_desi_are_those_of_the_polygons(presets):
     """Two positioners collide if the published shapes overlap, except those of two central arms."""
-    plane = presets["desi"].with_arm_model("outline").focal_plane
+    plane = presets["desi"].focal_plane
     rng = np.random.default_rng(1)
     n = len(plane)
     theta, phi = rng.uniform(-np.pi, np.pi, n), rng.uniform(0, np.pi, n)
     tips = plane.xy + plane.positioner.forward(theta * u.rad, phi * u.rad)
     report = rs.find_collisions(plane, tips)
-    shapes = [enclosed([UPPER + LOWER[::-1]], LEGACY["phi"]["circles"]), enclosed([THETA], LEGACY["theta"]["circles"])]
-    centers = plane.xy.to_value(u.mm)
-
-    def placed(k):
-        x, y = centers[k]
-        c, s = np.cos(theta[k]), np.sin(theta[k])
-        d, t = np.cos(theta[k] + phi[k]), np.sin(theta[k] + phi[k])
-        move = shapely.affinity.affine_transform
-        arm = move(shapes[0], [d, -t, t, d, x + 3 * c, y + 3 * s])
-        return arm, move(shapes[1], [c, -s, s, c, x, y])
-
-    near = shapely.STRtree(shapely.points(centers)).query(shapely.points(centers), "dwithin", distance=16)
-    found, parts = set(), {}
-    for i, j in near.T.tolist():
-        if i < j < 600:
-            (a, b), (c, d) = (parts.setdefault(k, placed(k)) for k in (i, j))
-            gap = max(shapely.intersection(p, q).area for p, q in ((a, c), (a, d), (b, c)))
-            if gap > 1e-5:  # circles of shapely are polygons
-                found.add((i, j))
+    found = colliding_polygons(plane.xy.to_value(u.mm), theta, phi, 600)
     own = {pair for pair in map(tuple, report.pairs.tolist()) if max(pair) < 600}
     assert found <= own
     assert len(own - found) <= 1
@@ -137,14 +164,17 @@ def test_from_desi_mirrors_the_polygons_of_most_positioners(tmp_path, closed):
     path.write_text(json.dumps({"default": shapes, "other": other}))
     desi = rs.Instrument.from_desi(tmp_path)
     assert "also replace other polygons of 1 positioner" in desi.notes
-    assert desi.values["positioner.full_outline"]["status"] == "derived"
-    assert_legacy(desi.with_arm_model("outline").focal_plane.positioner.outline, sign=-1)
+    assert desi.values["positioner.outline"]["status"] == "derived"
+    assert_legacy(desi.focal_plane.positioner.outline, sign=-1)
+    segment = desi.with_arm_model("elbow_to_tip")
+    assert segment.focal_plane.positioner.clearance == 2.015 * u.mm  # the largest |y| of the eccentric polygon
+    assert_legacy(segment.with_arm_model("outline").focal_plane.positioner.outline, sign=-1)
 
 
 @partial
 def test_from_desi_without_exclusions_has_the_mirrored_outline_of_the_preset(tmp_path):
     desi_files.metrology(tmp_path / "fp.csv", per_petal=20)
-    desi = rs.Instrument.from_desi(tmp_path / "fp.csv").with_arm_model("outline")
+    desi = rs.Instrument.from_desi(tmp_path / "fp.csv")
     assert_legacy(desi.focal_plane.positioner.outline, sign=-1)
 
 

@@ -130,15 +130,18 @@ def test_a_focal_plane_without_a_state_works(folder):
     instrument = rs.Instrument.from_desi(next(folder.glob("desi-focalplane*")))
     assert instrument.focal_plane.arrays.usable.all()
     assert "No state was given" in instrument.notes
-    assert instrument.focal_plane.positioner.clearance == 0.99 * u.mm
+    assert instrument.focal_plane.positioner.clearance == 0 * u.mm
+    assert instrument.with_arm_model("elbow_to_tip").focal_plane.positioner.clearance == 0.99 * u.mm
 
 
 @partial
 @pytest.mark.parametrize("name", ["e.json", "e.json.gz", "e.yaml", "e.yaml.gz"])
-def test_the_clearance_is_that_of_the_polygons(folder, name):
+def test_the_clearance_of_segments_is_that_of_the_polygons(folder, name):
     desi_files.exclusions(folder / name, ("default", "retracted"), scale=0.8)
     files = [next(folder.glob(f"desi-{kind}*")) for kind in ("focalplane", "state")]
-    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name)
+    instrument = rs.Instrument.from_desi(files[0], state=files[1], exclusions=folder / name).with_arm_model(
+        "elbow_to_tip"
+    )
     assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.72)
     assert instrument.values["positioner.clearance"]["status"] == "derived"
 
@@ -148,7 +151,7 @@ def test_circles_of_polygons_count(folder):
     text = '{"default": {"phi": {"segments": [[[0, 0.3]]], "circles": [[[3, -0.2], 0.5]]}}}'
     (folder / "circle.json").write_text(text)
     plane = next(folder.glob("desi-focalplane*"))
-    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json")
+    instrument = rs.Instrument.from_desi(plane, exclusions=folder / "circle.json").with_arm_model("elbow_to_tip")
     assert_allclose(instrument.focal_plane.positioner.clearance.to_value(u.mm), 0.7)
 
 
@@ -211,6 +214,15 @@ def unit(name, what):
     return edit
 
 
+def at_center(table):
+    table["X_FP"][5] = table["Y_FP"][5] = 0.0
+
+
+def at_neighbor(table):
+    for name in ("X_FP", "Y_FP"):
+        table[name][5] = table[name][6] + 1
+
+
 def without(name):
     return lambda table: table.remove_column(name)
 
@@ -222,6 +234,10 @@ def without(name):
         (without("LOCATION"), "must have the column 'LOCATION'"),
         (text("Y_FP"), r"column 'Y_FP' must hold one number for each row, got 'broken'"),
         (set_("X_FP", 5, np.nan), r"column 'X_FP' must hold a finite number for each row, but 1 of 200 rows"),
+        (set_("Y_FP", 5, -99.0), "'Y_FP' must hold numbers .* no codes such as 99 or -999, got -99 in row 6"),
+        (set_("X_FP", 5, 9999.0), "'X_FP' must hold numbers from -420 to 420 mm, .*, got 9999 in row 6"),
+        (at_center, r"X_FP, Y_FP must be at least 10 mm from the center, but are not for 1 positioner \(5\)"),
+        (at_neighbor, r"must be at least 5 mm from each other, but are not for 2 positioners \(5, 6\)"),
         (set_("LOCATION", 5, 7000), "PETAL_LOC [+] DEVICE_LOC, got 7000 for PETAL_LOC 0 and DEVICE_LOC 5"),
         (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
         (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
@@ -246,7 +262,11 @@ def test_a_damaged_metrology_is_refused(tmp_path, edit, sentence):
         (unit("OFFSET_T", "mm"), "column 'OFFSET_T' must have a unit convertible to deg, got mm"),
         (set_("MIN_P", 2, 195.0), r"MIN_P must be less than MAX_P, but is not for 1 positioner \(2\)"),
         (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for PETAL 0 and DEVICE 0"),
-        (set_("LENGTH_R2", 0, -3.0), "eccentric_arm must be 200 positive lengths below 1 km, got -3 mm"),
+        (set_("LENGTH_R2", 0, -3.0), "'LENGTH_R2' must hold numbers from 1 to 6 mm, got -3 in row 1"),
+        (set_("LENGTH_R1", 7, 999.0), "'LENGTH_R1' must hold numbers from 1 to 6 mm, got 999 in row 8"),
+        (set_("OFFSET_X", 7, -999.0), "'OFFSET_X' must hold .* no codes such as 99 or -999, got -999 in row 8"),
+        (set_("OFFSET_T", 7, -99.0), "'OFFSET_T' must hold .* no codes such as 99 or -999, got -99 in row 8"),
+        (set_("MIN_T", 7, -999.0), "'MIN_T' must hold numbers from -400 to 400 deg, got -999 in row 8"),
     ],
 )
 @partial
@@ -277,6 +297,7 @@ def test_lengths_in_another_unit_are_converted(tmp_path):
         (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or text such as .*, got 'yesterday'"),
         (text("STATE"), "column 'STATE' must hold one whole number for each row, got 'broken'"),
         (set_("POS_T", 1, np.nan), "column 'POS_T' must hold a finite number for each row"),
+        (set_("MAX_P", 3, 999.0), "'MAX_P' must hold numbers from -400 to 400 deg, got 999 in row 4"),
     ],
 )
 @partial
@@ -286,6 +307,33 @@ def test_a_damaged_state_is_refused(folder, edit, sentence):
     with pytest.raises(rs.errors.InputError, match=sentence) as caught:
         rs.Instrument.from_desi(plane, state=folder / "bad.ecsv")
     assert "bad.ecsv" in str(caught.value)
+
+
+@partial
+@pytest.mark.parametrize("code", [-999.0, 99.0, 9999.0])
+def test_stuck_positioners_with_codes_as_pose_are_parked(folder, code):
+    """The code -999 was a pose, and the arm of the positioner was an obstacle in this direction."""
+    plane = next(folder.glob("desi-focalplane*"))
+    event = {"TIME": "2030-01-01T00:00:00", "LOCATION": 4, "STATE": 2, "POS_T": code, "POS_P": 100.0}
+    desi_files.state(folder / "stuck.ecsv", Table.read(plane, format="ascii.ecsv"), [event])
+    found = rs.Instrument.from_desi(plane, state=folder / "stuck.ecsv")
+    assert found.focal_plane.disabled[4]
+    assert np.isnan(found.focal_plane.stuck.value[4]).all()
+    assert "1 stuck or broken without a known pose, and thus parked" in found.notes
+
+
+@partial
+def test_other_files_that_cannot_be_read_are_refused(folder):
+    for kind in ("state", "exclusion"):
+        path = next(folder.glob(f"desi-{kind}*"))
+        content = path.read_bytes()
+        path.unlink()
+        path.symlink_to(folder / "nowhere")
+        with pytest.raises(rs.InputError, match="the target of this link does not exist") as caught:
+            rs.Instrument.read(folder)
+        assert str(caught.value).startswith(str(path))
+        path.unlink()
+        path.write_bytes(content)
 
 
 @partial
@@ -319,9 +367,9 @@ def test_exclusions_that_are_not_polygons_are_refused(folder):
         ('{"default": {"phi": {"segments": [], "circles": []}}}', "must be lists of segments"),
         (
             '{"default": {"phi": {"segments": [[[0, 0]]], "circles": []}}}',
-            "must have a half width above 0 and below 1000 mm, got 0",
+            "must have a half width above 0 and below 10 mm, got 0",
         ),
-        ('{"default": {"phi": {"segments": [], "circles": [[[0, 0], 1e9]]}}}', "below 1000 mm, got 1e[+]09"),
+        ('{"default": {"phi": {"segments": [], "circles": [[[0, 0], 1e9]]}}}', "below 10 mm, got 1e[+]09"),
     ):
         (folder / "bad.json").write_text(content)
         with pytest.raises(rs.errors.InputError, match=sentence):

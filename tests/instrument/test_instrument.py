@@ -63,7 +63,7 @@ def test_plate_scales_before_the_scale_to_the_wok(presets):
         ("sdss_apo", 7.5697, 22.3697, 4.0782, 22.4),
         ("sdss_lco", 7.5697, 22.3697, 4.0782, 22.4),
         ("moons", 9, 25, 4.0, 25.058),
-        ("desi", 0, 6, 1.98, 10.4),
+        ("desi", 0, 6, 0, 10.4),
         ("pfs", 0, 4.75, 2.0, 8.0),
     ],
 )

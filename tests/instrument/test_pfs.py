@@ -191,7 +191,51 @@ def test_cobras_with_defects_are_disabled(folder, tmp_path):
     pfs = rs.Instrument.from_pfs(folder / DOTS, cobras=write_cobras(tmp_path / "a.xml", columns))
     assert np.flatnonzero(pfs.focal_plane.disabled).tolist() == [3, 8, 20]
     assert "2 cobras whose Status is not 1" in pfs.notes
-    assert "1 cobras with an arm length outside 1 to 5 mm" in pfs.notes
+    assert "have nominal values and are also parked: 21." in pfs.notes
+    assert pfs.focal_plane.arrays.central_arm[20] == 2.375
+
+
+@pytest.mark.parametrize("value", [-99.0, 9999.0])
+@pytest.mark.parametrize("name", ["Global_base_pos_x", *list(cobra_columns())[5:]])
+def test_impossible_values_of_cobras_count_as_missing(folder, tmp_path, name, value):
+    """The code -999 as a direction of the hard stop was an angle, and as a center it displaced a parked arm."""
+    columns = cobra_columns()
+    columns[name][20] = value
+    if name == "Global_base_pos_x":
+        columns["Status"][20] = 2
+    pfs = rs.Instrument.from_pfs(folder / DOTS, cobras=write_cobras(tmp_path / "a.xml", columns))
+    assert np.flatnonzero(pfs.focal_plane.disabled).tolist() == [20]
+    assert "are also parked: 21." in pfs.notes
+    np.testing.assert_allclose(pfs.focal_plane.xy[20].value, centers()[20], atol=0.5)
+    assert np.abs(pfs.focal_plane.theta_range[20].value).max() <= 540
+
+
+@pytest.mark.parametrize("code", ["-999", "-99.0", "999", "0"])
+def test_codes_in_the_file_of_fiducials_count_as_missing(folder, tmp_path, code):
+    """A fiducial at (-99, -99) mm was an obstacle."""
+    text = (folder / FIDUCIALS).read_text()
+    (tmp_path / FIDUCIALS).write_text(re.sub(r"\n9,[^,]*,[^,]*,", f"\n9,{code},{code},", text))
+    pfs = rs.Instrument.from_pfs(folder / DOTS, fiducials=tmp_path / FIDUCIALS)
+    assert len(pfs.focal_plane.obstacles) == 94
+    assert "Fiducials without a position: 9, 58." in pfs.notes
+
+
+@pytest.mark.parametrize("code", ["-999", "-99", "9999"])
+def test_codes_in_the_file_of_interference_limits_count_as_missing(folder, tmp_path, code):
+    text = (folder / INTERFERENCE).read_text()
+    (tmp_path / INTERFERENCE).write_text(re.sub(r"\n9,,,", f"\n9,{code},{code},{code}", text))
+    pfs = rs.Instrument.from_pfs(folder / DOTS, interference=tmp_path / INTERFERENCE)
+    assert "1 cobras have limits" in pfs.notes
+
+
+@pytest.mark.parametrize("name", [FIDUCIALS, INTERFERENCE, "dot", "fiducials", "ALL.xml"])
+def test_optional_files_that_cannot_be_read_are_refused(folder, tmp_path, name):
+    """A link to a folder that does not exist counted as no folder, and the instrument had no obstacles."""
+    (tmp_path / DOTS).write_text((folder / DOTS).read_text())
+    (tmp_path / name).symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError) as caught:
+        rs.Instrument.read(tmp_path)
+    assert str(caught.value).startswith(str(tmp_path / name))
 
 
 def test_models_of_modules_in_separate_files_are_joined(folder, model, tmp_path):
@@ -222,8 +266,8 @@ DAMAGES = [
     (FIDUCIALS, lambda text: text[: len(text) // 2], "must have 96 rows|line"),
     (FIDUCIALS, edit("x_mm", "x"), "must have the column 'x_mm'"),
     (FIDUCIALS, edit("\n9,[^,]*", "\n9,far"), "the column 'x_mm' must hold numbers, got 'far'"),
-    (FIDUCIALS, edit("\n9,[^,]*", "\n9,"), "x_mm and y_mm must be given together"),
-    (FIDUCIALS, edit("\n9,[^,]*", "\n9,9000"), "must be 150 to 300 mm from the center, got 9001"),
+    (FIDUCIALS, edit("\n9,[^,]*", "\n9,"), r"or both be missing, got \[nan, .*\] in row 9"),
+    (FIDUCIALS, edit("\n9,[^,]*", "\n9,9000"), r"or both be missing, got \[9000.0, .*\] in row 9"),
     (INTERFERENCE, lambda text: text[: len(text) // 2], "must have 2394 rows|line"),
     (INTERFERENCE, edit("theta_limit_2", "theta_2"), "must have the column 'theta_limit_2'"),
     (INTERFERENCE, edit(",141", ",wide"), "the column 'max_phi_angle' must hold numbers, got 'wide'"),

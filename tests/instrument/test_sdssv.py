@@ -1,7 +1,9 @@
 """SDSS-V as built: invented calibrations, and the real ones of 2021 and 2024."""
 
+import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -117,6 +119,79 @@ def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
     assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "is_disabled"),
+    [
+        ("alphaArmLen", -999.0, True),
+        ("alphaArmLen", 74.0, True),
+        ("alphaOffset", 99.0, True),
+        ("betaOffset", -9999.0, True),
+        ("dx", 5000.0, True),
+        ("bossX", -999.0, False),
+        ("bossY", 99.9, False),
+        ("bossX", 0.0, False),
+    ],
+)
+def test_impossible_values_of_robots_count_as_missing(tmp_path, column, value, is_disabled):
+    """With the code -999 for the position of a fiber, a robot had a reach of 1420 mm."""
+    folder = sdssv_files.calibration(tmp_path / "codes", positionerTable=changed("R0C13", **{column: value}))
+    inst = rs.Instrument.read(folder)
+    plane, k = inst.focal_plane, row_of(inst.focal_plane, "R0C13")
+    assert plane.disabled[k] == is_disabled
+    assert plane.disabled.sum() == is_disabled
+    assert is_disabled or plane.fiber_type[k] == "APOGEE"
+    assert plane.arrays.outer_radius.max() < 25
+    assert f"{column} = {value} in row 5" in inst.notes
+    assert "R0C13" in inst.notes
+
+
+@pytest.mark.parametrize("value", [-999, 0, -1, 9999, "nan"])
+def test_impossible_numbers_of_fibers_are_no_fibers(tmp_path, value):
+    folder = sdssv_files.calibration(tmp_path / "codes", fiberAssignments=changed("R0C13", BOSSFiber=value))
+    inst = rs.Instrument.read(folder)
+    assert inst.focal_plane.fiber_type[row_of(inst.focal_plane, "R0C13")] == "APOGEE"
+    assert value == "nan" or f"impossible and count as missing: BOSSFiber = {value}" in inst.notes
+
+
+@pytest.mark.parametrize("column", ["R", "c0", "c1", "c4"])
+def test_impossible_radial_maps_are_refused(folder, column):
+    rows = [line.split(",") for line in sdssv_files.MODEL.format("APO").splitlines()]
+    rows[2][rows[1].index(column)] = "-999"
+    (folder / "focalPlaneModel.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    with pytest.raises(rs.InputError, match=r"focalPlaneModel.csv: .*row 1"):
+        rs.Instrument.read(folder)
+
+
+def place_link(path):
+    path.symlink_to(path.with_name("nowhere.csv"))
+
+
+def place_loop(path):
+    path.symlink_to(path.name)
+
+
+OPTIONAL = ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
+
+
+@pytest.mark.parametrize("place", [place_link, place_loop, Path.mkdir])
+@pytest.mark.parametrize("name", OPTIONAL)
+def test_optional_files_that_cannot_be_read_are_refused(folder, name, place):
+    """The instrument silently had the values of the preset, such as 46 obstacles instead of 42."""
+    path = folder / f"{name}.csv"
+    path.unlink()
+    place(path)
+    with pytest.raises(rs.InputError) as caught:
+        rs.Instrument.read(folder)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="every file is readable for this user")
+def test_optional_files_without_permission_are_refused(folder):
+    (folder / "fiducialCoords.csv").chmod(0)
+    with pytest.raises(rs.InputError, match=r"fiducialCoords.csv cannot be read"):
+        rs.Instrument.read(folder)
+
+
 def test_robots_can_be_disabled(folder):
     plane = rs.Instrument.from_sdssv(folder, disabled=["R0C13"]).focal_plane
     assert plane.id[plane.disabled].tolist() == ["R0C13"]
@@ -150,7 +225,7 @@ def test_two_sites_need_a_choice(tmp_path):
     names = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "wokOrientation")
     folder = sdssv_files.calibration(tmp_path / "both", **dict.fromkeys(names, both))
     model = folder / "focalPlaneModel.csv"
-    model.write_text(model.read_text() + "".join(sdssv_files.MODEL.format("LCO").splitlines(keepends=True)[2:]))
+    model.write_text(model.read_text() + "".join(sdssv_files.MODEL_LCO.splitlines(keepends=True)[1:]))
     with pytest.raises(rs.InputError, match=r"positionerTable.csv: site must be one of APO, LCO"):
         rs.Instrument.read(folder)
     assert rs.Instrument.from_sdssv(folder, site="LCO").name == "sdss_lco"
@@ -166,12 +241,28 @@ BAD = {
         "the table must have the column 'alphaArmLen'",
     ),
     "text": ("positionerTable", changed("R0C13", dx="far"), "column 'dx' must hold numbers, .*'far'"),
-    "infinite": ("positionerTable", changed("R0C13", dx="inf"), "column 'dx' must hold finite numbers, got 'inf'"),
-    "too far": ("positionerTable", changed("R0C13", dx=5000), "robots must be within 1000 mm of the center"),
+    "infinite": (
+        "positionerTable",
+        changed("R0C13", dx="inf"),
+        "'dx' must hold finite .*, got 'inf' in row 5",
+    ),
     "twice": ("positionerTable", lambda rows: [*rows, rows[0]], "'holeID' must have unique values, got R\\+2C13 twice"),
     "no hole": ("wokCoords", changed("R0C13", holeID="R9C9"), "must have all holes of .*, but R0C13 is missing"),
     "empty hole": ("wokCoords", changed("R0C13", holeID=""), "must have a value in each row"),
-    "no position": ("wokCoords", changed("R0C13", xWok=""), "column 'xWok' must hold finite numbers, got ''"),
+    "no position": ("wokCoords", changed("R0C13", xWok=""), "'xWok' must hold finite numbers .*, got '' in row 3"),
+    "code of a position": ("wokCoords", changed("R0C13", yWok=-999.0), "'yWok' must hold .*, got '-999.0' in row 3"),
+    "small code": ("wokCoords", changed("R0C13", yWok=99), "'yWok' must hold .*, got '99.0' in row 3"),
+    "another hole": (
+        "wokCoords",
+        changed("R0C13", xWok=0, yWok=0),
+        r"within 5 mm .* \[0.0, 0.0\] for R0C13 in row 3",
+    ),
+    "code of a fiducial": ("fiducialCoords", changed("R-2C12", yWok=-99), "'yWok' must hold .*, got '-99.0' in row 1"),
+    "code of a shift": (
+        "wokOrientation",
+        lambda rows: [{**rows[0], "x": -999}],
+        "'x' must hold .* '-999' in row 1",
+    ),
     "tilted robot": ("wokCoords", changed("R0C13", iz=0.1), "must stand perpendicular to the focal plane"),
     "mirrored robot": ("wokCoords", changed("R0C13", jx=-1), "must stand perpendicular to the focal plane"),
     "fibers twice": ("fiberAssignments", lambda rows: [*rows, rows[0]], "must have unique values"),

@@ -193,3 +193,18 @@ def test_lengths_in_other_units():
     for method in ("overlap_ratio", "closed_form", "close_pair"):
         here, there = (rs.collision_probability(p, method=method) for p in (plane, sdss_like(2)))
         assert here.value == pytest.approx(there.value, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["closed_form", "close_pair"])
+def test_formulas_that_need_a_clearance_refuse_outlines(presets, method):
+    """The clearance of an outline can be 0; the result was then 0 without a warning."""
+    desi = presets["desi"]
+    with pytest.raises(rs.InputError, match=f"the arm model must be .* for the method '{method}', got 'outline'"):
+        rs.collision_probability(desi, method=method)
+    assert rs.collision_probability(desi.with_arm_model("elbow_to_tip"), method=method).value > 0.005
+
+
+def test_the_closed_form_refuses_arms_of_which_only_the_fibers_collide():
+    plane = sdss_like(2, arm_model="fiber_tip")
+    with pytest.raises(rs.InputError, match="must be elbow_to_tip or capsule .* got 'fiber_tip'"):
+        rs.collision_probability(plane, method="closed_form")

@@ -307,3 +307,18 @@ def test_allocations_have_to_fit(rng):
     moved = replace(plane, xy=plane.xy + 900 * MM)
     with pytest.raises(rs.InputError, match="the allocation is for another focal plane"):
         rs.collision_probability(moved, method="quadrature", density=rs.allocate(plane, xy))
+
+
+def test_the_probability_of_outlines_is_the_rate_of_random_configurations(presets):
+    """Independent of the quadrature: collisions of random configurations are found one configuration at a time."""
+    desi = presets["desi"]
+    found = rs.collision_probability(desi, method="quadrature", precision=1e-3, rng=0)
+    rng = np.random.default_rng(1)
+    rates = [
+        rs.find_collisions(desi.focal_plane, rs.benchmark.random_tips(desi.focal_plane, rng) * u.mm).rate
+        for _ in range(20)
+    ]
+    error = np.hypot(np.std(rates, ddof=1) / np.sqrt(len(rates)), found.standard_error)
+    assert abs(np.mean(rates) - found.value) < 4 * error
+    segment = rs.collision_probability(desi.with_arm_model("elbow_to_tip"), method="quadrature", precision=1e-3, rng=0)
+    assert found.value > 2 * segment.value

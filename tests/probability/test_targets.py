@@ -188,6 +188,17 @@ def test_a_catalog_is_projected_and_its_fiber_types_count(rng):
     assert got.meta["n_targets"] == science.sum()
 
 
+def test_targets_with_no_requested_visits_are_ignored(rng):
+    """Targets with 0 visits were assigned."""
+    coord = CENTER.spherical_offsets_by(rng.uniform(-0.06, 0.2, 30) * u.deg, rng.uniform(-0.08, 0.16, 30) * u.deg)
+    visits = np.arange(30) % 3
+    got, expected = (
+        rs.collision_probability(tiny(), targets=catalog, center=CENTER)
+        for catalog in (rs.Catalog(coord, visits=visits), rs.Catalog(coord[visits > 0]))
+    )
+    assert (got.value, got.meta["n_targets"]) == (expected.value, 20)
+
+
 def test_priorities_of_a_catalog_reach_the_allocator(rng):
     instrument = tiny()
     plane = instrument.focal_plane

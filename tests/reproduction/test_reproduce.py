@@ -6,6 +6,7 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey._folder import locked
 from rfpsurvey.reproduction import EXPERIMENTS, _poisson
 from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
 from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
@@ -57,6 +58,18 @@ def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
     assert all(claim in page for claim in claims["claim"])
     with pytest.raises(rs.InputError, match="exists"):
         rs.reproduction.reproduce(experiment, tmp_path / "out", quick=True)
+
+
+def test_a_folder_in_use_and_existing_figures_are_refused(tmp_path, monkeypatch):
+    """Two runs replaced the files of each other, and a figure was replaced without ``overwrite``."""
+    monkeypatch.setitem(EXPERIMENTS, "small", lambda _: pytest.fail("the experiment must not start"))
+    with locked(tmp_path, tmp_path / "lock"), pytest.raises(rs.InputError, match="another run uses this folder"):
+        rs.reproduction.reproduce("small", tmp_path, quick=True, overwrite=True)
+    for name in ("small.png", "claims.rst"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(rs.InputError, match=rf"{name} exists; to replace it, use overwrite=True"):
+            rs.reproduction.reproduce("small", tmp_path, quick=True)
+        (tmp_path / name).unlink()
 
 
 def test_results_do_not_depend_on_workers(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from oracles import tangent_plane_mm
+from rfpsurvey._io import read_table
 from rfpsurvey.selection import PotentialAssignments
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
@@ -79,6 +80,10 @@ def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
     written = QTable.read(tmp_path / "pairs.fits")
     assert written.meta["NPOINTS"] == 3000
     assert as_set(written) == expected
+    other = rs.potential_assignments(points[:-1], instrument, tiles)
+    other.write(tmp_path / "other.fits")
+    requests = [read_table(tmp_path / f"{name}.fits").meta["request"] for name in ("pairs", "other")]
+    assert {name for name in requests[0] if requests[0][name] != requests[1][name]} == {"catalog", "visits"}
 
 
 def test_one_pass_and_workers(points, instrument, tiles):

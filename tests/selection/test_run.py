@@ -10,7 +10,8 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.io import fits
+from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from rfpsurvey.selection import _folder
@@ -61,7 +62,7 @@ def same(one, other):
 
 
 def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
-    assert set(undisturbed) == {"selection.json", "selection.fits"}
+    assert set(undisturbed) == {"index.csv", "selection.json", "selection.fits"}
     held = compute(case, None)
     same(held, compute(case, tmp_path / "one"))
     same(held, rs.SelectionProbabilities.read(tmp_path / "one"))
@@ -202,6 +203,68 @@ def test_damaged_checkpoints_are_computed_again(case, tmp_path, monkeypatch, und
         assert content(copy) == undisturbed
 
 
+def test_a_block_in_the_place_of_another_block_is_computed_again(case, tmp_path, monkeypatch, undisturbed):
+    """A valid file of another block was used without a check, and the result had wrong values."""
+    folder = tmp_path / "selection"
+    with monkeypatch.context() as patch:
+        patch.setattr(_folder.SelectionFolder, "finish", lambda self: None)
+        compute(case, folder)
+    shutil.copy(folder / "block-0001.npz", folder / "block-0000.npz")
+    (folder / "selection.fits").unlink()
+    with pytest.warns(rs.RfpsurveyWarning, match=r"block-0000\.npz is damaged .*; its tiles are planned again"):
+        compute(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def flip(content):
+    return content[:-3000] + bytes([content[-3000] ^ 1]) + content[-2999:]
+
+
+@pytest.mark.parametrize("damage", [flip, lambda content: content[:-2880]])
+def test_a_damaged_result_is_refused_and_computed_again(case, tmp_path, undisturbed, damage):
+    """A flipped bit in the file of a finished computation remained undetected, whether it was read or resumed."""
+    folder = tmp_path / "selection"
+    compute(case, folder)
+    (folder / "selection.fits").write_bytes(damage(undisturbed["selection.fits"]))
+    for path in (folder, folder / "selection.fits"):
+        with pytest.raises(rs.InputError, match=r"selection\.fits is damaged \(its checksum differs"):
+            rs.SelectionProbabilities.read(path)
+    with pytest.warns(rs.RfpsurveyWarning, match=r"selection\.fits is damaged"):
+        compute(case, folder, resume=True)
+    assert content(folder) == undisturbed
+
+
+def test_a_result_without_a_checksum_can_be_read_only_by_its_path(case, tmp_path):
+    folder = tmp_path / "selection"
+    found = compute(case, folder, 2)
+    (folder / "index.csv").unlink()
+    with pytest.raises(rs.InputError, match=r"the index of its folder, index.csv, does not contain its checksum"):
+        rs.SelectionProbabilities.read(folder)
+    same(rs.SelectionProbabilities.read(folder / "selection.fits"), found)
+
+
+def test_the_result_of_another_computation_is_refused(case, tmp_path):
+    one, other = tmp_path / "one", tmp_path / "other"
+    compute(case, one, 2)
+    compute(case, other, 2, rng=1)
+    shutil.copy(other / "selection.fits", one / "selection.fits")
+    with pytest.raises(rs.InputError, match=r"selection\.fits is damaged"):
+        rs.SelectionProbabilities.read(one)
+
+
+def test_two_computations_in_one_folder_are_refused(case, tmp_path):
+    tried = []
+
+    def intrude(done, _):
+        if not tried:
+            tried.append(done)
+            with pytest.raises(rs.InputError, match="another run uses this folder"):
+                compute(case, tmp_path / "selection", resume=True)
+
+    compute(case, tmp_path / "selection", 2, progress=intrude)
+    assert tried
+
+
 def test_refused_folders(case, tmp_path):
     folder = tmp_path / "selection"
     with pytest.raises(rs.InputError, match="resume requires the folder of an unfinished computation"):
@@ -217,6 +280,29 @@ def test_refused_folders(case, tmp_path):
     case[0].write(tmp_path / "sky.fits")
     with pytest.raises(rs.InputError, match="must contain selection probabilities, got a table without target_id"):
         rs.SelectionProbabilities.read(tmp_path / "sky.fits")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("requested", 300, "visits must be whole numbers from 0 to 255, got 300"),
+        ("requested", 1.5, "visits must be whole numbers from 0 to 255, got 1.5"),
+        ("n_tiles", -1, "integers of at least 0 in n_tiles"),
+        ("BITWEIGHTS", 0.5, "integers in BITWEIGHTS"),
+    ],
+)
+def test_numbers_that_selections_cannot_hold_are_refused(case, tmp_path, name, value, message):
+    """They were rounded, or replaced by other integers: 300 requested visits became 44."""
+    compute(case, None).write(tmp_path / "all.fits")
+    with fits.open(tmp_path / "all.fits") as units:
+        table = Table(units[1].data)
+        table[name] = np.full(table[name].shape, value)
+        header = units[1].header
+        units[1] = fits.table_to_hdu(table)
+        units[1].header["RFPSURVY"] = header["RFPSURVY"]
+        units.writeto(tmp_path / "new.fits")
+    with pytest.raises(rs.InputError, match=message):
+        rs.SelectionProbabilities.read(tmp_path / "new.fits")
 
 
 def test_refused_arguments(case):

@@ -1,6 +1,7 @@
 """Joint plans: executors, folders, fixed tiles, limits of the search, and refusals."""
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import astropy.units as u
@@ -224,3 +225,11 @@ def test_circles_that_no_arm_may_cover_are_obstacles_of_a_joint_plan(case):
     level = found.summary["joint"]["levels"][-1]
     assert level["n_visits_before"] < level["n_visits"] <= level["bound"]
     assert level["bound"] < plan(case).summary["joint"]["levels"][-1]["bound"]
+
+
+def test_subpriorities_of_a_catalog_do_not_change_a_joint_plan(case, survey):
+    catalog, *others = case
+    ranked = replace(catalog, subpriority=np.arange(len(catalog)))
+    with pytest.warns(rs.RfpsurveyWarning, match="subpriorities of the catalog have no effect on a joint plan"):
+        again = plan((ranked, *others))
+    assert rows_of(again) == rows_of(survey)

@@ -140,7 +140,7 @@ def test_a_reordered_catalog_is_refused(catalog, instrument, before):
     order = np.random.default_rng(1).permutation(len(catalog))
     columns = {"priority": catalog.priority[order], "visits": catalog.visits[order], "epoch": catalog.epoch}
     again = rs.Catalog(catalog.coord[order], **columns)
-    with pytest.raises(rs.InputError, match="targets of this catalog, got other targets in tile 0"):
+    with pytest.raises(rs.InputError, match="targets of this catalog, got other targets or positions in tile 0"):
         plan(again, instrument, tiles_at(6), before)
 
 

@@ -1,8 +1,10 @@
 """Input of tiles: centers as text, requirements on unknown categories, epochs."""
 
 import astropy.units as u
+import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
 import rfpsurvey as rs
 from refusals import sentence
@@ -99,3 +101,59 @@ def test_the_message_on_a_sky_separation_says_what_it_is():
     for given, kind in ((10, TypeError), (10 * u.s, u.UnitsError)):
         with pytest.raises(kind, match="an angle on the sky such as 10 . u.arcsec, or a length on the focal plane"):
             rs.AllocationOptions(sky_separation=given)
+
+
+def test_targets_with_no_requested_visits_are_not_assigned(presets):
+    """plan_tile assigned targets with 0 visits, which plan_survey never observes."""
+    sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=1500, rng=1)
+    rows = np.arange(len(sky))
+    kind = np.where(rows < 40, "sky", "science")
+    catalog = rs.Catalog(sky.coord, visits=np.where(kind == "sky", 0, rows % 2), kind=kind, id=rows)
+    asked = rs.AllocationOptions("lamost", requirements="sky=5", required=[100])
+    tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator=asked)
+    assigned = tile.table["target_id"][tile.table["status"] == "assigned"].astype(int)
+    science = assigned[assigned >= 40]
+    assert set(science[science % 2 == 0].tolist()) <= {100}
+    assert (assigned < 40).any()
+    outcomes = tile.outcomes
+    unwanted = (outcomes["target_id"] >= 40) & (outcomes["target_id"] % 2 == 0) & (outcomes["target_id"] != 100)
+    assert set(outcomes["outcome"][unwanted]) == {"not requested"}
+    assert tile.summary["n_set_aside"] == unwanted.sum()
+    alone = rs.plan_tile(catalog[(rows % 2 == 1) & (rows >= 40)], presets["sdss_apo"], CENTER, allocator="nearest")
+    plain = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator="nearest")
+    assert plain.table["target_id"].tolist() == alone.table["target_id"].tolist()
+    counts = plain.completeness[plain.completeness["kind"] == "science"][0]
+    assert counts["n_in_field"] == alone.summary["n_in_field"] == plain.summary["kinds"]["science"]["n_in_field"]
+    table = rs.compare_allocators(catalog, presets["sdss_apo"], CENTER, allocators=["nearest"])
+    assert table["science"][0] == alone.summary["n_assigned"]
+    with pytest.raises(rs.InputError, match="the column of visits states 0 for all of them"):
+        rs.plan_tile(rs.Catalog(sky.coord, visits=np.zeros(len(sky))), presets["sdss_apo"], CENTER)
+
+
+def test_commands_and_reports_state_which_column_has_which_role(run, tmp_path):
+    rng = np.random.default_rng(1)
+    table = QTable({"TARGETID": np.arange(50), "RA": rng.uniform(94, 96, 50) * u.deg})
+    table["DEC"], table["PRIORITY_INIT"], table["NUMOBS_INIT"] = rng.uniform(22, 24, 50) * u.deg, 3000, 1
+    table.write(tmp_path / "desi.ecsv")
+    line = "DESI targets: priority: PRIORITY_INIT, visits: NUMOBS_INIT, id: TARGETID, ra: RA, dec: DEC"
+    page, plan, tiles = (tmp_path / name for name in ("tile.html", "tile.ecsv", "tiles.ecsv"))
+    asked = ("--instrument", "sdss_apo", "--center", "95 23")
+    code, out, _ = run("plan", tmp_path / "desi.ecsv", *asked, "--output", plan, "--report", page)
+    assert (code, out.splitlines()[0]) == (0, f"columns: {line}")
+    assert line in page.read_text()
+    assert rs.Tile.read(plan).provenance["catalog"]["columns"] == line
+    code, out, _ = run("tile", tmp_path / "desi.ecsv", "--instrument", "sdss_apo", "--output", tiles)
+    assert (code, out.splitlines()[0]) == (0, f"columns: {line}")
+    code, out, _ = run(
+        *("survey", tmp_path / "desi.ecsv", "--instrument", "sdss_apo", "--tiles", tiles),
+        *("--report", tmp_path / "survey.html"),
+    )
+    assert (code, out.splitlines()[0]) == (0, f"columns: {line}")
+    assert line in (tmp_path / "survey.html").read_text()
+    code, out, _ = run("compare-allocators", tmp_path / "desi.ecsv", *asked)
+    assert (code, out.splitlines()[0]) == (0, f"columns: {line}")
+    code, out, _ = run("score", plan)
+    assert code == 0
+    assert out.splitlines()[0].startswith(
+        "columns: positioner: id, id: target_id, fiber_type: fiber_type, x: tip_x, y: "
+    )

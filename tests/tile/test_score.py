@@ -81,7 +81,8 @@ def test_targets_out_of_reach_are_counted_and_their_arms_stretched(presets):
     plane = presets["lamost"].focal_plane
     x, y = plane.xy[:2].T
     plan = QTable({"positioner": [0, 1], "x": x + [20, 3] * MM, "y": y})
-    tile = rs.score_tile(plan, presets["lamost"])
+    with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets are out of reach"):
+        tile = rs.score_tile(plan, presets["lamost"])
     assert tile.summary["n_out_of_reach"] == 1
     assert tile.summary["n_assigned"] == 2
     assert tile.table["status"][0] == "out_of_reach"

@@ -119,6 +119,7 @@ def test_csv_is_in_degrees(tmp_path):
         (lambda: rs.Tiling.from_table(table(), columns={"field": "RACEN"}), "unknown column role of a tiling 'field'"),
         (lambda: rs.Tiling.from_table(table(), columns={"ra": "nope"}), "there is no column 'nope'"),
         (lambda: rs.Tiling.from_table(table(PASS=[1, 1.5, 2])), "pass must be a whole number for every tile, got 1.5"),
+        (lambda: rs.Tiling.from_table(table(PASS=[1, 1e30, 2])), "pass must be a whole number for every tile, got 1e"),
         (lambda: rs.Tiling(QTable({"ra": [1.0] * DEG})), "lacks tile, dec, position_angle, pass"),
         (lambda: rs.Tiling.from_table(table()).coverage(1 * DEG, nside=3), "nside must be a power of two"),
         (lambda: rs.Tiling.from_table(table()).coverage(1), "radius must be a Quantity"),

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey.pipeline import plan_field
 from rfpsurvey.survey._joint._fixed import candidates_of
@@ -102,7 +103,7 @@ def class_names(request) -> list[str]:
     wanted = request.first_left
     if priority is None or not (wanted > 0).any():
         return ["all"]
-    return [f"{value:.15g}" for value in np.unique(priority[wanted > 0])[::-1]]
+    return [exact_text(value) for value in np.unique(priority[wanted > 0])[::-1]]
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
@@ -134,7 +135,7 @@ def given_plan(request, job: Job, plan: TilePlan) -> Job:
 
 def _model(request, options) -> Model:
     old = request.model
-    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units, old.epoch)
+    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units)
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -1,0 +1,267 @@
+"""Outputs of long computations on disk: locks, and folders with a request and an index with checksums.
+
+A file receives its final name when it is complete, and the line of the index for this file is written afterward. New
+files without a line in the index are therefore not used, and incomplete lines of the index are ignored. A file that
+replaces another one receives its line first; until it is renamed, the line of the replaced file describes the content.
+"""
+
+import hashlib
+import json
+import re
+import shutil
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from rfpsurvey._checkpoint import check_request, warn_of_software
+from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
+from rfpsurvey._readers import content_of, parse_json
+from rfpsurvey.errors import InputError, warn
+
+__all__ = ["INDEX", "RequestFolder", "check_file", "locked", "read_index", "read_verified"]
+
+INDEX, LOCK = "index.csv", "lock"
+HEADER = "file,bytes,sha256\n"
+MOST_REQUEST = 10_000_000
+LINE = re.compile(r"([a-z0-9/-]+\.(?:fits|ecsv|npz)),(\d+),([0-9a-f]{64})\n")
+
+
+@contextmanager
+def locked(path: Path, lock: Path | None = None):
+    """Lock an output, and raise an error if another run has locked it.
+
+    By default, the lock is a hidden file beside the output, which is removed at the end.
+    """
+    own = path.with_name(f".{path.name}.lock") if lock is None else lock
+    guard = FileLock(own)
+    try:
+        guard.acquire(timeout=0)
+        taken = not own.exists()  # the run that held the lock has just removed its file
+    except Timeout:
+        taken = True
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+    try:
+        if taken:
+            kind = "file" if lock is None else "folder"
+            text = f"{path}: another run uses this {kind}; wait until it ends, or give another {kind}"
+            raise InputError(text)
+        yield
+    finally:
+        if lock is None and not taken:
+            with suppress(OSError):
+                own.unlink()
+        guard.release()
+
+
+class RequestFolder:
+    """A folder for the results and the request of a long computation.
+
+    The folder is locked during the computation, and an index contains the checksums of its files.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Path of the folder, which need not exist.
+    request : dict
+        The input and the options of the computation. An unfinished computation can only be continued with the same
+        request.
+    resume : bool
+        Whether to continue an unfinished computation.
+    """
+
+    request_name: str
+    """Name of the file of the request."""
+    work: str
+    parts: str
+    """Words for error messages: the kind of work in the folder, and the parts into which the work is divided."""
+
+    def __init__(self, path: object, request: dict, *, resume: bool):
+        self.path = to_path(path)
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
+        if not self.path.parent.is_dir():
+            raise InputError(f"{self.path}: the folder {self.path.parent} does not exist")
+        self._request, self._resume = json.loads(json.dumps(request)), resume
+        self._known: dict[str, list[tuple[int, str]]] = {}
+
+    def __enter__(self):
+        with self._told():
+            self.path.mkdir(exist_ok=True)
+            if not self._begun:
+                self._refuse_others()
+        self._lock = locked(self.path, self.path / LOCK)
+        self._lock.__enter__()
+        try:
+            self._open()
+        except BaseException:
+            self._lock.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, *_):
+        self._lock.__exit__(None, None, None)
+
+    @property
+    def _begun(self) -> bool:
+        return (self.path / self.request_name).is_file()
+
+    def _refuse_others(self):
+        others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
+        others = [name for name in others if not name.startswith(TEMPORARY_PREFIX)]
+        if others:
+            raise InputError(f"{self.path} must be a new or empty folder, got one that contains {others[0]}")
+
+    def _open(self):
+        if self._begun and not self._resume:
+            raise InputError(
+                f"{self.path} holds a {self.work}; continue it (--resume, resume=True) or give another folder"
+            )
+        if self._begun:
+            self._compare(_load(self.path / self.request_name))
+            self._read()
+        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # left by a process that was killed
+            if left_over.is_dir():
+                shutil.rmtree(left_over, ignore_errors=True)
+            else:
+                left_over.unlink(missing_ok=True)
+        content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
+        write_bytes(self.path / self.request_name, content, sync=True)
+        self._write_index((name, entry) for name, entries in self._known.items() for entry in entries)
+
+    def _read(self):
+        """Read the index of unfinished work."""
+        known, n_strange = _read_index(self.path)
+        self._known = {name: entries for name, entries in known.items() if self._belongs(name)}
+        if n_strange or len(self._known) < len(known):
+            text = f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again"
+            warn(text)
+
+    def _belongs(self, _name: str) -> bool:
+        """Return whether the folder can have a file with this name."""
+        return True
+
+    def _compare(self, before: dict):
+        """Raise an error if the request differs from the request of the unfinished work."""
+        now = dict(self._request)
+        warn_of_software(self.path, before.pop("software", None), now.pop("software", None), self.parts)
+        if "method" in before:
+            raise InputError(
+                f"{self.path} was begun by version 0.1 of rfpsurvey, which recorded other options; give another folder"
+            )
+        check_request(self.path, before, now, self.work, "folder")
+
+    @contextmanager
+    def _told(self):
+        """Convert errors of the operating system to an InputError."""
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write a file, and the line of the index for this file."""
+        with self._recorded(name, len(content), hashlib.sha256(content).hexdigest()):
+            write_bytes(self.path / name, content)
+
+    @contextmanager
+    def writing(self, name: str):
+        """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
+        path = self.path / name
+        with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as temporary:
+            yield temporary
+            stack.enter_context(self._recorded(name, *_entry_of(temporary)))
+
+    @contextmanager
+    def _recorded(self, name: str, *entry):
+        """Write the line of the index for a file: first if the file replaces another one, otherwise at the end."""
+        replaced = name in self._known
+        if not replaced:
+            yield
+        self._known.setdefault(name, []).append(entry)
+        with self._told(), (self.path / INDEX).open("a") as file:
+            file.write(_line(name, entry))
+        if replaced:
+            yield
+
+    def _write_index(self, entries):
+        write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
+
+    def finish(self) -> None:
+        """Sort the lines of the index, so that the index does not depend on the order in which files were written."""
+        self._write_index((name, self._known[name][-1]) for name in sorted(self._known))
+
+
+def _entry_of(path: Path) -> tuple[int, str]:
+    """Return the size and the checksum of a file."""
+    with path.open("rb") as file:
+        return path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_file(path: Path, name: str, known: dict[str, list[tuple[int, str]]]) -> None:
+    """Raise an error if a file does not match its checksum in the index."""
+    with _readable(path / name):
+        entry = _entry_of(path / name)
+    _check_entry(path / name, entry, known.get(name))
+
+
+def read_verified(path: Path, name: str, known: dict[str, list[tuple[int, str]]]) -> bytes:
+    """Return the content of a file; raise an error if it does not match its checksum in the index."""
+    with _readable(path / name):
+        content = (path / name).read_bytes()
+    _check_entry(path / name, (len(content), hashlib.sha256(content).hexdigest()), known.get(name))
+    return content
+
+
+@contextmanager
+def _readable(path: Path):
+    try:
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing") from None
+    except OSError as error:
+        raise InputError(f"{path} is damaged ({error.strerror or error})") from None
+
+
+def _check_entry(path: Path, entry: tuple[int, str], known: list | None):
+    if known is None:
+        raise InputError(f"{path} is damaged (the index of its folder, {INDEX}, does not contain its checksum)")
+    if entry not in known:
+        raise InputError(f"{path} is damaged (its checksum differs from the checksum recorded in the index)")
+
+
+def read_index(path: Path) -> dict[str, list[tuple[int, str]]]:
+    """Return the sizes and the checksums that the index of a folder contains for each file.
+
+    Incomplete lines are omitted. A file that was replaced has several sizes and checksums.
+    """
+    return _read_index(path)[0]
+
+
+def _read_index(path: Path):
+    """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
+    try:
+        text = (path / INDEX).read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return {}, 0
+    lines = text.splitlines(keepends=True)[1:]
+    found = [LINE.fullmatch(line) for line in lines]
+    known = {}
+    for match in found:
+        if match:
+            known.setdefault(match[1], []).append((int(match[2]), match[3]))
+    return known, sum(match is None for match in found[:-1])
+
+
+def _line(name: str, entry: tuple[int, str]) -> str:
+    """Return the line of the index for a file."""
+    return f"{name},{entry[0]},{entry[1]}\n"
+
+
+def _load(path: Path) -> dict:
+    try:
+        content = content_of(path, most=MOST_REQUEST)
+        return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
+    except InputError as error:
+        raise InputError(f"{path} is damaged ({error}); start again in another folder") from None

@@ -1,0 +1,98 @@
+"""Objectives of a search: classes without candidates, and upper limits from the best plan that ignores collisions."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rfpsurvey.allocation._answer import Level
+from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._local_search import match
+from rfpsurvey.allocation._problem import AllocationProblem
+
+__all__ = ["conditional_bounds", "levels_of", "matching_limits", "offset_of", "with_used_classes"]
+
+
+def with_used_classes(
+    problem: AllocationProblem, candidates: Candidates
+) -> tuple[AllocationProblem, Candidates, np.ndarray]:
+    """Remove the classes without candidates; return the problem, the candidates, and the numbers of the other classes.
+
+    Two classes always remain, because the objectives of a problem with one class have other names.
+    """
+    n, rank = len(problem.classes), candidates.options.rank
+    kept = np.unique(rank[rank < n])
+    if len(kept) < 2:
+        kept = np.union1d(kept, np.arange(min(n, 2)))
+    if len(kept) < n:
+        new = np.append(np.minimum(np.searchsorted(kept, np.arange(n)), len(kept) - 1), len(kept))
+        columns = {"classes": tuple(problem.classes[k] for k in kept), "rank": new[problem.rank]}
+        problem, few = replace(problem, **columns), replace(candidates.problem, **columns)
+        options = candidates.options._replace(rank=few.rank_of(candidates.options.target))
+        candidates = replace(candidates, problem=few, options=options)
+    return problem, candidates, kept
+
+
+def levels_of(
+    problem: AllocationProblem, offset: int, kept: np.ndarray, values: np.ndarray, bounds: np.ndarray
+) -> list[Level]:
+    """Return the objectives of all classes from the values and bounds of the classes ``kept``.
+
+    ``offset`` is the index of the objective of the first class. A plan that is as good as the given plan in the earlier
+    classes contains no more targets of a class without candidates than the bound of these classes allows.
+    """
+    names, n = problem.level_names, len(kept)
+    if len(kept) < len(problem.classes):
+        slack = np.concatenate([[0.0], np.maximum(bounds - values, 0.0)[offset : offset + n]])
+        columns = np.zeros(len(problem.classes)), slack[np.searchsorted(kept, np.arange(len(problem.classes)))]
+        for column, some in zip(columns, (values, bounds), strict=True):
+            column[kept] = some[offset : offset + n]
+        values, bounds = (
+            np.concatenate([some[:offset], column, some[offset + n :]])
+            for some, column in zip((values, bounds), columns, strict=True)
+        )
+    return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
+
+
+def offset_of(problem: AllocationProblem, names: tuple[str, ...]) -> int:
+    """Return the index of the objective of the most important class in the list of all objectives."""
+    return len(names) - len(problem.classes) - (not problem.science.all())
+
+
+def matching_limits(problem: AllocationProblem, everything: Candidates | None, names: tuple[str, ...]) -> np.ndarray:
+    """Return upper limits of the objectives from the best matching, in which arms may collide.
+
+    The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
+    more of these targets than the matching. If ``everything`` is None, or if there are required targets, the limits are
+    the numbers of targets in reach.
+    """
+    n, n_classes = problem.pairs.n_positioners, len(problem.classes)
+    if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
+        target = np.flatnonzero(np.diff(problem.pairs.indptr) > 0)
+        if problem.watched is not None:
+            target = np.union1d(target, problem.watched[problem.watched >= 0])
+    else:
+        target = match(everything)
+        target = target[target >= 0]
+    most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
+    offset = offset_of(problem, names)
+    limits = np.empty(len(names))
+    for k, name in enumerate(names[:offset]):
+        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
+            name, most[n_classes - 1]
+        )
+    limits[offset:] = most[: len(names) - offset]
+    return limits
+
+
+def conditional_bounds(
+    problem: AllocationProblem, names: tuple[str, ...], values: np.ndarray, limits: np.ndarray, first: int
+) -> np.ndarray:
+    """Return an upper bound of each objective, given the values of all earlier objectives.
+
+    The bounds of objectives before ``first`` are infinite.
+    """
+    offset, bounds = offset_of(problem, names), limits.copy()
+    last = offset + len(problem.classes)
+    bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
+    bounds[:first] = np.inf
+    return bounds

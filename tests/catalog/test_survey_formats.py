@@ -1,0 +1,228 @@
+"""Target tables of DESI and SDSS-V are read as their data models define the columns."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable, Table, vstack
+
+import rfpsurvey as rs
+from rfpsurvey.errors import InputError, RfpsurveyWarning
+
+LRG, ELG, SKY, STD_FAINT, BAD_SKY, IN_BRIGHT_OBJECT, MWS = (1 << bit for bit in (0, 1, 32, 33, 36, 51, 61))
+FIRST_ID = 39627700000000000
+
+
+def desi(n=6, **columns):
+    """Return a table with coordinates and identifiers as in DESI's target files, and with further columns."""
+    table = QTable({"TARGETID": np.arange(FIRST_ID, FIRST_ID + n), "RA": (150 + 0.05 * np.arange(n)) * u.deg})
+    table["DEC"] = np.full(n, 30.0) * u.deg
+    for name, values in columns.items():
+        table[name] = values
+    return table
+
+
+def ledger():
+    done = np.array([1, 1, 1, 0, 0, 0])
+    return desi(
+        PRIORITY_INIT=[2000, 3000, 3400] * 2,
+        PRIORITY=[2, 2, 2, 2000, 3000, 3400],
+        NUMOBS_INIT=np.ones(6, int),
+        NUMOBS=done,
+        NUMOBS_MORE=1 - done,
+    )
+
+
+def sdssv(**columns):
+    table = QTable({"catalogid": [1, 2], "ra": [10, 11] * u.deg, "dec": [0, 0] * u.deg, "priority": [1000, 2000]})
+    for name, values in {"fiberType": ["BOSS", "BOSS"], "cadence": ["dark_1x1"] * 2, **columns}.items():
+        table[name] = values
+    return table
+
+
+def test_target_files_of_desi_are_planned_with_initial_priorities_and_visits():
+    """PRIORITY_INIT was not recognized, so all targets had the same priority."""
+    catalog = rs.Catalog.from_table(ledger()["TARGETID", "RA", "DEC", "PRIORITY_INIT", "NUMOBS_INIT"])
+    assert catalog.priority.tolist() == [2000, 3000, 3400] * 2
+    assert catalog.visits.tolist() == [1] * 6
+    assert catalog.id.tolist() == list(range(FIRST_ID, FIRST_ID + 6))
+
+
+def test_ledgers_of_desi_are_planned_with_the_remaining_visits():
+    """NUMOBS, the number of visits that were made, was read as the number of requested visits."""
+    catalog = rs.Catalog.from_table(ledger())
+    assert catalog.visits.tolist() == [0, 0, 0, 1, 1, 1]
+    assert catalog.priority.tolist() == [2, 2, 2, 2000, 3000, 3400]
+
+
+def test_visits_that_were_made_are_not_requested_visits():
+    assert rs.Catalog.from_table(desi(NUMOBS=np.arange(6))).visits is None
+
+
+def test_columns_of_different_times_of_a_survey_are_not_combined():
+    table = ledger()["TARGETID", "RA", "DEC", "PRIORITY", "PRIORITY_INIT", "NUMOBS_INIT"]
+    with pytest.warns(RfpsurveyWarning, match="has the column PRIORITY but not NUMOBS_MORE; NUMOBS_INIT is not used"):
+        catalog = rs.Catalog.from_table(table)
+    assert catalog.visits is None
+    assert catalog.priority[0] == 2
+    assert rs.Catalog.from_table(table, columns={"visits": "NUMOBS_INIT", "priority": "PRIORITY"}).visits is not None
+
+
+def test_named_columns_replace_the_columns_of_a_survey():
+    columns = {"priority": "PRIORITY_INIT", "visits": "NUMOBS", "id": "NUMOBS"}
+    catalog = rs.Catalog.from_table(ledger(), columns=columns)
+    assert catalog.priority[0] == 2000
+    assert catalog.visits.tolist() == catalog.id.tolist() == [1, 1, 1, 0, 0, 0]
+    assert rs.Catalog.from_table(sdssv(), columns={"priority": "priority"}).priority.tolist() == [1000, 2000]
+
+
+def test_bits_of_desi_state_the_kinds_of_targets():
+    bits = np.array([LRG, STD_FAINT, SKY, BAD_SKY, ELG | IN_BRIGHT_OBJECT, MWS])
+    catalog = rs.Catalog.from_table(desi(DESI_TARGET=bits, PRIORITY_INIT=np.ones(6), NUMOBS_INIT=[2, -1, -1, -1, 1, 1]))
+    assert catalog.kind.tolist() == ["science", "standard", "sky", "science", "science", "science"]
+    assert catalog.visits.tolist() == [2, 1, 1, 0, 0, 1]
+    assert rs.Catalog.from_table(desi(SV3_DESI_TARGET=bits)).visits.tolist() == [1, 1, 1, 0, 0, 1]
+
+
+def test_standard_stars_that_are_also_requested_science_targets_remain_science_targets():
+    table = desi(2, DESI_TARGET=[MWS | STD_FAINT] * 2, PRIORITY=[1, 1], NUMOBS_MORE=[1, 0])
+    with pytest.warns(RfpsurveyWarning, match="1 of 2 targets are both science targets and standard stars"):
+        assert rs.Catalog.from_table(table).kind.tolist() == ["science", "standard"]
+
+
+def test_bits_must_be_integers():
+    with pytest.raises(InputError, match="column 'DESI_TARGET' must hold integers, whose bits state"):
+        rs.Catalog.from_table(desi(2, DESI_TARGET=["LRG", "ELG"]))
+
+
+def test_epoch_zero_of_targets_without_proper_motion_is_accepted():
+    """REF_EPOCH is 0 in DESI's files if the proper motion is 0; such tables were refused."""
+    motion = np.array([0, 0, 0, 0, 5, 0]) * u.mas / u.yr
+    table = desi(PMRA=motion, PMDEC=0 * motion, REF_EPOCH=np.where(motion.value > 0, 2015.5, 0))
+    moved = rs.Catalog.from_table(table).at_epoch(2025.5)
+    shift = (moved.coord.ra - table["RA"]).to_value(u.mas) * np.cos(np.deg2rad(30))
+    assert shift == pytest.approx([0, 0, 0, 0, 50, 0], abs=1e-3)
+    still = rs.Catalog.from_table(table[:4])
+    assert still.epoch is None
+    assert (still.at_epoch(2025.5).coord.ra == table["RA"][:4]).all()
+    table["REF_EPOCH"] = 0.0
+    with pytest.raises(InputError, match="1 of these targets have other values"):
+        rs.Catalog.from_table(table)
+
+
+@pytest.mark.parametrize("identifier", ["catalogid", "rsid"])
+@pytest.mark.parametrize("fiber_type", ["fiberType", "fiber_type"])
+@pytest.mark.parametrize("selection", ["cadence", "category"])
+def test_small_priorities_of_sdssv_are_more_important(identifier, fiber_type, selection):
+    """Candidates of SDSS-V were read with large priorities first."""
+    table = sdssv()
+    table.rename_columns(["catalogid", "fiberType", "cadence"], [identifier, fiber_type, selection])
+    catalog = rs.Catalog.from_table(table)
+    assert catalog.priority.tolist() == [-1000, -2000]
+    assert catalog.fiber_type.tolist() == ["BOSS", "BOSS"]
+
+
+@pytest.mark.parametrize("missing", ["catalogid", "fiberType", "cadence"])
+def test_large_priorities_of_other_tables_are_more_important(missing):
+    table = sdssv()
+    table.remove_column(missing)
+    assert rs.Catalog.from_table(table).priority.tolist() == [1000, 2000]
+
+
+@pytest.mark.parametrize("table", [sdssv(carton=["a", "b"]), ledger()])
+def test_written_catalogs_of_surveys_are_read_unchanged(tmp_path, table):
+    keep = [name for name in table.colnames if name not in ("RA", "DEC", "ra", "dec")]
+    catalog = rs.Catalog.from_table(table, keep=keep)
+    catalog.write(tmp_path / "catalog.ecsv")
+    again = rs.Catalog.read(tmp_path / "catalog.ecsv")
+    for name in ("id", "priority", "visits"):
+        assert np.array_equal(getattr(again, name), getattr(catalog, name)), name
+
+
+def test_catalogs_state_which_column_has_which_role():
+    about = rs.Catalog.from_table(ledger(), keep=["NUMOBS"]).meta["columns"]
+    expected = "DESI ledger: priority: PRIORITY, visits: NUMOBS_MORE, id: TARGETID, ra: RA, dec: DEC; kept: NUMOBS; "
+    assert about == expected + "not used: PRIORITY_INIT, NUMOBS_INIT"
+    about = rs.Catalog.from_table(sdssv()).meta["columns"]
+    assert about.startswith(
+        "SDSS-V candidates: priority: priority (reversed sign), visits: none, fiber_type: fiberType"
+    )
+    assert about.endswith("not used: cadence")
+    mixed = QTable({"coord": rs.Catalog.from_table(sdssv()).coord, "priority": [1, 2], "ra": [1, 2]})
+    assert (
+        rs.Catalog.from_table(mixed).meta["columns"] == "priority: priority, visits: none, coord: coord; not used: ra"
+    )
+    galactic = Table({"l": [1.0], "b": [2.0], "ra": [3.0], **{f"c{k}": [0] for k in range(30)}})
+    galactic["l"].unit = galactic["b"].unit = "deg"
+    about = rs.Catalog.from_table(galactic, frame="galactic").meta["columns"]
+    assert "lon: l, lat: b; not used: ra, c0" in about
+    assert about.endswith("c18, and 11 more")
+
+
+def test_subpriorities_of_a_catalog_break_ties(presets):
+    """SUBPRIORITY was not recognized."""
+    center, n = None, 2000
+    rng = np.random.default_rng(1)
+    table = Table({"TARGETID": np.arange(n), "RA": 95 + rng.uniform(-1, 1, n), "DEC": 23 + rng.uniform(-1, 1, n)})
+    table["RA"].unit = table["DEC"].unit = "deg"
+    table["PRIORITY_INIT"], table["NUMOBS_INIT"], table["SUBPRIORITY"] = 3000, 1, rng.random(n)
+    catalog = rs.Catalog.from_table(table)
+    plans = [
+        rs.plan_tile(one, presets["sdss_apo"], center, allocator=options).table["target_id"].filled(-1).tolist()
+        for one, options in (
+            (catalog, "nearest"),
+            (
+                rs.Catalog.from_table(table, keep="SUBPRIORITY"),
+                rs.AllocationOptions("nearest", subpriority="SUBPRIORITY"),
+            ),
+            (catalog, rs.AllocationOptions("nearest", subpriority=5)),
+            (rs.Catalog(catalog.coord), rs.AllocationOptions("nearest", subpriority=5)),
+            (rs.Catalog(catalog.coord), "nearest"),
+        )
+    ]
+    assert plans[0] == plans[1]
+    assert plans[2] == plans[3]
+    assert len({tuple(plan) for plan in plans}) == 3
+    survey = rs.plan_survey(catalog, presets["sdss_apo"], catalog.mean_direction.reshape(1), allocator="nearest")
+    assert sorted(survey.visits(0)["target_id"].tolist()) == sorted(t for t in plans[0] if t >= 0)
+
+
+def test_real_files_of_desi_are_read_as_their_data_model_defines(real_data):
+    """A survey after one night planned the 451 observed targets again, and did not plan 1098 other targets."""
+    start, later = (rs.Catalog.read(real_data(f"desi/{name}_like.fits.gz")) for name in ("targets", "ledger"))
+    table = Table.read(real_data("desi/ledger_like.fits.gz"))
+    science = later.kind == "science"
+    assert science.sum() == 2116
+    assert (np.count_nonzero(later.visits[science]), later.visits[science].sum(dtype=int)) == (1591, 2862)
+    assert (later.priority == table["PRIORITY"]).all()
+    assert (start.priority == table["PRIORITY_INIT"]).all()
+    assert (start.visits[science] == table["NUMOBS_INIT"][science]).all()
+    assert (start.subpriority == table["SUBPRIORITY"]).all()
+
+
+def test_real_candidates_of_sdssv_have_small_priorities_first(real_data):
+    for name in ("sdssv_robostrategy_field_a", "sdssv_eight_designs"):
+        table = QTable.read(real_data(f"{name}.ecsv"))
+        assert (rs.Catalog.from_table(table).priority == -table["priority"]).all()
+
+
+@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS])])
+def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pa = pytest.importorskip("pyarrow")
+    folder = tmp_path / "dataset" / "Norder=0" / "Dir=0"
+    folder.mkdir(parents=True)
+    whole = rs.Catalog.from_table(table, keep=[])
+    pixel = rs.partition_catalog(whole, tmp_path / "own", order=0).parts.files[0][1]
+    columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
+    parquet.write_table(pa.table(columns), folder / f"Npix={pixel}.parquet")
+    parts = rs.PartitionedCatalog(tmp_path / "dataset")
+    for catalog in (parts.read(), parts.parts.part(0)):
+        for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
+            assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name
+    assert parts.meta["columns"] == parts.read().meta["columns"] == whole.meta["columns"]
+
+
+def test_joined_files_of_desi_are_read():
+    targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
+    sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
+    assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
