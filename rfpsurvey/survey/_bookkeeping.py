@@ -53,22 +53,21 @@ class Bookkeeping:
         of a target is its index in these arrays.
     n_passes : int
         Number of passes.
-    others : bool or ndarray of bool, or None
-        Whether tiles may use standard stars and sky positions, as one value for all or as an array with a value for
-        each target; None if tiles may use none of them.
+    reusable : ndarray of bool or None
+        Whether each target is a standard or sky position that every tile may use; None if there are none.
     in_turn : bool
         Whether the passes are planned one after the other.
     """
 
-    def __init__(self, visits, priority, kind, category, *, n_passes: int, others, in_turn: bool):
+    def __init__(self, visits, priority, kind, category, *, n_passes: int, reusable, in_turn: bool):
         science = None if kind is None else kind == "science"
         self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
         # usable standards and sky positions always have one remaining visit, so that every tile may use them
         self.left = self.wanted.copy()
         # whether a visit reduces the number of remaining visits of each target; None if this is true for all targets
         self.spends = None
-        if science is not None and others is not None:
-            self.left[~science & others] = 1
+        if reusable is not None:
+            self.left[reusable] = 1
             self.spends = science
         self.flags = np.zeros(len(visits), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}

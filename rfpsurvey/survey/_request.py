@@ -14,19 +14,17 @@ from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import blank_ids, field_radius_rad, mark_required
+from rfpsurvey.pipeline import blank_ids, mark_required, reusable_targets
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
 from rfpsurvey.tile import versions
-from rfpsurvey.tiling import Tiling, conditions_of_tiles, times_of_tiles
+from rfpsurvey.tiling import Tiling, conditions_of_tiles, largest_field_rad, places_of_tiles, times_of_tiles
 
 __all__ = ["Request", "make_request"]
 
 FIELDS_DIFFER = 0.01
-# If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
-MARGIN = 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +59,8 @@ class Request:
 
     @cached_property
     def radius_rad(self) -> float:
-        """Radius of the largest field in radians; refraction enlarges the field with the lowest altitude the most."""
-        if self.conditions is None:
-            return field_radius_rad(self.instrument)
-        fields = self._fields()
-        lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
-        return field_radius_rad(self.instrument, lowest) * MARGIN
+        """Radius of the largest field in radians."""
+        return largest_field_rad(self.tiling, self.conditions, self.instrument)
 
     @cached_property
     def years(self) -> np.ndarray | None:
@@ -86,16 +80,6 @@ class Request:
         """Observing conditions of each tile; None if refraction is neglected."""
         return conditions_of_tiles(self.tiling)
 
-    def _fields(self) -> list:
-        """Return the projections of all tiles, or raise an error if a field is not above the horizon."""
-        fields = []
-        for name, *place, conditions in zip(*self._places, self.conditions, strict=True):
-            try:
-                fields.append(self.instrument.field_projection(*np.deg2rad(place), conditions))
-            except InputError as error:
-                raise InputError(f"tile {name}: {error}") from None
-        return fields
-
     @cached_property
     def rounds(self) -> list[np.ndarray]:
         """Rows of the tiles of each round; the tiles of a round share no targets and can be planned simultaneously."""
@@ -111,12 +95,17 @@ class Request:
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
-        columns = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        # if there are requirements, tiles may use all standards and sky positions; otherwise, tiles may use only those
-        # that are required targets
-        others = True if self.options.requirements else self.is_required
-        in_turn = self.order == "color"
-        return Bookkeeping(self.visits, *columns, n_passes=len(self.passes), others=others, in_turn=in_turn)
+        priority, kind, category = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
+        reusable = reusable_targets(kind, self.options, self.is_required)
+        n_passes, in_turn = len(self.passes), self.order == "color"
+        return Bookkeeping(self.visits, priority, kind, category, n_passes=n_passes, reusable=reusable, in_turn=in_turn)
+
+    @cached_property
+    def first_left(self) -> np.ndarray:
+        """Number of remaining visits of each target before the first visit, in the order of slots."""
+        left = self.open_state().left
+        left.flags.writeable = False
+        return left
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
@@ -132,18 +121,19 @@ class Request:
         if self.joint is not None:  # joint plans do not support subpriorities
             columns = field.targets.columns._replace(subpriority=None)
             field = field._replace(targets=field.targets._replace(columns=columns))
-        name, *where = (column[tile] for column in self._places)
+        name, *where = self._names[tile], *self._places[tile].tolist()
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
         epoch = self.epoch if self.years is None else f"J{self.reference.jyear + years:.6f}"
         return Job(self.model, name, *where, field, seed, as_file, conditions, epoch)
 
     @cached_property
-    def _places(self) -> list[list]:
-        """Names, right ascensions, declinations and position angles of all tiles; the angles are in degrees."""
-        table = self.tiling.table
-        angles = (table[name].to_value(u.deg).astype(float).tolist() for name in ("ra", "dec", "position_angle"))
-        return [np.asarray(table["tile"]).tolist(), *angles]
+    def _names(self) -> list:
+        return np.asarray(self.tiling.table["tile"]).tolist()
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        return places_of_tiles(self.tiling)
 
     @cached_property
     def software(self) -> dict:

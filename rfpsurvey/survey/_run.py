@@ -68,7 +68,9 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             title, cards = name.split(".")[0].upper(), codes if name == "outcomes.fits" else None
             folder.put(name, _io.table_bytes(table, name, cards, title))
         if joint is not None:
-            folder.put(JOINT, _io.table_bytes(joint, JOINT, None, "JOINT"))
+            stored = joint.copy()
+            del stored["seconds"]  # the files of equal surveys are equal
+            folder.put(JOINT, _io.table_bytes(stored, JOINT, None, "JOINT"))
         folder.finish()
     return Survey(*tables, folder.path, joint=joint)
 

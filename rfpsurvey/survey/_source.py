@@ -15,7 +15,7 @@ import numpy as np
 
 from rfpsurvey.allocation import TargetColumns
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, move_vectors
-from rfpsurvey.pipeline import FieldTargets
+from rfpsurvey.pipeline import PLANNED_COLUMNS, FieldTargets, field_targets
 
 __all__ = ["Field", "InMemory", "Partitioned", "digest"]
 
@@ -26,9 +26,6 @@ class Field(NamedTuple):
     slot: np.ndarray
     row: np.ndarray
     targets: FieldTargets
-
-
-COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 
 
 class InMemory:
@@ -86,18 +83,7 @@ class InMemory:
             others = self._vectors(slot[left[slot] == 0], years)
             slot = slot[left[slot] > 0]
         row = self._index.order[slot]
-        columns = {name: getattr(self._catalog, name) for name in COLUMNS}
-        columns = {name: None if values is None else values[row] for name, values in columns.items()}
-        extra = {name: values[row] for name, values in self._catalog.arrays.extra.items()}
-        targets = FieldTargets(
-            self._vectors(slot, years),
-            self._catalog.id[row],
-            TargetColumns(**columns),
-            others,
-            extra,
-            self._catalog.numbered,
-        )
-        return Field(slot, row, targets)
+        return Field(slot, row, field_targets(self._catalog, row, self._vectors(slot, years), others=others))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return, for each circle, the sum of the values of the targets inside; ``values`` is in the order of slots."""
@@ -142,7 +128,7 @@ class InMemory:
 
     def digest(self) -> str:
         """Return a digest that identifies the catalog."""
-        columns = (getattr(self._catalog, name) for name in ("id", *COLUMNS))
+        columns = (getattr(self._catalog, name) for name in ("id", *PLANNED_COLUMNS))
         return digest(self._index.vectors, self._index.order, *columns, *self._catalog.arrays.extra.values())
 
     @property

@@ -64,7 +64,8 @@ class Survey:
         If all tiles were planned together (`JointOptions`), a table with a row for each iteration and each priority:
         ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
         bound of ``n_visits`` in any plan without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
-        (computing time until the end of the iteration). If there are more than eight priorities, the table contains
+        (computing time until the end of the iteration, NaN for iterations of an earlier run; files do not contain this
+        column). If there are more than eight priorities, the table contains
         only eight, from the highest to the lowest priority. The entry ``joint`` of the summary contains the values
         after the last iteration.
 

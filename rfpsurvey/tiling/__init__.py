@@ -1,7 +1,13 @@
 """Placement of the tiles of a survey."""
 
 from rfpsurvey.tiling._centers import Centers
-from rfpsurvey.tiling._conditions import conditions_of_tiles, times_of_tiles, when_of
+from rfpsurvey.tiling._conditions import (
+    conditions_of_tiles,
+    largest_field_rad,
+    places_of_tiles,
+    times_of_tiles,
+    when_of,
+)
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
@@ -15,7 +21,9 @@ __all__ = [
     "Tiling",
     "as_tiling",
     "conditions_of_tiles",
+    "largest_field_rad",
     "place_tiles",
+    "places_of_tiles",
     "times_of_tiles",
     "warn_of_targets",
     "when_of",

@@ -8,12 +8,12 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._units import to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import to_direction, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import InputError, InputTypeError, short
-from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of, to_ra_dec
+from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
 
-__all__ = ["Centers", "Declinations", "as_centers"]
+__all__ = ["Centers", "Declinations", "as_centers", "given_tiles"]
 
 # Tolerance (radians) for rounding errors at the limits of declination.
 ROUNDING = 1e-12
@@ -78,8 +78,8 @@ class Centers:
         if not (isinstance(given, SkyCoord | Tiling) or is_table(given)):
             raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {short(given)}")
         if isinstance(given, SkyCoord):
-            vectors = to_vectors(given, "centers")
-            given = SkyCoord(*to_ra_dec(vectors[np.isfinite(vectors).all(axis=1)]), unit="deg")
+            finite = np.isfinite(to_vectors(given, "centers")).all(axis=1)
+            given = to_direction(given).reshape(-1).icrs[finite]  # the same numbers as in `as_tiling`
             ra, dec = given.ra, given.dec
             table = Table({"ra": ra.to(u.deg), "dec": dec.to(u.deg)})
             # repeated directions count once
@@ -152,6 +152,15 @@ class Declinations:
 def as_centers(given: object) -> Centers:
     """Return `Centers` from a list of directions or None; return given `Centers` unchanged."""
     return given if isinstance(given, Centers) else Centers(given)
+
+
+def given_tiles(where: Centers) -> Tiling:
+    """Return the tiles of the list, with the position angle of ``where`` if there is one."""
+    if where.position_angle is None:
+        return where.tiling
+    table = where.tiling.table.copy()
+    table["position_angle"] = where.angle_deg * u.deg
+    return Tiling(table)
 
 
 def _two(limits):

@@ -12,14 +12,26 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, short
+from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions, as_hour_angle
+from rfpsurvey.pipeline import field_radius_rad
 
 if TYPE_CHECKING:
     from rfpsurvey.tiling._tiling import Tiling
 
-__all__ = ["WHEN", "conditions_of_tiles", "convert_when", "times_of_tiles", "when_of"]
+__all__ = [
+    "WHEN",
+    "conditions_of_tiles",
+    "convert_when",
+    "largest_field_rad",
+    "places_of_tiles",
+    "times_of_tiles",
+    "when_of",
+]
 
 WHEN = ("time", "hour_angle")
+# If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
+MARGIN = 1.001
 
 
 def when_of(table: QTable) -> str | None:
@@ -48,6 +60,29 @@ def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
         return [common] * len(tiling)
     values = _read_times(tiling) if name == "time" else tiling.table[name]
     return [replace(common, **{**dict.fromkeys(WHEN), name: value}) for value in values]
+
+
+def places_of_tiles(tiling: "Tiling") -> np.ndarray:
+    """Return right ascension, declination and position angle of each tile in degrees, shape (n, 3)."""
+    names = ("ra", "dec", "position_angle")
+    return np.column_stack([tiling.table[name].to_value(u.deg).astype(float) for name in names])
+
+
+def largest_field_rad(tiling: "Tiling", conditions: list[ObservingConditions] | None, instrument: Instrument) -> float:
+    """Return the radius of the largest field of the tiles in radians.
+
+    Refraction enlarges the field with the lowest altitude the most.
+    """
+    if conditions is None:
+        return field_radius_rad(instrument)
+    fields = []
+    for name, place, one in zip(tiling.table["tile"], np.deg2rad(places_of_tiles(tiling)), conditions, strict=True):
+        try:
+            fields.append(instrument.field_projection(*place, one))
+        except InputError as error:
+            raise InputError(f"tile {name}: {error}") from None
+    lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
+    return field_radius_rad(instrument, lowest) * MARGIN
 
 
 def times_of_tiles(tiling: "Tiling") -> Time | None:

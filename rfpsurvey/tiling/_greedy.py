@@ -83,8 +83,9 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
             tries += list(state.problem.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):
             state.give_up(center)
+        changed = max(state.problem.reach, state.problem.radius) + max(BESIDE) * state.problem.radius
         for one in lists:
-            one.update(center, (1 + max(BESIDE)) * state.problem.radius)
+            one.update(center, changed)
     return state
 
 

@@ -25,7 +25,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.region import Region
-from rfpsurvey.tiling._centers import Centers, Declinations, as_centers
+from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
@@ -98,10 +98,12 @@ def place_tiles(
         collides; see `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile. Circles that no arm may
         cover are obstacles in each tile.
     radius : Quantity, optional
-        Angular radius of a tile; by default, the field radius of the instrument.
+        Angular radius of a tile; by default, the field radius of the instrument. With an allocator, tiles are placed
+        with this radius, but observe targets in the whole field of the instrument.
     centers : Centers, SkyCoord, Tiling or Table, optional
         Constraints on the centers of tiles, such as a list of bright stars or limits of declination, and the position
-        angle of tiles; see `~rfpsurvey.tiling.Centers`.
+        angle of tiles; see `~rfpsurvey.tiling.Centers`. For the method ``given``, the observing conditions of the tiles
+        are used.
     exclude : Region or list of Region, optional
         Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
@@ -121,8 +123,8 @@ def place_tiles(
         The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
         columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
         that the tile observes) and ``completeness`` (of the survey after this tile). A survey with the same allocator
-        reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``), and
-        nearly the same completeness in another order.
+        reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``) at the
+        epoch of the catalog, and nearly the same completeness in another order.
 
     Raises
     ------
@@ -215,10 +217,12 @@ def place_tiles(
         options = as_options("lamost" if allocator is None else allocator)
         options.check_for_fields("place_tiles")
         options = options.for_instrument(model)
-        serve = FocalPlaneFibers(model, options, catalog, index, fibers, np.deg2rad(_angles(where, method)), seed)
+        tiles = given_tiles(where) if method == GIVEN else where.angle_deg
+        serve = FocalPlaneFibers(model, options, catalog, index, fibers, tiles, seed)
+        reach = serve.radius
     else:
         priority = None if catalog.priority is None else catalog.priority[index.order]
-        serve = FreeFibers(number, priority, neighbors)
+        serve, reach = FreeFibers(number, priority, neighbors), radius_rad
     goal = n_tiles or completeness or 1.0
     with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
         problem = TilingProblem(
@@ -227,6 +231,7 @@ def place_tiles(
             wanted[index.order],
             number,
             serve,
+            reach,
             allowed=where.vectors,
             passes=passes,
             n_tiles=n_tiles,
@@ -247,8 +252,8 @@ def place_tiles(
         "completeness": np.array(so_far, dtype=float),
     }
     if method == GIVEN:
-        return _finish(where.tiling.table[: len(state.rows)], _angles(where, method), summary, columns)
-    return _finish(_table(np.reshape(centers_, (-1, 3)), number), _angles(where, method), summary, columns)
+        return _finish(given_tiles(where).table[: len(state.rows)], summary, columns)
+    return _finish(_table(np.reshape(centers_, (-1, 3)), number, where), summary, columns)
 
 
 def _place_on_region(region, method, radius_rad, passes, where, exclude, summary, given):
@@ -260,11 +265,11 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
             raise InputError(f"{name} applies only to targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
-        table, vectors = where.tiling.table, where.tiling.vectors
+        table, vectors = given_tiles(where).table, where.tiling.vectors
     else:
         found = cover.make_passes(COVERINGS[method], passes, where)
         vectors = np.vstack(found)
-        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]))
+        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]), where)
     quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
     if quality.get("fraction_beyond_declination") == 1:
@@ -274,7 +279,7 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
         if quality.get("fraction_beyond_declination"):
             words += f"; {quality['fraction_beyond_declination']:.4f} of it is out of reach{where.limits.words}"
         warn(words)
-    return _finish(table, _angles(where, method), summary, {})
+    return _finish(table, summary, {})
 
 
 def _regions(exclude) -> tuple[Region, ...]:
@@ -283,13 +288,6 @@ def _regions(exclude) -> tuple[Region, ...]:
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
         raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
     return tuple(regions)
-
-
-def _angles(where: Centers, method: str) -> np.ndarray:
-    """Return an array of position angles in degrees, with one angle for each tile or one for all tiles."""
-    if method == GIVEN and where.position_angle is None:
-        return where.tiling.table["position_angle"].to_value(u.deg)
-    return np.array([where.angle_deg])
 
 
 def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
@@ -366,19 +364,24 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     return account
 
 
-def _table(vectors, number) -> QTable:
-    """Return a table of tiles with the given centers and pass numbers."""
+def _table(vectors, number, where: Centers) -> QTable:
+    """Return a table of tiles with the given centers and pass numbers, and with the position angle of ``where``."""
     n = len(vectors)
     ra, dec = to_ra_dec(vectors)
     return QTable(
-        {"tile": np.arange(n), "ra": ra * u.deg, "dec": dec * u.deg, "pass": np.array(number, dtype=np.int64)}
+        {
+            "tile": np.arange(n),
+            "ra": ra * u.deg,
+            "dec": dec * u.deg,
+            "position_angle": np.full(n, where.angle_deg) * u.deg,
+            "pass": np.array(number, dtype=np.int64),
+        }
     )
 
 
-def _finish(table, angles, summary, columns) -> Tiling:
-    """Return a tiling: the table of its tiles, with position angles, further columns and the summary added."""
+def _finish(table, summary, columns) -> Tiling:
+    """Return a tiling: the table of its tiles, with further columns and the summary added."""
     table, n = table.copy(), len(table)
-    table["position_angle"] = np.resize(angles, n).astype(float) * u.deg
     for name, values in columns.items():
         table[name] = values
     summary.update(n_tiles=n, passes=len(np.unique(table["pass"])))

@@ -26,6 +26,8 @@ class TilingProblem:
     fibers: int
     serve: Callable
     """Function serve(center, positions, state) that returns the positions of the targets that a tile observes."""
+    reach: float
+    """Largest distance from the center of a tile at which the tile observes targets."""
     allowed: np.ndarray | None = None
     """The allowed centers of tiles; None if all centers are allowed."""
     passes: int = 1
@@ -122,7 +124,7 @@ class TilingState:
         the number of earlier tiles with the same center.
         """
         problem = self.problem
-        near = problem.index.near(center, problem.radius, self.left)
+        near = problem.index.near(center, problem.reach, self.left)
         served = problem.serve(center, near, self) if len(near) else near
         if len(served) == 0 and not every:
             return served

@@ -7,12 +7,20 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import AllocationOptions, TargetColumns
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.errors import check_keywords, check_switch, refusal
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import FieldTargets, blank_ids, mark_required, plan_field
-from rfpsurvey.tiling._tiling import to_ra_dec
+from rfpsurvey.pipeline import (
+    blank_ids,
+    field_radius_rad,
+    field_targets,
+    mark_required,
+    plan_field,
+    reusable_targets,
+)
+from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles
+from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
 
@@ -140,8 +148,8 @@ class FocalPlaneFibers:
         Spatial index of the targets.
     fibers : Fibers
         Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
-    angles : ndarray
-        Position angles in radians: one value for each tile, or one value for all tiles.
+    tiles : Tiling or float
+        The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
     seed : int
         Seed of the random numbers; each tile has its own stream.
     """
@@ -153,53 +161,61 @@ class FocalPlaneFibers:
         catalog: Catalog,
         index: SkyIndex,
         fibers: Fibers,
-        angles: np.ndarray,
+        tiles: Tiling | float,
         seed: int,
     ):
         self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
-        self.angles, self.seed = angles, seed
-        columns = {name: getattr(catalog, name) for name in ("id", "priority", "kind", "category", "fiber_type")}
-        columns["is_required"] = mark_required(options.required, [catalog.id])
-        self.columns = {name: None if c is None else c[index.order] for name, c in columns.items()}
-        self.science = None if catalog.kind is None else self.columns["kind"] == "science"
+        self.catalog, self.tiles, self.seed = catalog, tiles, seed
+        if isinstance(tiles, Tiling):
+            self.places, self.conditions = places_of_tiles(tiles), conditions_of_tiles(tiles)
+            self.radius = largest_field_rad(tiles, self.conditions, instrument)
+        else:
+            self.places, self.conditions, self.radius = None, None, field_radius_rad(instrument)
+        self.is_required = mark_required(options.required, [catalog.id])
+        reusable = reusable_targets(catalog.kind, options, self.is_required)
+        self.reusable = None if reusable is None else reusable[index.order]
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
         self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
     def __call__(self, center, near, state):
         """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
-        (ra,), (dec,) = to_ra_dec(center[None])
         number = len(state.rows)
-        plane = self.instrument.field_projection(
-            np.deg2rad(ra), np.deg2rad(dec), self.angles[min(number, len(self.angles) - 1)]
-        )
-        near, rest = self._candidates(center, near, state)
-        columns = {name: None if values is None else values[near] for name, values in self.columns.items()}
-        ids, priority = columns.pop("id"), columns["priority"]
-        targets = FieldTargets(self.index.vectors[near], ids, TargetColumns(**columns), rest)
+        plane = self._projection(center, number)
+        near, rest = self._candidates(center, near)
+        row = self.index.order[near]
+        is_required = None if self.is_required is None else self.is_required[row]
+        targets = field_targets(self.catalog, row, self.index.vectors[near], is_required, rest)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
         plan = plan_field(self.instrument, plane, targets, self.options, rng, self.blank)
-        counts = plan.target >= 0
+        counts = (plan.target >= 0) & (plan.kind == "science")
         if self.fibers.lost_in_collision:
             counts &= ~plan.report.in_collision[plan.positioner]
         served = np.sort(plan.target[counts])
-        if self.science is not None:
-            served = served[self.science[near[served]]]
         if self.fibers.number is not None and len(served) > self.fibers.number:
+            priority = targets.columns.priority
             keys = [np.zeros(len(near)) if priority is None else -priority]
-            keys += [] if columns["is_required"] is None else [~columns["is_required"]]
+            keys += [] if is_required is None else [~is_required]
             order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers.number])
         return near[served]
 
-    def _candidates(self, center, near, state):
+    def _projection(self, center, number):
+        """Return the projection of the sky onto the focal plane for the tile with the given number."""
+        if self.places is None:
+            (ra,), (dec,) = to_ra_dec(center[None])
+            return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiles]))
+        conditions = None if self.conditions is None else self.conditions[number]
+        return self.instrument.field_projection(*np.deg2rad(self.places[number]), conditions)
+
+    def _candidates(self, center, near):
         """Return the targets that can be assigned, sorted by their rows, and directions that blank sky must avoid."""
-        others, rest = self.science is not None and bool(self.options.requirements), None
-        if others:  # every tile may use standards and sky positions
-            use = np.where(self.science, state.left > 0, True).astype(np.float64)
-            near = self.index.near(center, state.problem.radius, use)
+        rest = None
+        if self.reusable is not None:
+            near = np.concatenate([near, self.index.near(center, self.radius, self.reusable)])
+            near = near[np.argsort(self.index.order[near])]
         if self.options.sky_separation is not None:
-            every = self.index.near(center, state.problem.radius)
+            every = self.index.near(center, self.radius)
             rest = self.index.vectors[every[~np.isin(every, near)]]
         return near, rest
 

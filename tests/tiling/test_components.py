@@ -32,7 +32,9 @@ def test_searches_never_lose_and_sometimes_gain(search):
     for seed in range(40):
         catalog = sky(n=25, radius=2, seed=seed)
         index = SkyIndex(catalog.arrays.vectors)
-        state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, FreeFibers(25, None, None)))
+        state = TilingState(
+            TilingProblem(np.deg2rad(1), index, np.ones(25, dtype=int), 25, FreeFibers(25, None, None), np.deg2rad(1))
+        )
         begin = catalog.arrays.vectors[0]
         end = search(state, begin)
         assert np.linalg.norm(end) == pytest.approx(1)
@@ -57,7 +59,9 @@ def test_overlaps_help_where_fibers_are_short(seed):
     ra = np.concatenate([rng.uniform(9.1, 9.9, 10), rng.uniform(10.1, 10.4, 20), rng.uniform(10.6, 11.4, 10)])
     coord = SkyCoord(rng.permutation(ra) * DEG, np.zeros(40) * DEG)
     index = SkyIndex(coord.cartesian.xyz.value.T)
-    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, FreeFibers(20, None, None)))
+    state = TilingState(
+        TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, FreeFibers(20, None, None), np.deg2rad(1))
+    )
     centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
     assert visit_all(state, np.ascontiguousarray(centers), 1) == 2
     assert state.completeness == 1
@@ -102,7 +106,9 @@ def test_tiles_move_to_what_they_are_given(rng):
     """All targets are in a field at the end. Two initial centers are shifted, and one is far from all targets."""
     clusters = [sky(center, 0.5, 20, seed) for seed, center in enumerate([(10, 5), (14, 5), (18, 5)])]
     vectors = np.vstack([c.arrays.vectors for c in clusters])
-    problem = TilingProblem(np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, FreeFibers(25, None, None))
+    problem = TilingProblem(
+        np.deg2rad(1), SkyIndex(vectors), np.ones(60, dtype=int), 25, FreeFibers(25, None, None), np.deg2rad(1)
+    )
     cells = _Cells(problem)
     begin = SkyCoord([10.6, 13.4, 40] * DEG, [5, 5.4, -30] * DEG).cartesian.xyz.value.T
     before = _flow(problem, cells, begin)[-1]
@@ -120,7 +126,7 @@ def test_chances_are_the_tiles_to_come():
         seen.append((center, state.chances.copy()))
         return near[:5]
 
-    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve))
+    state = TilingState(TilingProblem(np.deg2rad(1), index, np.ones(100, dtype=int), 5, serve, np.deg2rad(1)))
     visit_all(state, np.ascontiguousarray(index.vectors[:12]), 1)
     assert len(seen) > 5
     for k, (_, chances) in enumerate(seen):

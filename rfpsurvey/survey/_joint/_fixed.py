@@ -3,12 +3,22 @@
 from typing import NamedTuple
 
 import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
+from rfpsurvey._units import to_vectors
 from rfpsurvey.allocation import TileCandidates
-from rfpsurvey.errors import InputError, refusal
+from rfpsurvey.catalog import SkyIndex, to_time
+from rfpsurvey.errors import InputError, short
 from rfpsurvey.survey._survey import Survey
+from rfpsurvey.tiling import Tiling, places_of_tiles, when_of
 
 __all__ = ["FixedTile", "candidates_of", "fixed_tiles"]
+
+# Options that determine where the arms of a tile are, and whether a visit counts.
+SAME = ("epoch", "lost_in_collision", "keep_out", "conditions")
+# Largest difference (degrees) between the centers, position angles and targets of two equal tiles: about 1 mas.
+TOLERANCE = 3e-7
 
 
 class FixedTile(NamedTuple):
@@ -28,50 +38,122 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     Raises
     ------
     InputError
-        If the fixed survey has another instrument or other targets, if it contains none of the tiles of the tiling, if
-        it contains more visits of a target than requested, or if its positioners have the handedness ``both``.
+        If the fixed survey has another instrument, other targets, another epoch, or other observing conditions, if it
+        contains a tile that is not in the tiling, if it contains more visits of a target than requested, or if its
+        positioners have the handedness ``both``.
     """
     given = request.joint.fixed
     if given is None:
         return {}
     survey = given if isinstance(given, Survey) else Survey.read(given)
     plane = request.instrument.focal_plane
-    digest = survey.provenance["instrument"].get("digest")
-    if digest != request.instrument.provenance["digest"]:
+    _check_request(request, survey)
+    side = -1 if plane.positioner.handedness == "left" else 1
+    left = request.first_left.astype(np.int64)
+    requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
+    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
+    found = {}
+    names = np.asarray(survey.tiles["tile"]).tolist()
+    for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
+        field = request.job(tile, every, as_file=False).field
+        index = _targets_of(visits, field)
+        if index is None:
+            raise InputError(
+                f"fixed must be a survey of the targets of this catalog, got other targets or positions in tile {name}"
+            )
+        own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
+        slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
+        slot[own], counted[own] = field.slot[index], np.asarray(visits["observed"]).astype(bool)
+        left[slot[counted]] -= 1
+        bad = np.flatnonzero((left[slot[own]] < 0) | ~requested[slot[own]])
+        if len(bad):
+            raise InputError(
+                "fixed must not have more visits of a target than requested, got too many visits of target "
+                f"{field.targets.id[index[bad[0]]]}"
+            )
+        found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
+    return found
+
+
+def _check_request(request, survey: Survey) -> None:
+    """Raise an error if the instrument or an option of the fixed survey does not allow the plans of its tiles."""
+    if survey.provenance["instrument"].get("digest") != request.instrument.provenance["digest"]:
         name = request.instrument.name
         raise InputError(f"fixed must be a survey with the instrument {name!r}, got a survey with another instrument")
-    if plane.positioner.handedness == "both":
+    if request.instrument.focal_plane.positioner.handedness == "both":
         raise InputError(
             "fixed needs positioners of one handedness, because a survey does not record to which side an arm bends"
         )
-    side = -1 if plane.positioner.handedness == "left" else 1
-    slot_of_row = np.argsort(request.source.to_slots(np.arange(len(request.source))), kind="stable")
-    ids, left = request.source.ids(), request.open_state().left.astype(np.int64)
-    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
-    known = {str(name) for name in np.asarray(survey.tiles["tile"]).tolist()}
-    found = {}
-    for tile, name in enumerate(np.asarray(request.tiling.table["tile"]).tolist()):
-        if str(name) not in known:
-            continue
-        visits = survey.visits(name)
-        row, observed = np.asarray(visits["target_row"]), np.asarray(visits["observed"]).astype(bool)
-        same = (row >= 0) & (row < len(ids))
-        if not same.all() or (ids[row].astype(str) != np.asarray(visits["target_id"]).astype(str)).any():
-            raise InputError(f"fixed must be a survey of the targets of this catalog, got other targets in tile {name}")
-        own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
-        slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
-        slot[own], counted[own] = slot_of_row[row], observed
-        left[slot[counted]] -= 1
-        if (left[slot[own]] < 0).any() or (request.open_state().left[slot[own]] == 0).any():
-            worst = slot[own][np.argmin(left[slot[own]])]
-            row = int(np.flatnonzero(slot_of_row == worst)[0])
+    now, before = request.provenance["parameters"], survey.provenance["parameters"]
+    for name in SAME:
+        values = [one.get(name) for one in (now, before)]
+        if name == "epoch":
+            # positions at the times of the tiles are compared with the positions of the visits
+            if request.years is not None or " to " in str(values[1]):
+                continue
+            values = [value if value is None else to_time(value, "epoch").jyear for value in values]
+        if values[0] != values[1]:
             raise InputError(
-                f"fixed must not have more visits of a target than requested, got too many visits of target {ids[row]}"
+                f"fixed must be a survey with the {name} {short(now.get(name))}, got one with the {name} "
+                f"{short(before.get(name))}; use the same {name} for both surveys"
             )
-        found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
-    if not found:
-        raise refusal("fixed must be a survey with at least one tile of the tiling", given)
-    return found
+
+
+def _counterparts(tiling: Tiling, earlier: QTable) -> list[int]:
+    """Return, for each tile of an earlier survey, the row of the tile with the same center and position angle.
+
+    If several tiles have this center and position angle, a tile with the same identifier is preferred.
+    """
+    before = Tiling(QTable(earlier[("tile", "ra", "dec", "position_angle", "pass")], meta={}))
+    names, own = (np.asarray(one.table["tile"]).astype(str) for one in (tiling, before))
+    places, own_places, index = places_of_tiles(tiling), places_of_tiles(before), SkyIndex(tiling.vectors)
+    fits, found, used = [], np.full(len(before), -1), set()
+    for vector, place in zip(before.vectors, own_places, strict=True):
+        near = index.order[index.near(vector, np.deg2rad(TOLERANCE))]
+        turn = (places[near, 2] - place[2] + 180) % 360 - 180
+        fits.append(near[np.abs(turn) <= TOLERANCE].tolist())
+    for by_name in (True, False):
+        for k in np.flatnonzero(found < 0).tolist():
+            rows = [row for row in fits[k] if row not in used and (not by_name or names[row] == own[k])]
+            if rows:
+                found[k] = rows[0]
+                used.add(rows[0])
+    missing = np.flatnonzero(found < 0)
+    if len(missing):
+        k = missing[0]
+        same = np.flatnonzero(names == own[k])
+        text = f"fixed must contain only tiles of the tiling, got tile {own[k]} at {_text(own_places[k])}"
+        if len(same) and same[0] not in used:
+            text += f", but the tile {own[k]} of the tiling is at {_text(places[same[0]])}"
+        else:
+            text += "; add this tile to the tiling"
+        raise InputError(text + (f"; number of other tiles that are missing: {len(missing) - 1}" * (len(missing) > 1)))
+    when = when_of(earlier)
+    if when is not None and when in tiling.table.colnames:
+        values, own_values = np.asarray(tiling.table[when])[found], np.asarray(earlier[when])
+        for k in np.flatnonzero(values != own_values)[:1].tolist():
+            raise InputError(f"fixed must have the {when} of the tiling, got another value for tile {own[k]}")
+    return found.tolist()
+
+
+def _text(place: np.ndarray) -> str:
+    return "{:.6f} {:+.6f} deg, position angle {:.7g} deg".format(*place)
+
+
+def _targets_of(visits: QTable, field) -> np.ndarray | None:
+    """Return, for each visit, the index of its target in the field; None if a target is not there."""
+    index = np.searchsorted(field.row, visits["target_row"])
+    inside = index < len(field.row)
+    index = np.where(inside, index, 0)
+    if not len(visits):
+        return index
+    if not inside.any() or (field.row[index] != visits["target_row"]).any():
+        return None
+    if (field.targets.id[index].astype(str) != np.asarray(visits["target_id"]).astype(str)).any():
+        return None
+    vectors = to_vectors(SkyCoord(visits["ra"], visits["dec"]))
+    apart = np.linalg.norm(vectors - field.targets.vectors[index], axis=1)
+    return index if (apart <= np.deg2rad(TOLERANCE)).all() else None
 
 
 def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:

@@ -35,10 +35,11 @@ class JointOptions:
         not included in this time. By default, the time is not limited. A plan whose search ends at the time limit may
         not be reproducible.
     fixed : Survey, str or path-like, optional
-        An earlier survey, or its folder, whose tiles were already observed. A tile of the new survey that has the same
-        identifier as a tile of the earlier survey keeps the plan of the earlier survey. Both surveys must have the same
-        instrument, and the catalog must contain the targets of the earlier survey in the same rows. Positioners with
-        the handedness ``both`` are not supported.
+        An earlier survey, or its folder, whose tiles were already observed. Each of its tiles must have the same center
+        and position angle as a tile of the new survey, which keeps the earlier plan. If several tiles have this center
+        and position angle, the tile with the same identifier is used. Both surveys must have the same instrument,
+        epoch, observing conditions, ``keep_out`` and ``lost_in_collision``, and the catalog must contain the targets of
+        the earlier survey in the same rows. Positioners with the handedness ``both`` are not supported.
     inform : callable, optional
         Function that is called once before the first iteration, with a dict: ``visits_before`` is the number of visits
         of the tiles planned one after the other, ``visits`` is the number of visits after the search for augmenting
@@ -91,8 +92,7 @@ class JointOptions:
             return None
         survey = self.fixed if isinstance(self.fixed, Survey) else Survey.read(self.fixed)
         total = hashlib.sha256()
-        for name in np.asarray(survey.tiles["tile"]).tolist():
-            visits = survey.visits(name)
+        for name, visits in zip(np.asarray(survey.tiles["tile"]).tolist(), survey, strict=True):
             columns = [np.asarray(visits[column]).tolist() for column in ("target_row", "positioner", "observed")]
             total.update(repr((name, columns)).encode())
         return total.hexdigest()

@@ -37,7 +37,7 @@ class PlannedRequest(Request):
     def job(self, tile: int, left: np.ndarray, *, as_file: bool):
         """Return the job that makes a tile from its known plan."""
         if tile in self.fixed:  # the targets of this tile may have no remaining visits
-            job = super().job(tile, self.open_state().left, as_file=as_file)
+            job = super().job(tile, self.first_left, as_file=as_file)
             return given_plan(self, job, self.fixed[tile])
         return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
 

@@ -49,6 +49,7 @@ class Step(NamedTuple):
 
     iteration: int
     seconds: float
+    """Duration of the search until the end of the iteration; NaN if an earlier run made this iteration."""
     visits: np.ndarray
     """Number of visits of each level."""
     bound: np.ndarray
@@ -91,7 +92,7 @@ class Search:
         self._next_size = state.next_size
         self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
         for row in state.steps:
-            self.steps.append(Step(int(row[0]), row[1], row[2 : 2 + n].astype(np.int64), row[2 + n :]))
+            self.steps.append(Step(int(row[0]), np.nan, row[1 : 1 + n].astype(np.int64), row[1 + n :]))
         for k, price in enumerate(state.prices):
             if price is not None:
                 self._prices_of(k).price = price
@@ -113,7 +114,7 @@ class Search:
 
     @property
     def seconds(self) -> float:
-        """Duration of the search in seconds, including the time before a search was interrupted and continued."""
+        """Duration of the search in seconds; if the time is limited, earlier runs of this search are included."""
         return self.spent + perf_counter() - self._begin
 
     @property

@@ -22,22 +22,24 @@ class State(NamedTuple):
     size: float
     iteration: int
     seconds: float
+    """Duration of the search if its time is limited, otherwise 0, so that equal searches have equal files."""
     steps: np.ndarray
-    """Iteration, seconds, visits and bounds of each step, one row per step."""
+    """Iteration, visits and bounds of each step, one row per step."""
     prices: list
     """For each level, the prices of all sets (see `Search.prices`); None for a level without prices."""
 
 
 def write_state(folder, plans: list, search) -> None:
     """Write the state of a search to the folder of a survey."""
+    seconds = search.seconds if np.isfinite(search.options.seconds) else 0.0
     columns = {
         "slot": np.concatenate([plan.slot for plan in plans]),
         "side": np.concatenate([plan.side for plan in plans]),
         "size": np.array([len(plan.slot) for plan in plans]),
-        "numbers": np.array([search.size, search.iteration, search.seconds]),
+        "numbers": np.array([search.size, search.iteration, seconds]),
         "bounds": search.bounds,
         "next_size": search.next_size,
-        "steps": np.array([[step.iteration, step.seconds, *step.visits, *step.bound] for step in search.steps]),
+        "steps": np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps]),
     }
     for k, price in enumerate(search.prices):
         if price is not None:
@@ -56,6 +58,8 @@ def read_state(folder) -> State | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as found:
             found = dict(found)
         size, iteration, seconds = found["numbers"].tolist()
+        if found["steps"].shape[1:] != (1 + 2 * len(found["bounds"]),):
+            raise InputError("its steps have other columns")
         ends = np.cumsum(found["size"])[:-1]
         plans = list(zip(np.split(found["slot"], ends), np.split(found["side"], ends), strict=True))
         prices = [found.get(f"price{k}") for k in range(len(found["bounds"]))]
