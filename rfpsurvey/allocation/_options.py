@@ -113,7 +113,8 @@ class AllocationOptions:
         Differences between subpriorities are ignored if they are below one millionth of the range of the subpriorities.
         In large fields, or if the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum.
         ``repair`` tests the targets in the order of subpriority. With subpriorities and unique identifiers, the plan
-        does not depend on the order of targets in the catalog.
+        does not depend on the order of targets in the catalog. Without subpriorities, ``optimal`` sorts targets by a
+        hash of their identifiers or, if there are none, of their positions.
 
     Raises
     ------
