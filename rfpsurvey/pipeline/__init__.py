@@ -9,12 +9,14 @@ from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._constraints import are_among, mark_required, with_keep_out
 from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
-from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, field_targets, reusable_targets
+from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogFields, Field, reusable_targets
 
 __all__ = [
     "OUTCOMES",
     "PLANNED_COLUMNS",
     "BlankIds",
+    "CatalogFields",
+    "Field",
     "FieldPlan",
     "FieldTargets",
     "Outcome",
@@ -22,7 +24,6 @@ __all__ = [
     "blank_ids",
     "category_classes",
     "field_radius_rad",
-    "field_targets",
     "mark_required",
     "outcome_codes",
     "plan_field",

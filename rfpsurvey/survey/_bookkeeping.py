@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
-from rfpsurvey.survey._source import Field
+from rfpsurvey.pipeline import Field, Outcome, category_classes, priority_classes
 
 __all__ = ["Bookkeeping", "Tally"]
 

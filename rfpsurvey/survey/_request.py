@@ -20,7 +20,14 @@ from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
 from rfpsurvey.tile import versions
-from rfpsurvey.tiling import Tiling, conditions_of_tiles, largest_field_rad, places_of_tiles, times_of_tiles
+from rfpsurvey.tiling import (
+    Tiling,
+    conditions_of_tiles,
+    largest_field_rad,
+    places_of_tiles,
+    times_of_tiles,
+    years_of_tiles,
+)
 
 __all__ = ["Request", "make_request"]
 
@@ -65,15 +72,12 @@ class Request:
     @cached_property
     def years(self) -> np.ndarray | None:
         """Time of each tile since the reference epoch, in years; None if the targets are not moved to these times."""
-        if self.reference is None:
-            return None
-        return (times_of_tiles(self.tiling).tdb - self.reference.tdb).to_value(u.yr)
+        return years_of_tiles(self.tiling, self.reference)
 
     @cached_property
     def margin_rad(self) -> float:
         """Upper limit of the angle (radians) by which any target moves between the reference epoch and a tile."""
-        longest = 0.0 if self.years is None else float(np.abs(self.years).max())
-        return longest * self.source.fastest_rad if longest else 0.0
+        return 0.0 if self.years is None else float(np.abs(self.years).max()) * self.source.fastest_rad
 
     @cached_property
     def conditions(self) -> list | None:

@@ -8,137 +8,77 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey.allocation import TargetColumns
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, move_vectors
-from rfpsurvey.pipeline import PLANNED_COLUMNS, FieldTargets, field_targets
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
+from rfpsurvey.pipeline import PLANNED_COLUMNS, CatalogFields, Field, FieldTargets
 
-__all__ = ["Field", "InMemory", "Partitioned", "digest"]
-
-
-class Field(NamedTuple):
-    """The targets of a field, in the order of their rows in the catalog."""
-
-    slot: np.ndarray
-    row: np.ndarray
-    targets: FieldTargets
+__all__ = ["InMemory", "Partitioned", "digest"]
 
 
-class InMemory:
+class InMemory(CatalogFields):
     """A catalog that fits into memory; the slot of a target is its position in the spatial index."""
 
     def __init__(self, catalog: Catalog):
-        self._catalog = catalog
-        self._index = SkyIndex(catalog.arrays.vectors)
+        super().__init__(catalog, SkyIndex(catalog.arrays.vectors))
         catalog.arrays.__dict__.pop("vectors", None)  # keep only the copy in the index
         self.meta = catalog.meta
 
     def __len__(self):
-        return len(self._index)
-
-    @cached_property
-    def _motion(self) -> np.ndarray:
-        """Proper motions in radians per year, in the order of rows."""
-        icrs = self._catalog.coord.icrs
-        return np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
-
-    @property
-    def fastest_rad(self) -> float:
-        """Largest proper motion in radians per year."""
-        return float(np.nan_to_num(np.hypot(*self._motion.T)).max(initial=0.0))
-
-    def _vectors(self, slot: np.ndarray, years: float) -> np.ndarray:
-        """Return the directions of targets after a number of years."""
-        vectors = self._index.vectors[slot]
-        return vectors if years == 0 else move_vectors(vectors, self._motion[self._index.order[slot]], years)
-
-    def field(
-        self,
-        center: np.ndarray,
-        radius_rad: float,
-        left: np.ndarray,
-        *,
-        rest: bool = False,
-        by_row: bool = False,
-        years: float = 0.0,
-        margin_rad: float = 0.0,
-    ) -> Field:
-        """Return the targets in a circle that still require a visit.
-
-        ``left`` is the number of remaining visits of each target, in the order of slots or, if ``by_row`` is true, in
-        the order of rows. If ``rest`` is true, the field also contains the directions of the targets without remaining
-        visits, as ``targets.others``. The targets are moved by their proper motions in a number of ``years``, by at
-        most the angle ``margin_rad``.
-        """
-        left = self.to_slots(left) if by_row else left
-        slot, others = self._index.near(center, radius_rad + margin_rad, None if rest else left), None
-        if years:
-            apart = np.linalg.norm(self._vectors(slot, years) - center, axis=1)
-            slot = slot[apart <= 2 * np.sin(radius_rad / 2)]
-        if rest:
-            others = self._vectors(slot[left[slot] == 0], years)
-            slot = slot[left[slot] > 0]
-        row = self._index.order[slot]
-        return Field(slot, row, field_targets(self._catalog, row, self._vectors(slot, years), others=others))
+        return len(self.index)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return, for each circle, the sum of the values of the targets inside; ``values`` is in the order of slots."""
-        return self._index.sum_near(centers, radius_rad, values)
+        return self.index.sum_near(centers, radius_rad, values)
 
     def by_slot(self, name: str) -> np.ndarray | None:
         """Return a column of the catalog in the order of slots; None if the catalog does not have this column."""
-        column = getattr(self._catalog, name)
+        column = getattr(self.catalog, name)
         return None if column is None else self.to_slots(column)
-
-    def to_slots(self, values: np.ndarray) -> np.ndarray:
-        """Reorder values from the order of the rows of the catalog to the order of slots."""
-        return values[self._index.order]
 
     @property
     def has_twins(self) -> bool:
         """Whether two targets have the same id."""
-        return self._catalog.arrays.repeated_ids
+        return self.catalog.arrays.repeated_ids
 
     @property
     def has_text_ids(self) -> bool:
         """Whether ids are text."""
-        return self._catalog.id.dtype.kind == "U"
+        return self.catalog.id.dtype.kind == "U"
 
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
-        return self._catalog.id
+        return self.catalog.id
 
     def ids_by_part(self) -> list[np.ndarray]:
         """Return a list with one array, the ids of all targets, because a catalog in memory has no partitions."""
-        return [self._catalog.id]
+        return [self.catalog.id]
 
     def ids_of(self, row: np.ndarray) -> np.ndarray:
         """Return the ids of the targets in the given rows of the catalog."""
-        return self._catalog.id[row]
+        return self.catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Reorder values from the order of slots to the order of the rows of the catalog."""
         out = np.empty_like(values)
-        out[self._index.order] = values
+        out[self.index.order] = values
         return out
 
     def digest(self) -> str:
         """Return a digest that identifies the catalog."""
-        columns = (getattr(self._catalog, name) for name in ("id", *PLANNED_COLUMNS))
-        return digest(self._index.vectors, self._index.order, *columns, *self._catalog.arrays.extra.values())
+        columns = (getattr(self.catalog, name) for name in ("id", *PLANNED_COLUMNS))
+        return digest(self.index.vectors, self.index.order, *columns, *self.catalog.arrays.extra.values())
 
     @property
     def units(self) -> dict:
         """Units of the additional columns (``extra``) of the catalog, by name."""
-        return self._catalog.arrays.extra_units
+        return self.catalog.arrays.extra_units
 
     def text_columns(self) -> dict:
         """Return the text columns of the catalog that are copied to the visits; the keys are used in error messages."""
-        columns = {"category": self._catalog.category, **self._catalog.arrays.extra}
+        columns = {"category": self.catalog.category, **self.catalog.arrays.extra}
         return {f"values of {k!r}": v for k, v in columns.items() if v is not None and v.dtype.kind == "U"}
 
 

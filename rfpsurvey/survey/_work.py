@@ -10,8 +10,7 @@ from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import BlankIds, plan_field, project_field
-from rfpsurvey.survey._source import Field
+from rfpsurvey.pipeline import BlankIds, Field, plan_field, project_field
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 __all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "projection_of", "work"]

@@ -7,6 +7,7 @@ from rfpsurvey.tiling._conditions import (
     places_of_tiles,
     times_of_tiles,
     when_of,
+    years_of_tiles,
 )
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
@@ -27,4 +28,5 @@ __all__ = [
     "times_of_tiles",
     "warn_of_targets",
     "when_of",
+    "years_of_tiles",
 ]

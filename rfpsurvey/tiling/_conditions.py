@@ -27,6 +27,7 @@ __all__ = [
     "places_of_tiles",
     "times_of_tiles",
     "when_of",
+    "years_of_tiles",
 ]
 
 WHEN = ("time", "hour_angle")
@@ -94,6 +95,11 @@ def times_of_tiles(tiling: "Tiling") -> Time | None:
     if common is None or common.time is None or name is not None:
         return None
     return common.time + np.zeros(len(tiling)) * u.s
+
+
+def years_of_tiles(tiling: "Tiling", reference: Time | None) -> np.ndarray | None:
+    """Return the time of each tile since a reference epoch, in years; None if there is no reference epoch."""
+    return None if reference is None else (times_of_tiles(tiling).tdb - reference.tdb).to_value(u.yr)
 
 
 def _read_times(tiling: "Tiling") -> Time:

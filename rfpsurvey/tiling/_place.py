@@ -24,8 +24,10 @@ from rfpsurvey.errors import (
     warn,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.pipeline import CatalogFields
 from rfpsurvey.region import Region
 from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
+from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
@@ -189,8 +191,10 @@ def place_tiles(
     if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
         raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
-    if catalog.has_proper_motion:
-        summary["epoch"] = choose_epoch(catalog, None, None)[1]
+    times = times_of_tiles(where.tiling) if method == GIVEN and by_positioners else None
+    reference, moved = choose_epoch(catalog, None, times)
+    catalog = catalog if reference is None else catalog.at_epoch(reference)
+    summary.update({} if moved is None else {"epoch": moved})
     wanted = _wanted(catalog, visits, exclude)
     beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
     n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
@@ -218,8 +222,8 @@ def place_tiles(
         options.check_for_fields("place_tiles")
         options = options.for_instrument(model)
         tiles = given_tiles(where) if method == GIVEN else where.angle_deg
-        serve = FocalPlaneFibers(model, options, catalog, index, fibers, tiles, seed)
-        reach = serve.radius
+        serve = FocalPlaneFibers(model, options, CatalogFields(catalog, index), fibers, tiles, seed, reference)
+        reach = serve.radius + serve.margin
     else:
         priority = None if catalog.priority is None else catalog.priority[index.order]
         serve, reach = FreeFibers(number, priority, neighbors), radius_rad

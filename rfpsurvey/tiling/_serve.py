@@ -5,21 +5,21 @@ from numbers import Number
 
 import astropy.units as u
 import numpy as np
+from astropy.time import Time
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions
-from rfpsurvey.catalog import Catalog, SkyIndex
 from rfpsurvey.errors import check_keywords, check_switch, refusal
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import (
+    CatalogFields,
     blank_ids,
     field_radius_rad,
-    field_targets,
     mark_required,
     plan_field,
     reusable_targets,
 )
-from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles
+from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles, years_of_tiles
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 __all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
@@ -142,50 +142,57 @@ class FocalPlaneFibers:
         The instrument.
     options : AllocationOptions
         The allocator and its options, as `AllocationOptions.for_instrument` returns them.
-    catalog : Catalog
+    fields : CatalogFields
         The targets.
-    index : SkyIndex
-        Spatial index of the targets.
     fibers : Fibers
         Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
     tiles : Tiling or float
         The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
     seed : int
         Seed of the random numbers; each tile has its own stream.
+    reference : Time, optional
+        Epoch of the targets, if they are moved to the times of the tiles.
     """
 
     def __init__(
         self,
         instrument: Instrument,
         options: AllocationOptions,
-        catalog: Catalog,
-        index: SkyIndex,
+        fields: CatalogFields,
         fibers: Fibers,
         tiles: Tiling | float,
         seed: int,
+        reference: Time | None = None,
     ):
-        self.instrument, self.options, self.index, self.fibers = instrument, options, index, fibers
-        self.catalog, self.tiles, self.seed = catalog, tiles, seed
+        self.instrument, self.options, self.fields, self.fibers = instrument, options, fields, fibers
+        self.tiles, self.seed, self.years, self.margin = tiles, seed, None, 0.0
         if isinstance(tiles, Tiling):
             self.places, self.conditions = places_of_tiles(tiles), conditions_of_tiles(tiles)
             self.radius = largest_field_rad(tiles, self.conditions, instrument)
+            self.years = years_of_tiles(tiles, reference)
+            self.margin = 0.0 if self.years is None else float(np.abs(self.years).max()) * fields.fastest_rad
         else:
             self.places, self.conditions, self.radius = None, None, field_radius_rad(instrument)
+        catalog = fields.catalog
         self.is_required = mark_required(options.required, [catalog.id])
         reusable = reusable_targets(catalog.kind, options, self.is_required)
-        self.reusable = None if reusable is None else reusable[index.order]
+        self.reusable = None if reusable is None else fields.to_slots(reusable)
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
         self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
-    def __call__(self, center, near, state):
-        """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
+    def __call__(self, center, _, state):
+        """Return the targets that a tile observes."""
         number = len(state.rows)
         plane = self._projection(center, number)
-        near, rest = self._candidates(center, near)
-        row = self.index.order[near]
+        years = 0.0 if self.years is None else float(self.years[number])
+        left = state.left if self.reusable is None else np.where(self.reusable, 1.0, state.left)
+        rest = self.options.sky_separation is not None
+        near, row, targets = self.fields.field(
+            center, self.radius, left, rest=rest, years=years, margin_rad=self.margin
+        )
         is_required = None if self.is_required is None else self.is_required[row]
-        targets = field_targets(self.catalog, row, self.index.vectors[near], is_required, rest)
+        targets = targets._replace(columns=targets.columns._replace(is_required=is_required))
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
         plan = plan_field(self.instrument, plane, targets, self.options, rng, self.blank)
         counts = (plan.target >= 0) & (plan.kind == "science")
@@ -207,17 +214,6 @@ class FocalPlaneFibers:
             return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiles]))
         conditions = None if self.conditions is None else self.conditions[number]
         return self.instrument.field_projection(*np.deg2rad(self.places[number]), conditions)
-
-    def _candidates(self, center, near):
-        """Return the targets that can be assigned, sorted by their rows, and directions that blank sky must avoid."""
-        rest = None
-        if self.reusable is not None:
-            near = np.concatenate([near, self.index.near(center, self.radius, self.reusable)])
-            near = near[np.argsort(self.index.order[near])]
-        if self.options.sky_separation is not None:
-            every = self.index.near(center, self.radius)
-            rest = self.index.vectors[every[~np.isin(every, near)]]
-        return near, rest
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from rfpsurvey.tiling._problem import TilingState
 MM = u.mm
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
 ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
-N_CASES = 8
+N_CASES = 9
 
 
 def choose(rng, n, *values):
@@ -29,13 +29,15 @@ def make_instrument():
     return rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
 
 
-def make_tiles(rng, conditions):
-    """Return overlapping tiles with random position angles."""
+def make_tiles(rng, when):
+    """Return overlapping tiles with random position angles, and with hour angles or times if ``when`` names them."""
     where = CENTER.spherical_offsets_by(*rng.uniform(-0.12, 0.12, (2, 5)) * u.deg)
     angles = rng.uniform(-180, 180, 5) * u.deg
     table = QTable({"tile": [f"t{k}" for k in range(5)], "ra": where.ra, "dec": where.dec, "position_angle": angles})
+    if when == "time":
+        table["time"] = [f"20{18 + k}-10-01T08:00:00" for k in rng.permutation(5)]
     tiling = rs.Tiling.from_table(table)
-    if conditions:
+    if when is not None:
         tiling = tiling.with_conditions(rs.ObservingConditions("apache point", hour_angle=3 * u.hourangle))
     return tiling
 
@@ -45,7 +47,7 @@ def make_case(seed):
     rng = np.random.default_rng([29, seed])
     n = 150
     some = dict.fromkeys(
-        ("kind", "visits", "priority", "fiber_type", "moving", "required", "needs", "blank", "circles", "conditions")
+        ("kind", "visits", "priority", "fiber_type", "moving", "required", "needs", "blank", "circles", "subpriority")
     )
     some = {name: bool(rng.random() < 0.6) for name in some}
     where = CENTER.spherical_offsets_by(*rng.uniform(-0.35, 0.35, (2, n)) * u.deg)
@@ -54,6 +56,7 @@ def make_case(seed):
         "visits": rng.integers(0, 3, n),
         "priority": rng.integers(0, 3, n),
         "fiber_type": choose(rng, n, "", "", "A", "B"),
+        "subpriority": rng.random(n),
     }
     columns = {name: column for name, column in columns.items() if some[name]}
     if some["moving"]:
@@ -72,7 +75,8 @@ def make_case(seed):
         options["keep_out"] = [rs.Region.cap(one, 0.01 * u.deg) for one in where[:10]]
     if (subpriority := rng.integers(3)) > 0:
         options["subpriority"] = ("first", 5)[subpriority - 1]
-    return catalog, make_tiles(rng, some["conditions"]), options, 2026.5 if some["moving"] else None
+    when = rng.choice(np.array([None, "hour_angle", "time"]))
+    return catalog, make_tiles(rng, when), options, 2026.5 if some["moving"] and when != "time" else None
 
 
 def observed_by_tiling(monkeypatch, catalog, *args, **options):
