@@ -4,18 +4,13 @@ import multiprocessing
 
 import pytest
 
+from processes import lock_and_wait
 from rfpsurvey import InputError
 from rfpsurvey._folder import RequestFolder, check_file, locked, read_index, read_verified
 
 
 class Work(RequestFolder):
     request_name, work, parts = "work.json", "work", "parts"
-
-
-def lock_and_wait(path, begun, end):
-    with locked(path):
-        begun.set()
-        end.wait(60)
 
 
 def test_a_locked_output_is_refused_in_other_processes(tmp_path):

@@ -9,29 +9,9 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from processes import explore, explore_and_tell
 from rfpsurvey.design import _checkpoint
 from rfpsurvey.design._rows import digest_of, to_rows
-
-OPTIONS = {
-    "central_arm": [8, 9] * u.mm,
-    "ratio": [1, 1.5],
-    "pitch": 25.6 * u.mm,
-    "clearance": [1.5, 2.5] * u.mm,
-    "n_designs": 24,
-}
-
-
-def explore(path, **options):
-    return rs.design.explore_designs(**{**OPTIONS, "path": path, **options})
-
-
-def explore_and_tell(path, barrier, found, seed):
-    barrier.wait(60)
-    try:
-        explore(path, rng=seed, overwrite=True)
-        found.put((seed, "wrote"))
-    except rs.InputError as error:
-        found.put((seed, str(error)))
 
 
 def test_two_scans_in_one_file_are_refused(tmp_path):
