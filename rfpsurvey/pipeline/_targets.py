@@ -64,16 +64,18 @@ class CatalogFields:
         by_row: bool = False,
         years: float = 0.0,
         margin_rad: float = 0.0,
+        slot: np.ndarray | None = None,
     ) -> Field:
         """Return the targets in a circle that still require a visit.
 
         ``left`` is the number of remaining visits of each target, in the order of slots or, if ``by_row`` is true, in
         the order of rows. If ``rest`` is true, the field also contains the directions of the targets without remaining
         visits, as ``targets.others``. The targets are moved by their proper motions in a number of ``years``, by at
-        most the angle ``margin_rad``.
+        most the angle ``margin_rad``. If the slots of the targets that still require a visit are known, they can be
+        given as ``slot``; ``rest`` and ``years`` must then have their default values.
         """
-        left = self.to_slots(left) if by_row else left
-        slot, others = self.index.near(center, radius_rad + margin_rad, None if rest else left), None
+        left, others = self.to_slots(left) if by_row else left, None
+        slot = self.index.near(center, radius_rad + margin_rad, None if rest else left) if slot is None else slot
         if years:
             apart = np.linalg.norm(self._vectors(slot, years) - center, axis=1)
             slot = slot[apart <= 2 * np.sin(radius_rad / 2)]

@@ -181,15 +181,16 @@ class FocalPlaneFibers:
         self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
         self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
 
-    def __call__(self, center, _, state):
-        """Return the targets that a tile observes."""
+    def __call__(self, center, near, state):
+        """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         number = len(state.rows)
         plane = self._projection(center, number)
         years = 0.0 if self.years is None else float(self.years[number])
         left = state.left if self.reusable is None else np.where(self.reusable, 1.0, state.left)
         rest = self.options.sky_separation is not None
+        known = near if self.reusable is None and not rest and self.years is None else None
         near, row, targets = self.fields.field(
-            center, self.radius, left, rest=rest, years=years, margin_rad=self.margin
+            center, self.radius, left, rest=rest, years=years, margin_rad=self.margin, slot=known
         )
         is_required = None if self.is_required is None else self.is_required[row]
         targets = targets._replace(columns=targets.columns._replace(is_required=is_required))
