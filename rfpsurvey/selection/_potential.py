@@ -20,7 +20,7 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import count_tiles, count_type, in_order
 from rfpsurvey.selection._work import find_reach
 from rfpsurvey.survey import Job, Request, Survey, prepare_request
-from rfpsurvey.tiling import Tiling
+from rfpsurvey.tiling import Tiling, places_of_tiles
 
 __all__ = ["PotentialAssignments", "potential_assignments"]
 
@@ -30,6 +30,9 @@ COLUMNS = {
     "point": "row of the point in the catalog of points",
 }
 NO_ROWS = np.empty(0, dtype=np.int64)
+PLACE = ("tile", "ra", "dec", "position_angle", "pass")
+# Largest difference (degrees) between the centers and position angles of equal tiles.
+ROUNDING = 1e-8
 
 
 class ReachJob(NamedTuple):
@@ -278,6 +281,15 @@ def _check_survey(request: Request, survey: Survey) -> None:
         raise InputError(
             f"survey must contain all tiles, but it has no tile {missing[0]} "
             f"({len(missing)} of {len(request.tiling)} tiles are missing)"
+        )
+    row_of = {name: k for k, name in enumerate(np.asarray(survey.tiles["tile"]).tolist())}
+    rows = [row_of[name] for name in np.asarray(request.tiling.table["tile"]).tolist()]
+    there = places_of_tiles(Tiling(QTable(survey.tiles[rows][PLACE], meta={})))
+    apart = np.abs((there - places_of_tiles(request.tiling) + 180) % 360 - 180).max(axis=1)
+    for k in np.flatnonzero(apart > ROUNDING)[:1].tolist():
+        raise InputError(
+            f"survey must have the same centers and position angles as the tiles, got another place for tile "
+            f"{request.tiling.table['tile'][k]}"
         )
     planned, own = survey.provenance["instrument"], request.instrument.provenance
     if planned.get("digest") != own["digest"]:

@@ -118,3 +118,16 @@ def test_refusals(points, instrument, tiles):
         rs.potential_assignments(points, "moons", tiles, passes=[1], survey=survey)
     with pytest.raises(TypeError, match="survey must be a Survey, got 'plan'"):
         rs.potential_assignments(points, instrument, tiles, survey="plan")
+
+
+def test_a_survey_of_other_places_is_refused(points, instrument, tiles):
+    """Regression: tiles were compared by identifiers only, so the collisions of rotated tiles were used."""
+    survey = rs.plan_survey(points[:20], instrument, tiles)
+    for name, change in (("position_angle", 5 * u.deg), ("ra", 0.01 * u.deg)):
+        table = tiles.table.copy()
+        table[name] = table[name] + [0, 1, 0, 0] * change
+        with pytest.raises(rs.InputError, match="same centers and position angles as the tiles, got .* for tile b"):
+            rs.potential_assignments(points, instrument, rs.Tiling(table), survey=survey)
+    turned = tiles.table.copy()
+    turned["position_angle"] = turned["position_angle"] + 360 * u.deg
+    rs.potential_assignments(points[:50], instrument, rs.Tiling(turned), survey=survey)
