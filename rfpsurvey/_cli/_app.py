@@ -20,7 +20,7 @@ from rfpsurvey._cli._print import (
 from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, is_example
-from rfpsurvey.errors import check_choice
+from rfpsurvey.errors import check_choice, listed
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.plans import is_plan, native_format, read_plan
 
@@ -173,7 +173,7 @@ def read_assignment(path: Path, select: list[str] | None):
     table = read_table(path) if native_format(path) is None else read_plan(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
-            raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {', '.join(table.colnames)}")
+            raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
         table = table[[str(getattr(v, "value", v)) == value for v in table[name]]]
         if len(table) == 0:
             raise rs.InputError(f"--select {name}={value} selects no row")
