@@ -61,7 +61,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         if not columns.joints_free:
             keep = columns.joints_allow(own, spots, columns.sides(spots, own))
             own, spots = own[keep], spots[keep]
-        # The position of a stuck fiber is known only for the first fiber type of its positioner; broken fibers are dark.
+        # A stuck fiber that is also broken observes nothing. The position is known only for the first fiber type.
         seeing = plane.arrays.is_stuck & ~plane.disabled
         fixed = np.flatnonzero(seeing & ((name == "") | (plane.arrays.first_type == name)))
         seen = plane.arrays.idle(False).segments[2:, fixed].T
