@@ -125,7 +125,7 @@ def describe_states(instrument: "Instrument") -> str:
     texts = []
     for prefix in _prefixes(instrument.values):
         known = {part: instrument.values.get(f"{prefix}.{part}", {}).get("value") for part in PARTS}
-        counts = ", ".join(f"{known[part]} {part}" for part in ("broken", "stuck", "restored"))
+        counts = ", ".join(f"{known[state]} {state}" for state in STATES if known[state] or state != "restored")
         at = f" at {known['time']} (UTC)" if known["time"] else ""
         texts.append(f"States of positioners from {known['file']}{at}: {counts}.")
         if known["unused_rows"]:
@@ -184,7 +184,7 @@ def _applies(row: Row, moments: list[datetime], what: str) -> bool:
     n = bisect_left(moments, row.end) - bisect_left(moments, row.first)
     if 0 < n < len(moments):
         raise InputError(
-            f"{what}: the states must be the same at all times, {_time_text(moments)}, but that of {row.id} changes; "
+            f"{what}: states must be the same at all times ({_time_text(moments)}), but the state of {row.id} changes; "
             "plan the tiles before and after the change separately, or choose one time with time= or --state-time"
         )
     return n > 0
@@ -238,12 +238,15 @@ def _rows(table: Table, what: str) -> list[Row]:
     for name in names:
         if name not in COLUMNS and (hint := close_to(name, set(COLUMNS) - set(names), 0.6)):
             warn(f"{what}: the column {name!r} is not used; {hint}")
+    for name in set(COLUMNS) & set(names):
+        if np.ndim(table[name]) != 1:
+            raise InputError(f"{what}: column {name!r} must have one value per row, got the shape {table[name].shape}")
     n = len(table)
     ids = to_labels(table["id"], f"{what}: column 'id'").astype(str).tolist()
     states = ["broken"] * n
     if "state" in names:
         states = to_plain(table["state"], f"{what}: column 'state'").astype(str).tolist()
-        states = [check_choice(one.strip().lower(), WORDS, f"state in {what}") for one in states]
+        states = [check_choice(one.strip().lower() or "broken", WORDS, f"state in {what}") for one in states]
     dates = [_dates(table, name, limit, what) for name, limit in zip(("from", "to"), ALWAYS, strict=True)]
     poses = np.column_stack([_angles(table, name, what) for name in ("theta", "phi")]).tolist()
     rows = []
