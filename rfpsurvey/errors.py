@@ -123,7 +123,7 @@ def check_choice(name: object, choices: Iterable[str], what: str, *, others: str
 
 def check_fiber_type(name: str, fiber_types: Iterable[str], what: str = "fiber type") -> None:
     """Raise an error unless ``name`` is one of the fiber types of a focal plane, ``("",)`` if it has no fiber types."""
-    if not any(fiber_types):
+    if name not in fiber_types and not any(fiber_types):
         raise InputError(
             f"unknown {what} {name!r}: the positioners have no fiber types; the column fiber_type of a focal plane "
             "states the fiber types of its positioners"
