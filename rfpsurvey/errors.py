@@ -16,10 +16,12 @@ __all__ = [
     "InputUnitsError",
     "RfpsurveyWarning",
     "check_choice",
+    "check_fiber_type",
     "check_keywords",
     "check_switch",
     "check_whole",
     "close_to",
+    "listed",
     "number_of",
     "refusal",
     "short",
@@ -28,6 +30,7 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
+MOST_CHOICES = 60
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
 # text that the error message suggests if the function has the present parameter.
 RENAMED = (
@@ -99,15 +102,33 @@ def number_of(n: int, noun: str, plural: str = "") -> str:
     return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
+def listed(values: Iterable, most: int | None = None) -> str:
+    """Return values separated by commas, or "none"; if there are more than ``most``, the number of others follows."""
+    texts = [str(value) for value in values]
+    shown = ", ".join(texts[:most]) or "none"
+    return f"{shown} and {len(texts) - most} more" if most is not None and len(texts) > most else shown
+
+
 def check_choice(name: object, choices: Iterable[str], what: str, *, others: str = "") -> str:
     """Return ``name`` if it is one of ``choices``; otherwise, raise an error that lists all choices."""
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
+    known = listed(filter(None, choices), MOST_CHOICES) + others
     if not isinstance(name, str):
-        raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {', '.join(choices)}{others}.")
+        raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {known}.")
     hint = close_to(name, choices).replace("did", " Did", 1)
-    raise InputError(f"unknown {what} {name!r}; choose one of: {', '.join(choices)}{others}.{hint}")
+    raise InputError(f"unknown {what} {name!r}; choose one of: {known}.{hint}")
+
+
+def check_fiber_type(name: str, fiber_types: Iterable[str], what: str = "fiber type") -> None:
+    """Raise an error unless ``name`` is one of the fiber types of a focal plane, ``("",)`` if it has no fiber types."""
+    if name not in fiber_types and not any(fiber_types):
+        raise InputError(
+            f"unknown {what} {name!r}: the positioners have no fiber types; the column fiber_type of a focal plane "
+            "states the fiber types of its positioners"
+        )
+    check_choice(name, fiber_types, what)
 
 
 def check_switch(value: object, name: str) -> bool:

@@ -95,7 +95,7 @@ CALLS = {
         PLANE, theta=[0, 0, 0] * DEG, phi=[0, 0, 0] * DEG, handedness="left"
     ),
     "fiber_type must have the shape (3,), got (2,)": lambda: rs.find_collisions(TYPED, PLANE.xy, fiber_type=["A", "B"]),
-    "the positioners have no fiber types, got the fiber type 'A'": lambda: rs.find_collisions(
+    "unknown fiber type 'A': the positioners have no fiber types": lambda: rs.find_collisions(
         PLANE, PLANE.xy, fiber_type=["", "A", ""]
     ),
     "an Allocation or Arms already determines the poses": lambda: rs.find_collisions(PLANE, PLAN, handedness="left"),

@@ -1,10 +1,12 @@
 """Functions that several commands share: they parse options, read input files, and check output files."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
+from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey._cli._print import (
@@ -19,9 +21,9 @@ from rfpsurvey._cli._print import (
 )
 from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
-from rfpsurvey.catalog import UNITS, as_catalog, is_example
-from rfpsurvey.errors import check_choice
-from rfpsurvey.instrument import as_instrument
+from rfpsurvey.catalog import UNITS, as_catalog, is_example, to_time
+from rfpsurvey.errors import check_choice, listed
+from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
 
 __all__ = [
@@ -77,22 +79,39 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
     return found
 
 
-def model_of(instrument: "rs.Instrument | str", arm_model: str | None) -> "rs.Instrument":
-    """Return an instrument with the arm model of --arm-model or, without this option, with its own arm model."""
-    model = as_instrument(instrument)
+def model_of(
+    instrument: str,
+    arm_model: str | None = None,
+    broken: Path | None = None,
+    state_time: str | None = None,
+    known_time: Callable[[], Time | None] | None = None,
+) -> "rs.Instrument":
+    """Return an instrument with the arm model of --arm-model and the states of --broken; print a summary of the states.
+
+    Without --state-time, the states in a TOML file and in the table of --broken are evaluated at the time that
+    ``known_time`` returns.
+    """
+    time = asked = None if state_time is None else to_time(state_time, "--state-time")
+    described = instrument.lower().endswith(".toml")
+    if asked is None and known_time is not None and (described or broken is not None):
+        time = known_time()
+    model = as_instrument(instrument, time if described else asked)
+    model = model if broken is None else model.with_states(broken, time=time)
+    if states := describe_states(model):
+        print(states)
     return model if arm_model is None else model.with_arm_model(arm_model)
 
 
-def instrument_of(table, name: str | None) -> "rs.Instrument":
-    """Return the instrument called ``name``; if ``name`` is None, return the instrument named in the table."""
+def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"]) -> "rs.Instrument":
+    """Return the instrument ``name`` or, if it is None, the instrument named in the table; ``read`` reads it."""
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if own is None and is_plan(table):
-        return as_instrument(name or table.meta["instrument"])
+        return read(name or table.meta["instrument"])
     if name is None and own is None:
         known = ", ".join(rs.available_instruments())
         raise rs.InputError(f"--instrument must name the instrument of the assignment: {known}, or a TOML file")
-    instrument = as_instrument(name or own)
+    instrument = read(name or own)
     if own is not None and own != instrument.name:
         raise rs.InputError(f"--instrument must be the instrument of the tile, {own}, got {instrument.name}")
     return instrument
@@ -173,7 +192,7 @@ def read_assignment(path: Path, select: list[str] | None):
     table = read_table(path) if native_format(path) is None else read_plan(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
-            raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {', '.join(table.colnames)}")
+            raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
         table = table[[str(getattr(v, "value", v)) == value for v in table[name]]]
         if len(table) == 0:
             raise rs.InputError(f"--select {name}={value} selects no row")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options
+from rfpsurvey._cli import _app, _examples, _main, _options, _states
 
 benchmark = typer.Typer(
     no_args_is_help=True,
@@ -21,6 +21,7 @@ _main.app.add_typer(benchmark, name="benchmark")
 def collisions(
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    state_time: _states.OwnStateTimeOption = None,
     method: Annotated[
         list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all methods are compared.")
     ] = None,
@@ -35,7 +36,7 @@ def collisions(
     """Compare the speed and the errors of the methods of finding collisions."""
     output = _app.check_chart(plot, report, overwrite=overwrite)
     options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
-    table = rs.benchmark.benchmark_collisions(_app.model_of(instrument, arm_model), **options)
+    table = rs.benchmark.benchmark_collisions(_app.model_of(instrument, arm_model, state_time=state_time), **options)
     _app.finish_table(table, rs.plot.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
 
 
@@ -43,16 +44,20 @@ def collisions(
 def batches(
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    state_time: _states.OwnStateTimeOption = None,
     repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
 ) -> None:
     """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
-    _app.print_table(rs.benchmark.benchmark_batches(_app.model_of(instrument, arm_model), repeats=repeats))
+    _app.print_table(
+        rs.benchmark.benchmark_batches(_app.model_of(instrument, arm_model, state_time=state_time), repeats=repeats)
+    )
 
 
 @benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
 def probability(
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    state_time: _states.OwnStateTimeOption = None,
     repeats: Annotated[
         int,
         typer.Option(
@@ -72,7 +77,10 @@ def probability(
     targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
     targets.
     """
-    output, model = _app.check_chart(plot, report, overwrite=overwrite), _app.model_of(instrument, arm_model)
+    output, model = (
+        _app.check_chart(plot, report, overwrite=overwrite),
+        _app.model_of(instrument, arm_model, state_time=state_time),
+    )
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
     _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)

@@ -11,7 +11,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options
+from rfpsurvey._cli import _app, _examples, _main, _options, _states
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments
@@ -22,6 +22,9 @@ def compare(
     instruments: Annotated[
         list[str] | None, typer.Argument(help="Names of presets, or paths of TOML files. By default, all presets.")
     ] = None,
+    arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.StateTimeOption = None,
     catalog: Annotated[
         Path | None,
         typer.Option(
@@ -63,13 +66,22 @@ def compare(
 ) -> None:
     """Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
+    if broken is not None and len(instruments or ()) != 1:
+        raise rs.InputError(
+            "--broken must be used with one instrument, because instruments have different identifiers; to compare "
+            "several instruments, write TOML files with the entry layout.states"
+        )
+    models = [
+        _app.model_of(name, arm_model, broken, state_time, lambda: _states.time_of(None, epoch))
+        for name in instruments or (rs.available_instruments() if arm_model else ())
+    ]
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
     )
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),
-            instruments,
+            models or None,
             center=_app.parse_center(center),
             allocators=allocator or ("lamost", "optimal"),
             targets_per_positioner=targets,

@@ -7,7 +7,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options
+from rfpsurvey._cli import _app, _examples, _main, _options, _states
 from rfpsurvey.tile import north_of_date
 
 
@@ -16,6 +16,8 @@ def compare_allocators(
     catalog: _options.CatalogArgument = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.StateTimeOption = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
@@ -44,7 +46,7 @@ def compare_allocators(
 ) -> None:
     """Compare allocators on the same field."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model)
+    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch))
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
     options = _app.allocation_options(
         "lamost",

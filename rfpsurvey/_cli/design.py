@@ -3,12 +3,13 @@
 import sys
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _designs, _examples, _main, _options, _surveys
+from rfpsurvey._cli import _app, _designs, _examples, _main, _options, _states, _surveys
 
 
 @_main.app.command(epilog=_examples.DESIGN_EXAMPLES)
 def design(
     instrument: _options.DesignInstrumentOption = None,
+    state_time: _states.OwnStateTimeOption = None,
     spread: _options.SpreadOption = None,
     central_arm: _options.CentralArmOption = None,
     ratio: _options.RatioOption = None,
@@ -48,7 +49,8 @@ def design(
     with _surveys.workers(workers, None, processes=processes) as executor:
         if around:
             scan |= {} if spread is None else {"spread": spread}
-            table = rs.design.explore_around(instrument, executor=executor, **scan)
+            model = _app.model_of(instrument, state_time=state_time)
+            table = rs.design.explore_around(model, executor=executor, **scan)
         else:
             table = rs.design.explore_designs(executor=executor, **scan)
     _designs.finish(table, output, plot, report, overwrite=overwrite)

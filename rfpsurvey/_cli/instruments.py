@@ -4,8 +4,9 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey._cli import _main
-from rfpsurvey.instrument import Instrument, as_instrument, every_instrument, fact_texts
+from rfpsurvey._cli import _app, _main, _options, _states
+from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import Instrument, every_instrument, fact_texts
 
 EXAMPLES = """\b
 Examples:
@@ -24,9 +25,14 @@ def instruments(
             "compared. By default, all presets are listed."
         ),
     ] = None,
+    arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.OwnStateTimeOption = None,
 ) -> None:
     """List all instruments, describe one instrument with the source of every value, or compare several instruments."""
-    models = [as_instrument(name) for name in names or ()]
+    if broken is not None and len(names or ()) != 1:
+        raise InputError("--broken must be used with the name or path of one instrument")
+    models = [_app.model_of(name, arm_model, broken, state_time) for name in names or ()]
     if not models:
         _print_list()
     elif len(models) == 1:

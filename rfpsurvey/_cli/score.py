@@ -1,5 +1,6 @@
 """The command ``rfpsurvey score``."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options
+from rfpsurvey._cli import _app, _examples, _main, _options, _states
 from rfpsurvey.tile import north_of_date
 
 
@@ -27,6 +28,8 @@ def score(
         ),
     ] = None,
     arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.StateTimeOption = None,
     center: Annotated[
         str | None,
         typer.Option(
@@ -66,6 +69,20 @@ def score(
         options["center"] = north_of_date(_app.parse_center(center), equinox)
     options["position_angle"] = None if pa is None else pa * u.deg
     options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
-    tile = rs.score_tile(table, _app.model_of(_app.instrument_of(table, instrument), arm_model), **options)
+    read = partial(
+        _app.model_of,
+        arm_model=arm_model,
+        broken=broken,
+        state_time=state_time,
+        known_time=lambda: _time_of(table, epoch),
+    )
+    tile = rs.score_tile(table, _app.instrument_of(table, instrument, read), **options)
     print(f"columns: {tile.provenance['catalog']['columns']}")
     _app.finish(tile, output, plot, report, overwrite=overwrite)
+
+
+def _time_of(table, epoch: str | None):
+    """Return the time of the observing conditions that a tile records or, without such a time, of --epoch."""
+    provenance = table.meta.get("provenance")
+    recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
+    return _states.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)

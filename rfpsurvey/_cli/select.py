@@ -4,7 +4,7 @@ import sys
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _main, _options, _selections, _surveys
+from rfpsurvey._cli import _app, _main, _options, _selections, _states, _surveys
 from rfpsurvey._io import check_output
 
 
@@ -14,6 +14,8 @@ def select(
     tiles: _options.TilesOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.StateTimeOption = None,
     realizations: _selections.RealizationsOption = 128,
     allocator: _selections.SelectAllocatorOption = "nearest",
     visits: _options.VisitsOption = None,
@@ -43,7 +45,7 @@ def select(
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model)
+    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch))
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
     if visits is not None:
         targets = _selections.with_visits(targets, visits)

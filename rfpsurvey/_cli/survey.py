@@ -1,6 +1,6 @@
 """The command ``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _states, _surveys
 
 
 @_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
@@ -9,6 +9,8 @@ def survey(
     tiles: _options.TilesOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.StateTimeOption = None,
     allocator: _options.AllocatorOption = "lamost",
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
@@ -50,7 +52,8 @@ def survey(
 ) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model)
+    seen = conditions, site, time, hour_angle, wavelength, exposure_time
+    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch, *seen))
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
         "allocator": _app.allocation_options(
@@ -73,6 +76,6 @@ def survey(
         "rng": seed,
     }
     tiling = _surveys.tiles_of(tiles, targets, model)
-    tiling = _conditions.tiles_under(tiling, conditions, site, time, hour_angle, wavelength, exposure_time)
+    tiling = _conditions.tiles_under(tiling, *seen)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
         _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)

@@ -5,7 +5,7 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options
+from rfpsurvey._cli import _app, _examples, _main, _options, _states
 
 
 @_main.app.command(epilog=_examples.TILE_EXAMPLES)
@@ -15,6 +15,8 @@ def tile(
     exclude: _options.ExcludeOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
+    broken: _states.BrokenOption = None,
+    state_time: _states.OwnStateTimeOption = None,
     method: _options.TilingMethodOption = "hexagonal",
     passes: _options.PassesOption = 1,
     completeness: _options.CompletenessOption = None,
@@ -43,7 +45,7 @@ def tile(
 ) -> None:
     """Place the tiles of a survey."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model)
+    model = _app.model_of(instrument, arm_model, broken, state_time)
     inside = None if region is None else rs.Region.parse(region)
     field = inside
     if catalog is not None or region is None:

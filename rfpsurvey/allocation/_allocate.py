@@ -19,7 +19,7 @@ from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_keywords, short
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 __all__ = ["allocate", "assign"]
@@ -174,12 +174,8 @@ def assign(
     if columns.kind is not None:
         classes, rank = _squeeze(classes, rank, columns.kind == "science")
     for one in options.requirements:
-        if one.fiber_type and focal_plane.fiber_types == ("",):
-            raise InputError(
-                f"the requirement {str(one)!r} contains a fiber type, but the positioners have no fiber types"
-            )
         if one.fiber_type:
-            check_choice(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
+            check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     problem = AllocationProblem(
         focal_plane,
         xy_mm,

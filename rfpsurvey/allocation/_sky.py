@@ -61,8 +61,9 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         if not columns.joints_free:
             keep = columns.joints_allow(own, spots, columns.sides(spots, own))
             own, spots = own[keep], spots[keep]
-        # The position of a stuck fiber is known only for the first fiber type of its positioner.
-        fixed = np.flatnonzero(plane.arrays.is_stuck & ((name == "") | (plane.arrays.first_type == name)))
+        # A stuck fiber that is also broken observes nothing. The position is known only for the first fiber type.
+        seeing = plane.arrays.is_stuck & ~plane.disabled
+        fixed = np.flatnonzero(seeing & ((name == "") | (plane.arrays.first_type == name)))
         seen = plane.arrays.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
         parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]

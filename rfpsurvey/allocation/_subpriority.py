@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import hashing
 from rfpsurvey._units import rows_of, to_plain
-from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
 __all__ = ["TIE_SEED", "id_numbers", "service_order", "subpriorities", "tie_order", "to_subpriorities"]
 
@@ -118,10 +118,9 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     if not isinstance(given, str):
         return _of_numbers(id_numbers(ids), given)
     if given not in (extra or {}):
-        known = ", ".join(extra) if extra else "none"
         raise InputError(
             f"subpriority must be a seed or the name of an additional column that was read from the catalog by keep= "
-            f"or --keep, got {given!r}; additional columns: {known}"
+            f"or --keep, got {given!r}; additional columns: {listed(extra or ())}"
         )
     return check_values(extra[given], len(ids), f"the subpriorities (column {given!r})")
 

@@ -9,7 +9,7 @@ from astropy.table import Table
 from rfpsurvey._readers import is_number
 from rfpsurvey._units import rows_of, to_labels, to_numbers, to_plain
 from rfpsurvey.catalog._survey_formats import SurveyFormat, find_format
-from rfpsurvey.errors import InputError, check_choice, refusal, short, warn
+from rfpsurvey.errors import InputError, check_choice, listed, refusal, short, warn
 
 __all__ = ["ROLES", "Finder"]
 
@@ -298,7 +298,7 @@ class Finder:
 
     def listing(self) -> str:
         """Return a phrase that lists the columns of the table."""
-        return f"the columns are: {', '.join(self.table.colnames) or 'none'}"
+        return f"the columns are: {listed(self.table.colnames)}"
 
 
 def _unit(given: object, role: str) -> u.UnitBase:

@@ -8,7 +8,7 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
-from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
 __all__ = ["RESERVED", "extra_columns", "pick_columns", "result_name"]
 
@@ -33,7 +33,7 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
     names = [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in table.colnames:
-            raise InputError(f"keep must name columns of the table ({', '.join(table.colnames)}), got {name!r}")
+            raise InputError(f"keep must name columns of the table ({listed(table.colnames)}), got {name!r}")
     names = [name for name in names if name not in others]
     return extra_columns(QTable({name: table[name] for name in names}), len(table)) if names else None
 

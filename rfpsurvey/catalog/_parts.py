@@ -15,7 +15,7 @@ from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
 from rfpsurvey.catalog._tables import EQUATORIAL
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 
 __all__ = ["Partitions", "read_or_name"]
 
@@ -127,7 +127,7 @@ class Partitions:
             raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
         lacking = [name for name in self.catalog.keep if name not in find.table.colnames]
         if lacking:
-            raise InputError(f"keep must name columns of {path} ({', '.join(find.table.colnames)}), got {lacking[0]!r}")
+            raise InputError(f"keep must name columns of {path} ({listed(find.table.colnames)}), got {lacking[0]!r}")
         return list(dict.fromkeys(name for name in (*names, *self.catalog.keep) if name is not None))
 
     @cached_property

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_switch
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_switch
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
@@ -247,10 +247,8 @@ def to_columns(plane, fiber_type):
     types = to_plain(fiber_type, "fiber_type").astype(str)
     if types.shape != (len(plane),):
         raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
-    if plane.fiber_types == ("",) and (types != "").any():
-        raise InputError(f"the positioners have no fiber types, got the fiber type {str(types[types != ''][0])!r}")
     for name in np.unique(types[types != ""]):
-        check_choice(str(name), plane.fiber_types, "fiber type")
+        check_fiber_type(str(name), plane.fiber_types)
     return plane.arrays.using(plane.arrays.index_of(types))
 
 

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.errors import InputError, InputTypeError, listed, short
 from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
 
@@ -111,9 +111,7 @@ def _check_fibers(plane, n):
     object.__setattr__(plane, "fiber_xy", places)
     for name in plane.fiber_types:
         if name not in places:
-            raise InputError(
-                f"fiber_xy must have the fiber type {name!r}, got {', '.join(map(repr, places)) or 'none'}"
-            )
+            raise InputError(f"fiber_xy must have the fiber type {name!r}, got {listed(map(repr, places))}")
     for name, value in places.items():
         points = to_points_mm(value, f"fiber_xy of {name!r}")
         if len(points) != n:

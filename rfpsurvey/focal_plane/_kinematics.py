@@ -5,7 +5,7 @@ import numpy as np
 
 from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, check_fiber_type
 
 __all__ = ["MODELS", "forward", "inverse", "joints_allow"]
 
@@ -84,7 +84,7 @@ def _fibers(plane, fiber_type):
         raise InputError(f"fiber_type must be one name or have the shape ({n},), got {types.shape}")
     types = np.broadcast_to(types, n)
     for name in np.unique(types):
-        check_choice(str(name), names, "fiber type")
+        check_fiber_type(str(name), names)
     index = np.array([names.index(name) for name in types.tolist()])
     lists = [row.split("+") for row in plane.fiber_type.tolist()]
     missing = np.array([t not in row for t, row in zip(types.tolist(), lists, strict=True)])

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, close_to, warn
+from rfpsurvey.errors import InputError, InputTypeError, close_to, listed, warn
 from rfpsurvey.positioner import ArmOutline, Positioner
 
 __all__ = ["read_columns", "to_table"]
@@ -35,7 +35,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     names = table.colnames
     for name in ("x", "y"):
         if name not in names:
-            raise InputError(f"there is no column {name!r}; the columns are: {', '.join(names) or 'none'}")
+            raise InputError(f"there is no column {name!r}; the columns are: {listed(names)}")
     xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
     unit, columns = np.ones(len(xy), dtype=bool), {}
     for name, column in CIRCLES.items():

@@ -10,6 +10,7 @@ from rfpsurvey.instrument._instrument import (
     every_instrument,
 )
 from rfpsurvey.instrument._pfs_map import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.instrument._states import describe_states
 
 __all__ = [
     "Instrument",
@@ -20,6 +21,7 @@ __all__ = [
     "available_instruments",
     "choose_projection",
     "compare_projections",
+    "describe_states",
     "every_instrument",
     "fact_texts",
     "pfs_engineering_fibers",

@@ -1,5 +1,6 @@
 """Methods of `Instrument` that change the arm model, the shape of a positioner that is used to find collisions."""
 
+from collections.abc import Container
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,9 @@ from rfpsurvey.positioner import ARM_MODELS, ArmOutline
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["FULL_OUTLINE", "OUTLINE", "SEGMENT_CLEARANCE", "UNUSED", "ArmModels"]
+__all__ = ["FULL_OUTLINE", "OUTLINE", "SEGMENT_CLEARANCE", "UNUSED", "ArmModels", "switch_inherited"]
 
+SECTION = "positioner."
 OUTLINE = "positioner.outline"
 FULL_OUTLINE = "positioner.full_outline"
 """Name of an entry with the published outline of the arms, for instruments that have another arm model."""
@@ -22,6 +24,56 @@ UNUSED = (FULL_OUTLINE, SEGMENT_CLEARANCE)
 """Names of entries that only `ArmModels.with_arm_model` reads; no result depends on these entries."""
 
 
+def _others(own: str, entries: Container[str]) -> tuple[str, ...]:
+    """Return the other arm models of a positioner with an arm model and the names of its entries."""
+    simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(own, ())
+    if own == "outline" and "segment_clearance" in entries:
+        simpler = ("elbow_to_tip", "fiber_tip")
+    return (*simpler, *(("outline",) if "full_outline" in entries else ()))
+
+
+def _switch(entries: dict, own: str, arm_model: str, origin: dict) -> dict:
+    """Return the entries of a positioner with another arm model, one of `_others`, in place of ``own``.
+
+    ``origin`` contains the status and the source of the new entry ``arm_model``.
+    """
+    entries = dict(entries)
+    if arm_model == "outline":
+        entry = entries["outline"] = entries.pop("full_outline")
+        origin = {"status": entry["status"], "source": entry["source"]}
+        entries["segment_clearance"] = entries["clearance"]
+        entries["clearance"] = {"value": 0.0, "unit": "mm", **origin}
+    else:
+        entries.pop("arm_angle", None)
+    if own == "outline":
+        entries["full_outline"] = entries.pop("outline")
+        entries["clearance"] = entries.pop("segment_clearance")
+    entries.pop("arm_length", None)
+    entries["arm_model"] = {"value": arm_model, **origin}
+    return entries
+
+
+def switch_inherited(inherited: dict, given: dict) -> dict:
+    """Return the entries of a positioner that a description inherits, with the arm model that the description gives.
+
+    The entries that are ``given`` in the description itself replace the inherited entries afterwards.
+    """
+    own, new = (
+        entry.get("value") if isinstance(entry, dict) else None
+        for entry in (inherited.get("arm_model", {"value": "elbow_to_tip"}), given.get("arm_model"))
+    )
+    if new not in ARM_MODELS or new == own:
+        return inherited
+    origin = {part: given["arm_model"].get(part) for part in ("status", "source")}
+    segment = given.get("segment_clearance", given.get("clearance"))
+    if own == "outline" and segment is not None:
+        inherited = {**inherited, "segment_clearance": segment}
+    simpler = "elbow_to_tip" if new == "capsule" else new  # an inherited outline has no capsule
+    if simpler != own and simpler in _others(own, inherited):
+        return _switch(inherited, own, simpler, origin)
+    return {name: entry for name, entry in inherited.items() if name != "arm_length"}
+
+
 class ArmModels:
     """Methods that `Instrument` inherits, which list and change arm models."""
 
@@ -29,10 +81,7 @@ class ArmModels:
     def arm_models(self) -> tuple[str, ...]:
         """Arm models that `with_arm_model` accepts; the first one is the present arm model of the instrument."""
         own = self.focal_plane.positioner.arm_model
-        simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(own, ())
-        if own == "outline" and SEGMENT_CLEARANCE in self.values:
-            simpler = ("elbow_to_tip", "fiber_tip")
-        return (own, *simpler, *(("outline",) if FULL_OUTLINE in self.values else ()))
+        return (own, *_others(own, {name.removeprefix(SECTION) for name in self.values}))
 
     def with_arm_model(self, arm_model: str) -> "Instrument":
         """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
@@ -74,24 +123,23 @@ class ArmModels:
         own = self.focal_plane.positioner.arm_model
         if arm_model == own:
             return self
-        values = dict(self.values)
-        changes = {"arm_model": arm_model, "arm_length": None, "outline": None}
         source = f"with_arm_model; the arm model of the instrument is {own}"
-        origin = {"status": "assumed", "source": source}
+        own_entries = {name: entry for name, entry in self.values.items() if name.startswith(SECTION)}
+        entries = _switch(
+            {name.removeprefix(SECTION): entry for name, entry in own_entries.items()},
+            own,
+            arm_model,
+            {"status": "assumed", "source": source},
+        )
+        values = {SECTION + name: entry for name, entry in entries.items()}
+        values |= {name: entry for name, entry in self.values.items() if name not in own_entries}
+        changes = {"arm_model": arm_model, "arm_length": None, "outline": None}
         if arm_model == "outline":
-            entry = values[OUTLINE] = values.pop(FULL_OUTLINE)
-            origin = {"status": entry["status"], "source": entry["source"]}
-            values[SEGMENT_CLEARANCE] = values["positioner.clearance"]
-            values["positioner.clearance"] = {"value": 0.0, "unit": "mm", **origin}
+            entry = entries["outline"]
             changes |= {"outline": ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])), "clearance": 0 * u.mm}
         else:
             changes |= {"arm_angle": None}
-            values.pop("positioner.arm_angle", None)
         if own == "outline":
-            values[FULL_OUTLINE] = values.pop(OUTLINE)
-            entry = values["positioner.clearance"] = values.pop(SEGMENT_CLEARANCE)
-            changes |= {"clearance": entry["value"] * u.Unit(entry["unit"])}
-        values.pop("positioner.arm_length", None)
-        values["positioner.arm_model"] = {"value": arm_model, **origin}
+            changes |= {"clearance": entries["clearance"]["value"] * u.Unit(entries["clearance"]["unit"])}
         plane = self.focal_plane
         return replace(self, focal_plane=replace(plane, positioner=replace(plane.positioner, **changes)), values=values)

@@ -19,10 +19,11 @@ class AsBuilt:
     """Methods that `Instrument` inherits, which read instruments as built."""
 
     @classmethod
-    def _read_as_built(cls, path: Path):
+    def _read_as_built(cls, path: Path, time: Time | str | None):
         """Return the instrument that files of an observatory describe, or None for any other file or folder."""
         if _desi.recognizes(path):
-            return cls.from_desi(path)
+            has_log = path.is_dir() and any(path.glob("desi-state_*"))
+            return cls.from_desi(path, time=time if has_log else None)
         if _sdssv.recognizes(path):
             return cls.from_sdssv(path)
         files = find_pfs_files(path)

@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
-from rfpsurvey.instrument._arm_models import FULL_OUTLINE
+from rfpsurvey.instrument._arm_models import FULL_OUTLINE, switch_inherited
 from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
 from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
@@ -39,6 +39,9 @@ def load(path: Path, heirs: tuple = ()) -> dict:
         known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
         beside = PRESETS / f"{check_choice(parent, known, f'value of inherits in {path}:')}.toml"
     base = load(beside, (*heirs, path))
+    own = content.get("positioner")
+    if isinstance(own, dict) and isinstance(base.get("positioner"), dict):
+        base["positioner"] = switch_inherited(base["positioner"], own)
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = {**base[key], **value} if both else value

@@ -16,7 +16,7 @@ import scipy  # its subpackages are imported on first use
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import entries_of, read_table
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, warn
+from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
@@ -208,7 +208,9 @@ def _positioners(table, names, path):
     kinds = np.char.strip(to_plain(table["DEVICE_TYPE"], f"{path}: column 'DEVICE_TYPE'").astype(str))
     rows = kinds == "POS"
     if not rows.any():
-        raise InputError(f"{path}: DEVICE_TYPE must be POS for positioners, got {', '.join(np.unique(kinds))}")
+        raise InputError(
+            f"{path}: DEVICE_TYPE must be POS for positioners, got {listed(map(repr, np.unique(kinds).tolist()))}"
+        )
     if rows.sum() != N_POSITIONERS:
         warn(f"{path}: DESI has {N_POSITIONERS} positioners, but the file has {rows.sum()} and may be incomplete")
     types, counts = np.unique(kinds[~rows], return_counts=True)

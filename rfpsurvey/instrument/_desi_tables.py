@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import rows_of, to_plain
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, number_of
 from rfpsurvey.instrument._missing import is_missing
 
 __all__ = ["check_columns", "numbers", "some", "whole"]
@@ -20,7 +20,7 @@ def check_columns(table, names, path) -> None:
     """Raise an error if a table is empty or lacks a column; number the rows."""
     for name in names:
         if name not in table.colnames:
-            raise InputError(f"{path}: the table must have the column {name!r}, got {', '.join(table.colnames)}")
+            raise InputError(f"{path}: the table must have the column {name!r}, got {listed(table.colnames)}")
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")
     table[ROW] = np.arange(1, len(table) + 1)

@@ -7,7 +7,7 @@ from math import inf, isfinite
 
 import astropy.units as u
 
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, listed
 from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
 
 __all__ = ["NEED", "SECTIONS", "STATUSES", "check_description", "with_defaults"]
@@ -103,6 +103,10 @@ OUTLINE = Kind(
     u.mm,
 )
 TEXT = Kind("text", _is_text)
+STATES = Kind(
+    "the name of a file, or a list of tables with the key id",
+    lambda value: _is_text(value) or (_is_list(value, lambda row: isinstance(row, dict) and "id" in row) and value),
+)
 NAMES = Kind("a list of names", lambda value: _is_list(value, _is_text) and len(value) > 0)
 ENTRIES = {
     "positioner.central_arm": LENGTH,
@@ -135,6 +139,7 @@ ENTRIES = {
         u.mm,
     ),
     "layout.table": TEXT,
+    "layout.states": STATES,
     "layout.rings": _whole(0, 500),
     "layout.count": _whole(1, 1_000_000),
     "layout.pitch": LENGTH,
@@ -231,7 +236,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
             remedy = f'; {part} = "..." at the top of the file applies to all entries without a {part}'
             remedy = remedy if part in DEFAULTS else ""
             remedy += f"; the status is one of {', '.join(STATUSES)}" if part == "status" else ""
-            raise InputError(f"{full} must have a {part}, got only {', '.join(entry) or 'nothing'}{remedy}")
+            raise InputError(f"{full} must have a {part}, got only {listed(entry)}{remedy}")
     check_choice(entry["status"], STATUSES, f"status of {full}")
     if not _is_text(entry["source"]):
         raise InputError(f"the source of {full} must be text, got {_short(entry['source'])}")

@@ -11,6 +11,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
+from astropy.time import Time
 
 from rfpsurvey._display import to_html
 from rfpsurvey._io import to_path
@@ -19,6 +20,7 @@ from rfpsurvey.errors import (
     InputError,
     InputTypeError,
     check_choice,
+    check_fiber_type,
     check_keywords,
     number_of,
     refusal,
@@ -32,6 +34,7 @@ from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.instrument._projections import Projections
+from rfpsurvey.instrument._states import LISTED, States, apply_entry
 from rfpsurvey.projection import RadialMap
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
@@ -42,7 +45,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(ArmModels, AsBuilt, Projections):
+class Instrument(ArmModels, AsBuilt, Projections, States):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -99,7 +102,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
         check_choice(self.layout, LAYOUTS, "layout")
         if isinstance(self.distortion, dict):
             for name in self.distortion:
-                check_choice(name, self.focal_plane.fiber_types, "fiber type of the distortion")
+                check_fiber_type(name, self.focal_plane.fiber_types, "fiber type of the distortion")
             for name in self.focal_plane.fiber_types:
                 if name not in self.distortion:
                     raise InputError(f"the distortion must have a map for the fiber type {name!r}")
@@ -170,7 +173,7 @@ class Instrument(ArmModels, AsBuilt, Projections):
             return source if isinstance(source, cls) else cls.read(source)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> "Instrument":
+    def read(cls, path: str | os.PathLike, *, time: Time | str | None = None) -> "Instrument":
         """Read an instrument from a TOML file, or from a file or folder that describes an instrument as built.
 
         Parameters
@@ -179,6 +182,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
             Path of a TOML file in the format of the included presets, or of a file or folder that
             `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs`
             reads.
+        time : Time or str, optional
+            Time (UTC) at which the states of positioners are evaluated that a TOML file or a log of DESI contains.
 
         Returns
         -------
@@ -188,11 +193,12 @@ class Instrument(ArmModels, AsBuilt, Projections):
         Raises
         ------
         InputError
-            If the file does not exist or is not a valid description of an instrument.
+            If the file does not exist or is not a valid description of an instrument, or if a TOML file contains states
+            with dates and no time is given.
         """
         path = to_path(path)
         if path.exists() and path.suffix.lower() != ".toml":
-            found = cls._read_as_built(path)
+            found = cls._read_as_built(path, time)
             if found is not None:
                 return found
             if path.is_dir():
@@ -201,7 +207,8 @@ class Instrument(ArmModels, AsBuilt, Projections):
                     "fp-metrology.csv (DESI), or black_dots_mm.csv (PFS), got none of them"
                 )
         try:
-            return cls(**_description.build(_description.load(path), path.parent))
+            found = cls(**_description.build(_description.load(path), path.parent))
+            return apply_entry(found, path.parent, time) if LISTED in found.values else found
         except InputError as error:
             raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -296,10 +303,13 @@ class Instrument(ArmModels, AsBuilt, Projections):
         return digest.hexdigest()[:16]
 
 
-def as_instrument(instrument: Instrument | str) -> Instrument:
-    """Return the `Instrument` for an instrument, the name of a preset or a path that `Instrument.read` accepts."""
+def as_instrument(instrument: Instrument | str, time: Time | str | None = None) -> Instrument:
+    """Return the `Instrument` for an instrument, the name of a preset or a path that `Instrument.read` accepts.
+
+    ``time`` is the time at which the states of positioners in a file are evaluated.
+    """
     if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and _is_path(instrument)):
-        return Instrument.read(instrument)
+        return Instrument.read(instrument, time=time)
     if isinstance(instrument, str):
         return Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):

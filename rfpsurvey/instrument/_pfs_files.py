@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._readers import check_is_file, content_of, read_table, sentence, to_path
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
 
@@ -185,7 +185,7 @@ def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: the table must have at least one row, got none")
     for name in names:
         if name not in table.colnames:
-            raise InputError(f"{path}: the table must have the column {name!r}, got {', '.join(table.colnames)}")
+            raise InputError(f"{path}: the table must have the column {name!r}, got {listed(table.colnames)}")
         column = table[name]
         if np.asarray(column).dtype.kind not in "if":
             text = [str(v) for v in np.ma.asarray(column).compressed().tolist()]

@@ -17,7 +17,7 @@ import numpy as np
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import is_present, read_table
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, check_choice, number_of, warn
+from rfpsurvey.errors import InputError, check_choice, listed, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._missing import is_missing
 
@@ -90,7 +90,7 @@ class _Rows:
         """Values that are not missing in the file, but count as missing."""
         for name in names:
             if name not in self.table.colnames:
-                got = ", ".join(self.table.colnames)
+                got = listed(self.table.colnames)
                 raise InputError(f"{path}: the table must have the column {name!r}, got {got}")
         if len(self.table) == 0:
             raise InputError(f"{path}: the table must have at least one row, got none")
@@ -155,7 +155,9 @@ class _Rows:
         if site not in PRESETS:
             raise InputError(f"{self.path}: site must be {' or '.join(PRESETS)}, got {site!r}")
         if not (found == site).any():
-            raise InputError(f"{self.path}: the table must have rows of the site {site}, got {', '.join(set(found))}")
+            raise InputError(
+                f"{self.path}: the table must have rows of the site {site}, got {listed(np.unique(found).tolist())}"
+            )
         self.keep(found == site)
         return site
 

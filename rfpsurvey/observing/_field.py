@@ -5,7 +5,7 @@ from functools import cache
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.observing._astrometry import Instants
 from rfpsurvey.observing._conditions import ObservingConditions
 from rfpsurvey.projection import FieldProjection, RadialMap
@@ -134,16 +134,12 @@ class ObservedField:
             return [(slice(None), waves)]
         first = next(iter(self.distortion)) if isinstance(self.distortion, dict) else next(iter(waves))
         if fiber_type is None or isinstance(fiber_type, str):
-            name = check_choice(fiber_type or first, waves, "fiber type of the wavelengths")
-            return [(slice(None), waves[name])]
+            return [(slice(None), _wavelength_of(fiber_type or first, waves))]
         types = np.asarray(fiber_type, dtype=str)
         if types.shape != (n,):
             raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
         types = np.where(types == "", first, types)
-        return [
-            (types == name, waves[check_choice(str(name), waves, "fiber type of the wavelengths")])
-            for name in np.unique(types)
-        ]
+        return [(types == name, _wavelength_of(str(name), waves)) for name in np.unique(types)]
 
     def _observe(self, vectors, fiber_type, weights=None):
         """Return observed directions, averaged over the exposure, in the frame of the field, shape (n, 3)."""
@@ -208,6 +204,14 @@ class ObservedField:
             f"the whole field{extent} must be above the horizon, got the altitude {altitude:.4g} deg of its center at "
             f"{when}{during}; choose another time or hour angle, or another field"
         )
+
+
+def _wavelength_of(fiber_type: str, wavelengths: dict[str, float]) -> float:
+    if fiber_type not in wavelengths:
+        raise InputError(
+            f"wavelength must have a value for the fiber type {fiber_type!r}, got values for {listed(wavelengths)}"
+        )
+    return wavelengths[fiber_type]
 
 
 @cache

@@ -15,7 +15,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from rfpsurvey._io import output_path
 from rfpsurvey._readers import content_of, is_number, sentence
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.plans._plan import make_plan, text_of_lost
 from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
@@ -74,7 +74,7 @@ def read(path: Path) -> QTable:
     rows, struct, header = _parse(path)
     for name in ("holeId", "fiberType", "assigned"):
         if name not in rows:
-            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {', '.join(rows)}")
+            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {listed(rows)}")
     fibers = list(zip(rows["holeId"].tolist(), rows["fiberType"].tolist(), strict=True))
     n = len(fibers)
     if len(set(fibers)) < n:

@@ -11,7 +11,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import read_fits_units
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import (
     FLUXES,
@@ -57,11 +57,11 @@ def read(path: Path) -> QTable:
     has_stars = isinstance(version, int | float) and version >= 2  # older files have no guide stars
     for name in ("DESIGN", "PHOTOMETRY", *(("GUIDESTARS",) if has_stars else ())):
         if name not in tables:
-            raise InputError(f"{path}: the file must have the extension {name}, got {', '.join(tables)}")
+            raise InputError(f"{path}: the file must have the extension {name}, got {listed(tables)}")
     rows = tables["DESIGN"]
     for name in REQUIRED:
         if name not in rows.dtype.names:
-            raise InputError(f"{path}: DESIGN must have the column {name!r}, got {', '.join(rows.dtype.names)}")
+            raise InputError(f"{path}: DESIGN must have the column {name!r}, got {listed(rows.dtype.names)}")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
     if rows["pfiNominal"].shape != (len(rows), 2):
@@ -148,7 +148,7 @@ def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
     """Return columns of fluxes and filter names, shape (fiber, filter); missing filters have empty names."""
     for name in ("fiberId", "filterName"):
         if name not in rows.dtype.names:
-            raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {', '.join(rows.dtype.names)}")
+            raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {listed(rows.dtype.names)}")
     if not np.isin(rows["fiberId"], fiber).all():
         strange = rows["fiberId"][~np.isin(rows["fiberId"], fiber)][0]
         raise InputError(f"{path}: PHOTOMETRY must have only fibers of DESIGN, got the fiberId {strange}")

@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._io import output_path
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
@@ -129,7 +129,7 @@ def _rows(plan: QTable, path: Path) -> dict:
         if native == "pfiNominal":
             values = np.column_stack([plain["x"], plain["y"]])
         elif name not in plain:
-            raise InputError(f"{path}: the plan must have the column {name!r}, got {', '.join(plan.colnames)}")
+            raise InputError(f"{path}: the plan must have the column {name!r}, got {listed(plan.colnames)}")
         else:
             values = plain[name]
         found[native] = values, _text_form(values) if form.endswith("A") else form

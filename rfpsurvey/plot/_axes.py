@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_mm, to_plain
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, listed
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.plot._compass import ORIENTATIONS
@@ -162,7 +162,7 @@ def check_columns(table: QTable, columns: set[str], maker: str | None = None) ->
     if missing and maker:
         raise InputError(f"table must come from {maker}, got one without the column {missing}")
     if missing:
-        raise InputError(f"table must have the column {missing}; it has {', '.join(table.colnames)}")
+        raise InputError(f"table must have the column {missing}; it has {listed(table.colnames)}")
     if len(table) == 0:
         raise InputError("table must have at least one row, got none")
 

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.allocation import Requirement
-from rfpsurvey.errors import InputError, InputTypeError, number_of
+from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
 from rfpsurvey.pipeline import Outcome
 from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
 from rfpsurvey.plot._bars import stacked_bars
@@ -147,7 +147,7 @@ def _column_of(table, name) -> str | None:
     if name is None:
         return min(numbers, key=lambda c: c != "priority", default=None)
     if name not in table.colnames or np.asarray(table[name]).dtype.kind not in "iuf":
-        raise InputError(f"column must be one of the columns of numbers {', '.join(numbers) or '(none)'}, got {name!r}")
+        raise InputError(f"column must be one of the columns of numbers ({listed(numbers)}), got {name!r}")
     return name
 
 

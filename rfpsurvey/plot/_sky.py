@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError, number_of
+from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
 from rfpsurvey.plot._axes import legend_below, legend_line, new_axes
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
@@ -91,8 +91,9 @@ def plot_tiling(
     if len(table) == 0:
         raise InputError("there must be at least one tile to draw, got none")
     color = color or ("completeness" if isinstance(tiles, Survey) else "pass")
-    if color not in table.colnames or np.asarray(table[color]).dtype.kind not in "iufb":
-        raise InputError(f"color must be a column of numbers ({', '.join(table.colnames)}), got {color!r}")
+    numbers = [name for name in table.colnames if np.asarray(table[name]).dtype.kind in "iufb"]
+    if color not in numbers:
+        raise InputError(f"color must be a column of numbers ({listed(numbers)}), got {color!r}")
     if not (region is None or isinstance(region, Region)):
         raise InputTypeError(f"region must be a Region, got {type(region).__name__}")
     if targets is not None:

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import locked, to_mm, to_radian
-from rfpsurvey.errors import check_choice
+from rfpsurvey.errors import InputError, listed
 
 if TYPE_CHECKING:
     from rfpsurvey.positioner._positioner import Positioner
@@ -107,8 +107,17 @@ class PositionerNumbers:
             given = self.positioner.arm_angle
             if not isinstance(given, dict):
                 given = dict.fromkeys(fiber_types, 0 * u.deg if given is None else given)
-            for name in given:
-                check_choice(name, fiber_types, "fiber type of arm_angle")
+            own, unknown = [name for name in fiber_types if name], [name for name in given if name not in fiber_types]
+            if unknown and not own:
+                raise InputError(
+                    f"arm_angle must be one angle, because the positioners of the focal plane have no fiber types, got "
+                    f"angles for {listed(given)}; give the column fiber_type of the focal plane, or one angle"
+                )
+            if unknown:
+                raise InputError(
+                    f"arm_angle must have the fiber types of the focal plane, {listed(own)}, got {listed(unknown)}; "
+                    "correct the names in arm_angle or in the column fiber_type"
+                )
             angles = [float(to_radian(given.get(name, 0 * u.deg), "arm_angle")) for name in fiber_types]
             self._arm_angles[fiber_types] = locked(np.array(angles))
         return self._arm_angles[fiber_types]

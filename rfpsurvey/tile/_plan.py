@@ -23,7 +23,7 @@ from rfpsurvey.allocation import (
     sentences,
 )
 from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
-from rfpsurvey.errors import InputError, check_keywords, number_of, warn
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import (
@@ -278,7 +278,7 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
     for one in options.requirements:
         if one.minimum and one.what not in KINDS and not (category == one.what).any():
             there = [] if catalog.category is None else np.unique(category).tolist()
-            hint = hint_of_name(one.what, there) or f"the catalog's categories are: {', '.join(there[:8]) or 'none'}"
+            hint = hint_of_name(one.what, there) or f"the catalog's categories are: {listed(there, 8)}"
             warn(f"no target of the catalog is {one.what!r}, but the requirement '{one}' needs such targets; {hint}")
 
 

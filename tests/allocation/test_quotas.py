@@ -334,7 +334,7 @@ def test_a_requirement_given_twice_is_one():
 
 
 def test_an_unknown_fiber_type_is_named():
-    with pytest.raises(rs.InputError, match="'sky@BOSS=2' contains a fiber type, but the positioners have no fiber"):
+    with pytest.raises(rs.InputError, match="requirement 'sky@BOSS=2' 'BOSS': the positioners have no fiber"):
         said("lamost", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
         rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))

@@ -397,7 +397,7 @@ def test_nothing_is_downloaded(presets, monkeypatch):
 def test_wavelengths_must_include_the_fiber_types_in_use(presets):
     conditions = rs.ObservingConditions("paranal", hour_angle=EAST, wavelength={"BOSS": 0.54 * u.um})
     field = ObservedField(field_basis(0, 0, 0), 1.0, None, conditions)
-    with pytest.raises(rs.InputError, match="unknown fiber type of the wavelengths 'APOGEE'"):
+    with pytest.raises(rs.InputError, match="a value for the fiber type 'APOGEE', got values for BOSS"):
         field.project(np.array([[1.0, 0, 0]]), "APOGEE")
     with pytest.raises(rs.InputError, match=r"fiber_type must have the shape \(1,\)"):
         field.project(np.array([[1.0, 0, 0]]), np.array(["BOSS", "BOSS"]))
