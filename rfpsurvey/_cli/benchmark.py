@@ -77,10 +77,8 @@ def probability(
     targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
     targets.
     """
-    output, model = (
-        _app.check_chart(plot, report, overwrite=overwrite),
-        _app.model_of(instrument, arm_model, state_time=state_time),
-    )
+    output = _app.check_chart(plot, report, overwrite=overwrite)
+    model = _app.model_of(instrument, arm_model, state_time=state_time)
     _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
     table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
     _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)
