@@ -113,9 +113,10 @@ def finish_comparison(
         plot=(plot, lambda: rs.plot.plot_allocators(table).figure),
         report=(report, table, {"data": output, "plans": plans}),
     ):
+        kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
         print(
-            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}; {table.meta['blind_science']} science "
-            "targets could be assigned if arms did not collide"
+            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}{kept}; {table.meta['blind_science']} "
+            "science targets could be assigned if arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():

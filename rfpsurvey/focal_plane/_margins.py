@@ -61,7 +61,7 @@ class Margins:
     >>> import rfpsurvey as rs
     >>> margins = rs.Margins(outer=0.2 * u.mm, inner=0.1 * u.mm)
     >>> print(margins)
-    0.2 mm from the outer edges of patrol areas, 0.1 mm from the inner edges of patrol areas
+    outer 0.2 mm, inner 0.1 mm
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0]] * u.mm, robot, margins=margins)
     >>> plane.multiplicity([[16.3, 0], [16.4, 0]] * u.mm)
@@ -127,7 +127,14 @@ class Margins:
         return bool(self.record)
 
     def __str__(self):
-        return ", ".join(WORDS[name.removesuffix("_mm")].format(v) for name, v in self.record.items()) or "none"
+        units = dict.fromkeys(LENGTHS, " mm")
+        numbers = {name.removesuffix("_mm"): value for name, value in self.record.items()}
+        return ", ".join(f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items()) or "none"
+
+    @property
+    def description(self) -> str:
+        """The margins that have an effect as text for readers who do not know their names."""
+        return ", ".join(WORDS[name.removesuffix("_mm")].format(value) for name, value in self.record.items()) or "none"
 
 
 def check_margins(plane) -> None:
@@ -146,6 +153,6 @@ def check_margins(plane) -> None:
             raise InputError(
                 f"the margins outer and inner must leave a part of the patrol area of each usable positioner; the area "
                 f"of positioner {plane.id[k]} is from {plane.arrays.inner_radius[k]:.4g} to "
-                f"{plane.arrays.outer_radius[k]:.4g} mm, got the margins {margins}; {len(empty)} positioners have no "
+                f"{plane.arrays.outer_radius[k]:.4g} mm, got {margins}; {len(empty)} positioners have no "
                 "area left; use smaller margins or disable these positioners"
             )

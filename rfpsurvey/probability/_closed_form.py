@@ -60,7 +60,8 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     _check_arms(plane, "close_pair", "elbow_to_tip", "capsule", "fiber_tip")
-    area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
+    inner, outer = plane.arrays.edges
+    area = np.pi * (outer**2 - inner**2)
     # a point in several patrol areas is counted only once: for the last positioner (largest row) that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
@@ -93,7 +94,7 @@ def _overlapping(plane, *, both_ways):
     The first array contains the index at which the rows of each positioner begin. If ``both_ways`` is false, only rows
     that are larger than the positioner's own row are listed, so that each pair of positioners occurs once.
     """
-    pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
+    pairs = np.sort(_pairs_within(plane, plane.arrays.edges[1]), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
     return np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1)), np.append(pairs[:, 1], 0).astype(np.int64)
@@ -101,9 +102,7 @@ def _overlapping(plane, *, both_ways):
 
 def _covered(plane, rows):
     out, geometry = np.empty(len(plane)), plane.arrays.geometry
-    areas.covered_parts(
-        *rows, geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, N_CIRCLES, out
-    )
+    areas.covered_parts(*rows, geometry.cx, geometry.cy, *plane.arrays.edges, N_CIRCLES, out)
     return np.minimum(out, 1.0)
 
 
