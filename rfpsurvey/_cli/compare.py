@@ -103,7 +103,8 @@ def compare(
     ):
         print(table.meta["way"])
         for name, model in ({} if margins is None else table.meta["instruments"]).items():
-            print(f"margins of {name}: {model.get('margins', 'none')}")
+            values = ", ".join(f"{key} {value:g}" for key, value in model.get("margins", {}).items())
+            print(f"margins of {name}: {values or 'none'}")
         for title, part in parts_of(table).items():
             print(f"\n{title}")
             _app.print_table(part)

@@ -15,6 +15,7 @@ N_CIRCLES = 400
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the fraction of each patrol area that at least one other positioner also reaches."""
+    _check_margins(plane, "overlap_ratio", "broken")
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
 
@@ -26,7 +27,8 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
     _check_arms(plane, "closed_form", "elbow_to_tip", "capsule")
-    d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
+    _check_margins(plane, "closed_form", "outer", "inner", "broken")
+    d, l1, l2 = plane.arrays.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
     if variant == "printed":
         outer, inner = l2 - l1 + d, l2 - l1 - d
@@ -60,6 +62,7 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     _check_arms(plane, "close_pair", "elbow_to_tip", "capsule", "fiber_tip")
+    _check_margins(plane, "close_pair", "broken")
     inner, outer = plane.arrays.edges
     area = np.pi * (outer**2 - inner**2)
     # a point in several patrol areas is counted only once: for the last positioner (largest row) that reaches the point
@@ -77,6 +80,16 @@ def _check_arms(plane, method, *models):
         raise InputError(
             f"the arm model must be {' or '.join(models)} for the method {method!r}, got {own!r}; use the method "
             "quadrature, which supports all arm models, or another arm model of the instrument (with_arm_model)"
+        )
+
+
+def _check_margins(plane, method, *names):
+    """Raise an error if a focal plane has a margin that a formula does not contain."""
+    given = [name for name in names if plane.margins.numbers[name]]
+    if given:
+        raise InputError(
+            f"the margins {', '.join(given)} must be 0 for the method {method!r}, got {plane.margins}; use the method "
+            "quadrature, which supports all margins"
         )
 
 
