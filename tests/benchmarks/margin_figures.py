@@ -1,15 +1,17 @@
 """What margins and allocators change in plans, and the margins of real plans (page on margins).
 
-Run ``python tests/benchmarks/margin_figures.py``, which takes about four minutes. The second part needs
+Run ``python tests/benchmarks/margin_figures.py``, which takes about one minute. The second part needs
 ``RFPSURVEY_TEST_DATA``.
 """
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 from tie_figures import scene
 
 import rfpsurvey as rs
@@ -18,7 +20,7 @@ ALLOCATORS = ("lamost", "repair", "optimal")
 SEEDS = range(4)
 MARGINS = {
     "desi": [rs.Margins(outer=0.2 * u.mm), rs.Margins(inner=0.1 * u.mm), rs.Margins(arms=0.05 * u.mm), "published"],
-    "pfs": [rs.Margins(outer=0.1 * u.mm, inner=0.1 * u.mm), "published"],
+    "pfs": [rs.Margins(outer=0.1 * u.mm, inner=0.1 * u.mm)],
     "sdss_apo": [rs.Margins(outer=0.2 * u.mm, inner=0.1 * u.mm)],
 }
 BROKEN = 0.03
@@ -32,52 +34,61 @@ def usable_targets(plane, xy, allocator):
     return int(((plan.target_of_positioner >= 0) & ~report.in_collision).sum())
 
 
-def table():
+def row(change, label, name):
     """Print the assigned targets without collisions, in per cent of the usable positioners, averaged over scenes."""
-    from dataclasses import replace
+    parts = []
+    for density in (1, 2, 5):
+        found = []
+        for seed in SEEDS:
+            plane, xy = scene(name, density, seed)
+            plane = change(plane, np.random.default_rng(seed))
+            counts = np.array([usable_targets(plane, xy, allocator) for allocator in ALLOCATORS])
+            found.append(100 * counts / plane.arrays.usable.sum())
+        parts.append(" ".join(f"{value:6.2f}" for value in np.mean(found, axis=0)))
+    print(f"  {label:<84} " + " | ".join(parts), flush=True)
 
+
+def with_margins(margins, broken=0.0, **columns):
+    """Return a function that changes a focal plane; the fraction ``broken`` of its positioners is disabled."""
+    return lambda plane, rng: replace(plane, margins=margins, disabled=rng.random(len(plane)) < broken, **columns)
+
+
+def table():
+    """Print what margins and allocators change."""
     print("assigned targets without collisions, per cent of the usable positioners: " + ", ".join(ALLOCATORS))
-    cases = [(name, 0.0, margins) for name, several in MARGINS.items() for margins in (None, *several)]
-    near = (rs.Margins(broken=0.3 * u.mm), rs.Margins(broken_factor=1.0))
-    cases += [(name, BROKEN, margins) for name in ("desi", "pfs", "sdss_apo") for margins in (None, *near)]
-    for name, broken, margins in cases:
-        if margins == "published":
-            margins = rs.Instrument.preset(name).published_margins
-        row = []
-        for density in (1, 2, 5):
-            found = []
-            for seed in SEEDS:
-                plane, xy = scene(name, density, seed)
-                disabled = np.random.default_rng(seed).random(len(plane)) < broken
-                plane = replace(plane, margins=margins, disabled=disabled)
-                n = plane.arrays.usable.sum()
-                found.append([100 * usable_targets(plane, xy, allocator) / n for allocator in ALLOCATORS])
-            row.append(" ".join(f"{value:6.2f}" for value in np.mean(found, axis=0)))
-        label = f"{name}, {100 * broken:.0f} % broken" if broken else name
-        print(f"  {label:<20} {margins or 'none':<60} " + " | ".join(row), flush=True)
+    for name, several in MARGINS.items():
+        for margins in (rs.Margins(), *several):
+            used = rs.Instrument.preset(name).published_margins if margins == "published" else margins
+            row(with_margins(used), f"{name}, {used}", name)
+    for name in MARGINS:
+        for margins in (rs.Margins(), rs.Margins(broken=0.3 * u.mm), rs.Margins(broken_factor=1.0)):
+            row(with_margins(margins, BROKEN), f"{name}, {100 * BROKEN:.0f} % broken, {margins}", name)
 
 
-def distances(model, plan, **options):
+def dots(folder):
+    """Print what the factor of the radii of the dots of PFS changes."""
+    hidden = rs.Instrument.read(folder / "pfs" / "black_dots_mm-2024-11-05.csv.gz").focal_plane.hidden
+    for margins in (rs.Margins(), rs.Margins(hidden_factor=1.65)):
+        row(with_margins(margins, hidden=hidden), f"pfs with dots, {margins}", "pfs")
+
+
+def distances(model, path):
     """Print how far the targets of a real plan are from the edges of the patrol areas."""
-    tile = rs.score_tile(rs.plans.read_plan(plan), model, **options)
-    table = tile.table[tile.table["status"] == "assigned"]
-    plane, kind = model.focal_plane, np.asarray(table["fiber_type"]).astype(str)
-    rows = np.flatnonzero(np.isin(plane.id, np.asarray(table["positioner"])))
-    order = np.argsort(np.asarray(table["positioner"]), kind="stable")
-    rows = rows[np.argsort(plane.id[rows], kind="stable")]
-    fiber = plane.arrays.first_index.copy()
-    fiber[rows] = plane.arrays.index_of(kind[order], rows)
-    columns = plane.arrays.using(fiber)
-    r = np.hypot(table["tip_x"] - table["x"], table["tip_y"] - table["y"]).to_value(u.mm)[order]
-    outer, inner = columns.outer_radius[rows] - r, r - columns.inner_radius[rows]
-    share = 2 * np.pi * columns.outer_radius[rows].mean()
-    for name, gaps in (("outer", outer), ("inner", inner)):
-        shares = ", ".join(f"{limit} mm: {int((gaps < limit).sum())}" for limit in (0.05, 0.1, 0.2, 0.4))
-        print(
-            f"    {len(r)} targets, distance from the {name} edge: smallest {np.sort(gaps)[:3].round(3)}; within {shares}"
-        )
-    area = np.pi * (columns.outer_radius[rows] ** 2 - columns.inner_radius[rows] ** 2).mean()
-    print(f"    uniform targets: {len(r) * share * 0.1 / area:.1f} within 0.1 mm of the outer edge")
+    plan = QTable.read(path, format="ascii.ecsv") if path.suffix == ".ecsv" else rs.plans.read_plan(path)
+    table, columns = rs.score_tile(plan, model).table, model.focal_plane.arrays
+    used = np.asarray(table["status"]) == "assigned"
+    types = table["fiber_type"] if "fiber_type" in table.colnames else ""
+    columns = columns.using(columns.index_of(np.where(used, types, "")))
+    r = np.hypot(table["tip_x"] - table["x"], table["tip_y"] - table["y"]).to_value(u.mm)[used]
+    inner, outer = columns.inner_radius[used], columns.outer_radius[used]
+    area = (outer**2 - inner**2).mean()
+    for name, gaps, edge in (("outer", outer - r, outer), ("inner", r - inner, inner)):
+        for limit in (0.05, 0.1, 0.2, 0.5):
+            sign = -1 if name == "outer" else 1
+            expected = len(r) * (np.abs((edge + sign * limit) ** 2 - edge**2) / area).mean()
+            found = int((gaps < limit).sum())
+            print(f"    within {limit} mm of the {name} edge: {found} of {len(r)}, {expected:.1f} if uniform")
+        print(f"    nearest: {np.sort(gaps)[:5].round(3)} mm")
 
 
 def real_plans(folder):
@@ -86,13 +97,17 @@ def real_plans(folder):
     for year, name in ((2021, "confSummary-998.par.gz"), (2024, "confSummary-test.par.gz")):
         print(f"  SDSS-V, {name}")
         distances(rs.Instrument.read(folder / f"sdssv_apo_{year}"), folder / f"sdssv_apo_{year}" / name)
-    print("  PFS design, centers derived from the dots")
-    model = rs.Instrument.read(folder / "pfs" / "black_dots_mm-2024-11-05.csv.gz")
-    distances(model, folder / "pfs" / "pfsDesign-0x2a3e0e7f53f47587.fits.gz")
+    print("  SDSS-V, field planned by robostrategy, nominal instrument")
+    distances(rs.Instrument.preset("sdss_apo"), folder / "sdssv_robostrategy_field_a.ecsv")
+    design = rs.plans.read_plan(folder / "pfs" / "pfsDesign-0x2a3e0e7f53f47587.fits.gz")
+    for model in (rs.Instrument.preset("pfs"), rs.Instrument.read(folder / "pfs" / "black_dots_mm-2024-11-05.csv.gz")):
+        summary = rs.score_tile(design, model).summary
+        print(f"  PFS design, {model.layout}: {summary['n_out_of_reach']} of {summary['n_targets']} out of reach")
 
 
 if __name__ == "__main__":
     if "real" not in sys.argv[1:]:
         table()
     if "RFPSURVEY_TEST_DATA" in os.environ:
+        dots(Path(os.environ["RFPSURVEY_TEST_DATA"]))
         real_plans(Path(os.environ["RFPSURVEY_TEST_DATA"]))
