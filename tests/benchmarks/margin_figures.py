@@ -1,7 +1,7 @@
-"""What margins and allocators change in plans, and the margins of real plans (page on margins).
+"""What margins cost and save in plans, and the margins of real plans (page on margins).
 
-Run ``python tests/benchmarks/margin_figures.py``, which takes about one minute. The second part needs
-``RFPSURVEY_TEST_DATA``.
+Run ``python tests/benchmarks/margin_figures.py``, which takes about two minutes. The last part, which the argument
+``real`` selects, needs ``RFPSURVEY_TEST_DATA``.
 """
 
 import os
@@ -25,6 +25,8 @@ MARGINS = {
 }
 BROKEN = 0.03
 """Fraction of the positioners that are disabled, for the margins around broken positioners."""
+ERROR = 0.05
+"""Standard deviation of errors of each coordinate of a target, mm."""
 
 
 def usable_targets(plane, xy, allocator):
@@ -63,6 +65,45 @@ def table():
     for name in MARGINS:
         for margins in (rs.Margins(), rs.Margins(broken=0.3 * u.mm), rs.Margins(broken_factor=1.0)):
             row(with_margins(margins, BROKEN), f"{name}, {100 * BROKEN:.0f} % broken, {margins}", name)
+
+
+def savings():
+    """Print the collisions and the targets out of reach that margins prevent, if the positions have errors."""
+    print("per cent of the usable positioners, 2 targets per positioner, minimum separation without margins:")
+    print(f"  repair: assigned, in collision, out of reach, lost to both (positions with errors of {ERROR} mm)")
+    print("  lamost: assigned, in collision (positions without errors)")
+    print("  plans assume that broken positioners are parked; for repair, their real joint angles are random")
+    for name, several in MARGINS.items():
+        for margins in (rs.Margins(), *several):
+            used = rs.Instrument.preset(name).published_margins if margins == "published" else margins
+            numbers(name, used, 0.0)
+        for margins in (rs.Margins(), rs.Margins(broken=0.3 * u.mm), rs.Margins(broken_factor=1.0)):
+            numbers(name, margins, BROKEN)
+
+
+def numbers(name, margins, broken):
+    """Print one row of the table of savings."""
+    found = []
+    for seed in SEEDS:
+        plane, xy = scene(name, 2, seed)
+        bare = with_margins(None, broken)(plane, np.random.default_rng(seed))
+        rng, used, row = np.random.default_rng(100 + seed), bare.arrays.usable, []
+        angles = np.where(bare.disabled[:, None], rng.uniform(0, (360, 180), (len(bare), 2)), np.nan)
+        true = {"repair": replace(bare, stuck=angles * u.deg), "lamost": bare}
+        for allocator, error in (("repair", ERROR), ("lamost", 0.0)):
+            plan = rs.allocate(replace(bare, margins=margins), xy, allocator=allocator)
+            filled = plan.target_of_positioner >= 0
+            tips = plan.tips.to_value(u.mm) + error * rng.standard_normal((len(bare), 2))
+            r, columns = np.hypot(*(tips - bare.arrays.xy).T), bare.arrays
+            away = filled & ((r > columns.outer_radius) | (r < columns.inner_radius))
+            tips[~filled | away] = np.nan
+            report = rs.find_collisions(true[allocator], tips * u.mm, handedness=plan.handedness)
+            hit = filled & report.in_collision
+            row += [part.sum() for part in (filled, hit, away, hit | away)]
+        found.append(100 * np.array(row[:6]) / used.sum())
+    values = " ".join(f"{value:6.2f}" for value in np.mean(found, axis=0))
+    label = f"{name}, {100 * broken:.0f} % broken, {margins}" if broken else f"{name}, {margins}"
+    print(f"  {label:<84} {values}", flush=True)
 
 
 def dots(folder):
@@ -108,6 +149,7 @@ def real_plans(folder):
 if __name__ == "__main__":
     if "real" not in sys.argv[1:]:
         table()
+        savings()
     if "RFPSURVEY_TEST_DATA" in os.environ:
         dots(Path(os.environ["RFPSURVEY_TEST_DATA"]))
         real_plans(Path(os.environ["RFPSURVEY_TEST_DATA"]))
