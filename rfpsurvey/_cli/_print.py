@@ -146,7 +146,8 @@ def finish_estimate(
         plot=(plot, draw),
         report=(report, estimate, page),
     ):
-        print(f"{model.name}, arm model {shape}, {estimate.method}, {estimate.estimand} targets")
+        kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
+        print(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}

@@ -100,3 +100,17 @@ def test_tiles_without_positioners_have_no_margins(run, sky):
         code, _, err = run("tile", *options, "--instrument", "desi", "--margins", "outer=0.7")
         assert code == 2
         assert "--margins must be given only if positioners observe the targets of a catalog" in err
+
+
+def test_probabilities_with_margins(run):
+    """The margins change the probability and are stated; a formula without these margins refuses them."""
+    values, shape = [], ("desi", "--arm-model", "elbow_to_tip")
+    for extra in ((), ("--margins", "outer=1.5")):
+        code, out, err = run("probability", *shape, "--method", "close_pair", *extra)
+        assert (code, err) == (0, "")
+        assert ("margins: outer 1.5 mm" in out) == bool(extra)
+        values.append(float(out.split("collision probability")[1].split()[0]))
+    assert values[0] != values[1]
+    code, _, err = run("probability", *shape, "--method", "closed_form", *extra)
+    assert code == 2
+    assert "the margins outer must be 0 for the method 'closed_form'" in err
