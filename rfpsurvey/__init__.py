@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
-    from rfpsurvey.focal_plane import FocalPlane
+    from rfpsurvey.focal_plane import FocalPlane, Margins
     from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
     from rfpsurvey.observing import ObservingConditions
     from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
@@ -78,6 +78,7 @@ __all__ = [
     "InputUnitsError",
     "Instrument",
     "JointOptions",
+    "Margins",
     "ObservingConditions",
     "PartitionedCatalog",
     "Positioner",
@@ -122,7 +123,7 @@ _IMPORTED_ON_USE = {
     "compare": ("compare_allocators", "compare_instruments"),
     "design": (),
     "errors": ("InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"),
-    "focal_plane": ("FocalPlane",),
+    "focal_plane": ("FocalPlane", "Margins"),
     "instrument": ("Instrument", "ProjectionComparison", "available_instruments", "compare_projections"),
     "observing": ("ObservingConditions",),
     "plans": (),

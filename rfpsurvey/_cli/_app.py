@@ -9,6 +9,7 @@ import astropy.units as u
 from astropy.time import Time
 
 import rfpsurvey as rs
+from rfpsurvey._cli._margins import with_margins
 from rfpsurvey._cli._print import (
     PICTURES,
     files,
@@ -85,8 +86,9 @@ def model_of(
     broken: Path | None = None,
     state_time: str | None = None,
     known_time: Callable[[], Time | None] | None = None,
+    margins: str | None = None,
 ) -> "rs.Instrument":
-    """Return an instrument with the arm model of --arm-model and the states of --broken; print a summary of the states.
+    """Return an instrument with the options --arm-model, --broken and --margins; print a summary of the states.
 
     Without --state-time, the states in a TOML file and in the table of --broken are evaluated at the time that
     ``known_time`` returns.
@@ -99,7 +101,7 @@ def model_of(
     model = model if broken is None else model.with_states(broken, time=time)
     if states := describe_states(model):
         print(states)
-    return model if arm_model is None else model.with_arm_model(arm_model)
+    return with_margins(model if arm_model is None else model.with_arm_model(arm_model), margins)
 
 
 def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"]) -> "rs.Instrument":

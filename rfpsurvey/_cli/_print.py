@@ -113,9 +113,10 @@ def finish_comparison(
         plot=(plot, lambda: rs.plot.plot_allocators(table).figure),
         report=(report, table, {"data": output, "plans": plans}),
     ):
+        kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
         print(
-            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}; {table.meta['blind_science']} science "
-            "targets could be assigned if arms did not collide"
+            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}{kept}; {table.meta['blind_science']} "
+            "science targets could be assigned if arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():
@@ -145,7 +146,8 @@ def finish_estimate(
         plot=(plot, draw),
         report=(report, estimate, page),
     ):
-        print(f"{model.name}, arm model {shape}, {estimate.method}, {estimate.estimand} targets")
+        kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
+        print(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}

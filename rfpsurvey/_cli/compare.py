@@ -11,7 +11,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments
@@ -25,6 +25,7 @@ def compare(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     catalog: Annotated[
         Path | None,
         typer.Option(
@@ -72,8 +73,8 @@ def compare(
             "several instruments, write TOML files with the entry layout.states"
         )
     models = [
-        _app.model_of(name, arm_model, broken, state_time, lambda: _states.time_of(None, epoch))
-        for name in instruments or (rs.available_instruments() if arm_model else ())
+        _app.model_of(name, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
+        for name in instruments or (rs.available_instruments() if arm_model or margins else ())
     ]
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
@@ -101,6 +102,9 @@ def compare(
         report=(report, table, {"data": output}),
     ):
         print(table.meta["way"])
+        for name, model in ({} if margins is None else table.meta["instruments"]).items():
+            values = ", ".join(f"{key} {value:g}" for key, value in model.get("margins", {}).items())
+            print(f"margins of {name}: {values or 'none'}")
         for title, part in parts_of(table).items():
             print(f"\n{title}")
             _app.print_table(part)

@@ -7,7 +7,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey.tile import north_of_date
 
 
@@ -18,6 +18,7 @@ def compare_allocators(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
@@ -46,7 +47,7 @@ def compare_allocators(
 ) -> None:
     """Compare allocators on the same field."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch))
+    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
     options = _app.allocation_options(
         "lamost",

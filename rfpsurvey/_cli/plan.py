@@ -5,7 +5,7 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _conditions, _examples, _main, _margins, _options, _states
 from rfpsurvey.allocation import end_on_interrupt
 from rfpsurvey.tile import north_of_date
 
@@ -17,6 +17,7 @@ def plan(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     center: _options.CenterOption = None,
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
@@ -54,7 +55,7 @@ def plan(
     _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
     _app.check_targets(targets, plot)
     seen = _conditions.conditions_of(conditions, site, time, hour_angle, wavelength, exposure_time)
-    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(seen, epoch))
+    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(seen, epoch), margins)
     sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
     if field is None and equinox is not None:
         field = sky.mean_direction

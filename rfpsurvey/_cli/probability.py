@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey.probability import Precision, RandomTargets
 
 
@@ -17,6 +17,7 @@ def probability(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.OwnStateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     method: _options.MethodOption = "auto",
     estimand: Annotated[
         str | None,
@@ -70,7 +71,7 @@ def probability(
 ) -> None:
     """Estimate the probability that arms collide, with a confidence interval."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model, broken, state_time)
+    model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
     options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}
     options["precision"] = Precision(precision, max_iterations)
     options["targets"] = _targets(targets, n_targets, target_radius, min_separation)

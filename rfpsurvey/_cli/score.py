@@ -8,7 +8,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey.tile import north_of_date
 
 
@@ -30,6 +30,7 @@ def score(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     center: Annotated[
         str | None,
         typer.Option(
@@ -72,6 +73,7 @@ def score(
     read = partial(
         _app.model_of,
         arm_model=arm_model,
+        margins=margins,
         broken=broken,
         state_time=state_time,
         known_time=lambda: _time_of(table, epoch),

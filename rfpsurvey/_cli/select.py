@@ -4,7 +4,7 @@ import sys
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _main, _options, _selections, _states, _surveys
+from rfpsurvey._cli import _app, _main, _margins, _options, _selections, _states, _surveys
 from rfpsurvey._io import check_output
 
 
@@ -16,6 +16,7 @@ def select(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     realizations: _selections.RealizationsOption = 128,
     allocator: _selections.SelectAllocatorOption = "nearest",
     visits: _options.VisitsOption = None,
@@ -45,7 +46,9 @@ def select(
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch))
+    model = _app.model_of(
+        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch), margins
+    )
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
     if visits is not None:
         targets = _selections.with_visits(targets, visits)

@@ -1,6 +1,6 @@
 """The command ``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _options, _states, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins, _options, _states, _surveys
 
 
 @_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
@@ -11,6 +11,7 @@ def survey(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     allocator: _options.AllocatorOption = "lamost",
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
@@ -53,7 +54,9 @@ def survey(
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     seen = conditions, site, time, hour_angle, wavelength, exposure_time
-    model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch, *seen))
+    model = _app.model_of(
+        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch, *seen), margins
+    )
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
         "allocator": _app.allocation_options(

@@ -5,7 +5,7 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 
 
 @_main.app.command(epilog=_examples.TILE_EXAMPLES)
@@ -17,6 +17,7 @@ def tile(
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
     state_time: _states.OwnStateTimeOption = None,
+    margins: _margins.MarginsOption = None,
     method: _options.TilingMethodOption = "hexagonal",
     passes: _options.PassesOption = 1,
     completeness: _options.CompletenessOption = None,
@@ -45,12 +46,13 @@ def tile(
 ) -> None:
     """Place the tiles of a survey."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model, broken, state_time)
+    model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
     inside = None if region is None else rs.Region.parse(region)
     field = inside
     if catalog is not None or region is None:
         field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill)
         field = field if inside is None else _targets_inside(field, inside)
+    _margins.check_use(margins, by_positioners=field is not inside and (allocator or not (fibers or radius)))
     tiling = rs.place_tiles(
         field,
         model,

@@ -306,8 +306,11 @@ def _make_start(
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
         columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
         r = np.hypot(*(start.tips.to_value(u.mm)[own] - columns.xy[own]).T)
-        slack = columns.reach_slack
-        same = not ((r > columns.outer_radius[own] + slack) | (r < columns.inner_radius[own] - slack)).any()
+        slack, (inner, outer) = columns.reach_slack, columns.edges
+        same = not ((r > outer[own] + slack) | (r < inner[own] - slack)).any()
+        side = np.where(start.handedness[own] == "left", -1.0, 1.0)
+        tips = start.tips.to_value(u.mm)[own]
+        same = same and (columns.poses_free or columns.poses_allowed(own, tips, side).all())
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)

@@ -144,7 +144,7 @@ def list_candidates(problem, reach, both):
     fiber = problem.fiber_of(own, target)
     side = plane.arrays.sides(problem.xy[target], own, fiber)
     if both and plane.positioner.handedness == "both":
-        allowed = {s: plane.arrays.joints_allow(own, problem.xy[target], s, fiber) for s in (1.0, -1.0)}
+        allowed = {s: plane.arrays.poses_allowed(own, problem.xy[target], s, fiber) for s in (1.0, -1.0)}
         columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
         own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)

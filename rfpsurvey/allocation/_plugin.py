@@ -127,7 +127,7 @@ def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -
     for one in (1.0, -1.0):
         rows = np.flatnonzero(allowed & (side[own] == one))
         points = problem.xy[target_of[own[rows]]]
-        allowed[rows] = plane.arrays.joints_allow(own[rows], points, one, fiber[own[rows]])
+        allowed[rows] = plane.arrays.poses_allowed(own[rows], points, one, fiber[own[rows]])
     if not allowed.all():
         first = own[~allowed][0]
         raise InputError(f"positioner {first} (row) cannot have the elbow {str(names[first])!r} at its target")

@@ -157,6 +157,6 @@ def _without_obstacles(problem, reach, crowded):
             hit = np.zeros(len(part), dtype=bool)
             segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
             hit[touching(plane, segments, test, own)[0][:, 0]] = True
-            free |= ~hit & (plane.arrays.joints_allow(own, points, side, fiber) if both else True)
+            free |= ~hit & (plane.arrays.poses_allowed(own, points, side, fiber) if both else True)
         touched[part] = ~free
     return reach.where(~touched)

@@ -46,8 +46,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
             own,
             cx,
             cy,
-            columns.inner_radius,
-            columns.outer_radius,
+            *columns.edges,
             fraction,
             N_KEPT,
             separation,
@@ -58,9 +57,10 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         )
         own, px, py = (column[:n] for column in out)
         spots = np.column_stack([px, py])
-        if not columns.joints_free:
-            keep = columns.joints_allow(own, spots, columns.sides(spots, own))
-            own, spots = own[keep], spots[keep]
+        keep = ~columns.is_hidden(spots)
+        if not columns.poses_free:
+            keep &= columns.poses_allowed(own, spots, columns.sides(spots, own))
+        own, spots = own[keep], spots[keep]
         # A stuck fiber that is also broken observes nothing. The position is known only for the first fiber type.
         seeing = plane.arrays.is_stuck & ~plane.disabled
         fixed = np.flatnonzero(seeing & ((name == "") | (plane.arrays.first_type == name)))

@@ -48,7 +48,7 @@ def provenance(instrument, plane):
         "instrument": name,
         "n_positioners": len(plane),
         "n_neighbor_pairs": len(plane.arrays.neighbors),
-        "min_separation_mm": plane.positioner.numbers.separation,
+        "min_separation_mm": plane.arrays.separation,
         "versions": {name: version(name) for name in ("rfpsurvey", "numba", "numpy")},
         "machine": f"{processor()}, {os.cpu_count()} cores",
     }

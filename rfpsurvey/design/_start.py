@@ -39,6 +39,11 @@ def start_of(model: Instrument) -> Start:
         raise InputError(
             f"{model.name} must have at least two positioners, because a design needs a pitch, got one positioner"
         )
+    if model.focal_plane.margins:
+        raise InputError(
+            f"{model.name} must have no margins, because the designs of a scan have none, got "
+            f"{model.focal_plane.margins}; use the instrument without with_margins"
+        )
     own = model.focal_plane.positioner.arm_model
     if "elbow_to_tip" in model.arm_models:
         model = model.with_arm_model("elbow_to_tip")

@@ -7,10 +7,10 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
-from rfpsurvey.focal_plane._circles import Circles
+from rfpsurvey.focal_plane._allowed import AllowedPoses
 from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
-from rfpsurvey.focal_plane._kinematics import MODELS, joints_allow
+from rfpsurvey.focal_plane._kinematics import MODELS
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
@@ -18,13 +18,23 @@ from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make
 
 __all__ = ["FocalPlaneArrays"]
 
-IN_USE = ("eccentric_arm", "equal_arms", "inner_radius", "outer_radius", "annuli", "geometry", "bounds", "angles")
+IN_USE = (
+    "eccentric_arm",
+    "equal_arms",
+    "inner_radius",
+    "outer_radius",
+    "edges",
+    "annuli",
+    "geometry",
+    "bounds",
+    "angles",
+)
 """Names of the arrays that depend on the fiber type that each positioner uses."""
 SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
 
 
-class FocalPlaneArrays:
+class FocalPlaneArrays(AllowedPoses):
     """The columns of a focal plane as read-only arrays without units, in mm and radians.
 
     Each array is computed on first use and is then stored. Row i belongs to positioner i.
@@ -41,7 +51,9 @@ class FocalPlaneArrays:
     central_arm, eccentric_arm : ndarray of float, shape (n,)
         Arm lengths, mm. The eccentric arm is measured from the elbow to the fiber that the positioner uses.
     inner_radius, outer_radius : ndarray of float, shape (n,)
-        Radii of the patrol area of the fiber that each positioner uses, mm.
+        Radii of the patrol area of the fiber that each positioner uses, without margins, mm.
+    edges : tuple of two ndarray of float, shape (n,)
+        Radii between which targets of each positioner may lie: the patrol area, reduced by the margins, mm.
     largest_radius : ndarray of float, shape (n,)
         Largest outer radius of the patrol areas of all fibers of each positioner, mm.
     equal_arms : ndarray of bool, shape (n,)
@@ -74,8 +86,8 @@ class FocalPlaneArrays:
     n_sharing : ndarray of int, shape (n,)
         For each positioner, an upper limit of the number of other positioners whose patrol areas overlap its own.
     separation, clearance, length : float
-        Minimum separation of two arms, clearance of an arm, and length of the segment that can collide, mm. The length
-        is 0 for the arm models ``elbow_to_tip`` and ``fiber_tip``, which have no fixed length.
+        Minimum separation of two arms and clearance of an arm, including the margin ``arms``, and length of the segment
+        that can collide, mm. The length is 0 for the arm models ``elbow_to_tip`` and ``fiber_tip``.
 
     Examples
     --------
@@ -88,7 +100,8 @@ class FocalPlaneArrays:
     def __init__(self, plane):
         self.plane = plane
         numbers = plane.positioner.numbers
-        self.separation, self.clearance = numbers.separation, numbers.clearance
+        margin = plane.margins.numbers["arms"]
+        self.separation, self.clearance = numbers.separation + 2 * margin, numbers.clearance + margin
         self.model = MODELS[plane.positioner.arm_model]
         self.length = 0.0 if numbers.arm_length is None else numbers.arm_length
 
@@ -125,7 +138,7 @@ class FocalPlaneArrays:
     @cached_property
     def annuli(self) -> np.ndarray:
         """Patrol areas of all positioners, in the form that the kernel ``reachable_pairs`` requires."""
-        return locked(reach.annuli(self.geometry.cx, self.geometry.cy, self.inner_radius, self.outer_radius))
+        return locked(reach.annuli(self.geometry.cx, self.geometry.cy, *self.edges))
 
     @cached_property
     def fibers(self) -> Fibers | None:
@@ -176,14 +189,6 @@ class FocalPlaneArrays:
     def hidden(self) -> np.ndarray:
         plane = self.plane
         return locked(np.empty((0, 3)) if plane.hidden is None else to_mm(plane.hidden, "hidden"))
-
-    def is_hidden(self, points: np.ndarray) -> np.ndarray:
-        """Return whether each point (mm) is in one of the circles ``hidden``, where fibers receive no light."""
-        return self._circles.contain(points)
-
-    @cached_property
-    def _circles(self) -> Circles:
-        return Circles(self.hidden)
 
     @cached_property
     def first_type(self) -> np.ndarray:
@@ -255,7 +260,7 @@ class FocalPlaneArrays:
 
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the pairs of positioners and targets in reach; ``points`` are the positions of the targets in mm."""
-        if len(self.hidden):
+        if self.any_hidden:
             points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
 
@@ -346,22 +351,6 @@ class FocalPlaneArrays:
         own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
         lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length
         return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
-
-    def joints_free_for(self, side: float) -> bool:
-        """Return whether joint limits let all positioners reach their whole patrol areas with handedness ``side``."""
-        numbers = self.plane.positioner.numbers
-        return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
-
-    @cached_property
-    def joints_free(self) -> bool:
-        """Whether joint limits let all positioners reach their whole patrol areas with the default handedness."""
-        return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
-
-    def joints_allow(
-        self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Return whether joint limits let each positioner in ``own`` reach its point (mm) with handedness ``side``."""
-        return joints_allow(self, own, points, side, fiber)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
         """Convert angles from the convention of the kernels (see ``Joints``) to joint angles."""

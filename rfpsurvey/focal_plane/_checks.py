@@ -7,6 +7,7 @@ import numpy as np
 
 from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, listed, short
+from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
 
@@ -89,6 +90,7 @@ def check_columns(plane) -> None:
         for k, one in enumerate(to_polygons(polygons)):
             if len(one) < 3:
                 raise InputError(f"obstacle_polygons[{k}] must have at least three vertices, got {short(polygons[k])}")
+    check_margins(plane)
 
 
 def _check_fibers(plane, n):

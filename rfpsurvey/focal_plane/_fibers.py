@@ -1,11 +1,13 @@
 """Positions of fibers relative to the elbow, and zero points and limits of joints, with values for each positioner."""
 
+from fractions import Fraction
+
 import numpy as np
 
 from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey._units import to_points_mm, to_radian
 
-__all__ = ["Fibers", "Joints", "patrol_radii"]
+__all__ = ["Fibers", "Joints", "edges_exactly", "patrol_radii"]
 
 
 class Fibers:
@@ -166,6 +168,21 @@ def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, 
         usual = np.asarray(side) == (-1.0 if columns.plane.positioner.handedness == "left" else 1.0)
         low, high = np.where(usual, low, 0.0), np.where(usual, high, np.inf)
     return np.maximum(inner, low), np.minimum(outer, high)
+
+
+def edges_exactly(columns, i: int) -> tuple[Fraction, Fraction]:
+    """Return the two radii between which targets of positioner i may lie, in mm.
+
+    A radius that is reduced by a margin is rounded to double precision; the other radii are not rounded.
+    """
+    l1, l2 = Fraction(columns.central_arm[i]), Fraction(columns.eccentric_arm[i])
+    inner, outer = Fraction(0) if columns.equal_arms[i] else abs(l1 - l2), l1 + l2
+    if columns.joints is not None:
+        inner = max(inner, Fraction(columns.inner_radius[i]))
+        outer = min(outer, Fraction(columns.outer_radius[i]))
+    margins = columns.plane.margins.numbers
+    inner = Fraction(float(inner + Fraction(margins["inner"]))) if margins["inner"] else inner
+    return inner, Fraction(float(outer - Fraction(margins["outer"]))) if margins["outer"] else outer
 
 
 def _within(angle, low, high):

@@ -15,6 +15,7 @@ from rfpsurvey.focal_plane._arrays import FocalPlaneArrays
 from rfpsurvey.focal_plane._checks import check_columns
 from rfpsurvey.focal_plane._coverage import find_coverage, footprint_of
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
+from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.focal_plane._neighbors import nearest_within
 from rfpsurvey.positioner import Positioner
 
@@ -64,6 +65,8 @@ class FocalPlane:
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
         Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
         polygon that is not convex into convex polygons.
+    margins : Margins, optional
+        Distances that plans keep from the edges of patrol areas and from broken positioners; by default, none.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class FocalPlane:
     phi_range: u.Quantity | None = None
     hidden: u.Quantity | None = None
     obstacle_polygons: tuple[u.Quantity, ...] | None = None
+    margins: Margins | None = None
 
     def __post_init__(self):
         check_columns(self)
@@ -243,9 +247,7 @@ class FocalPlane:
         return _kinematics.inverse(self, xy, fiber_type, handedness)
 
     def multiplicity(self, xy: u.Quantity) -> np.ndarray:
-        """Return the number of positioners that reach each point.
-
-        Positioners that are disabled or stuck do not reach any point.
+        """Return the number of positioners that reach each point; broken positioners do not reach any point.
 
         Parameters
         ----------
@@ -351,15 +353,8 @@ class FocalPlane:
             If both ``rings`` and ``count`` are given, if none of ``rings``, ``count`` and ``radius`` is given, or if a
             value is out of range.
         """
-        xy, _ = hexagonal_cells(
-            pitch,
-            rings=rings,
-            count=count,
-            radius=radius,
-            inner_radius=inner_radius,
-            vacant=vacant,
-            rows_along=rows_along,
-        )
+        size = {"rings": rings, "count": count, "radius": radius, "inner_radius": inner_radius}
+        xy, _ = hexagonal_cells(pitch, **size, vacant=vacant, rows_along=rows_along)
         return cls(xy * u.mm, positioner, **columns)
 
     @classmethod

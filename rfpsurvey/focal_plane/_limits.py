@@ -10,20 +10,24 @@ from rfpsurvey.positioner import make_outline
 __all__ = ["find_limits", "find_obstacle_slack"]
 
 
-def find_limits(columns) -> collisions.Limits:
-    """Return the minimum separation and the limits of rounding errors that the collision kernels require."""
+def find_limits(columns, extra: float = 0.0) -> collisions.Limits:
+    """Return the minimum separation and the limits of rounding errors that the collision kernels require.
+
+    ``extra`` (mm) is added to the minimum separation.
+    """
+    separation = columns.separation + extra
     extent = np.hypot(*columns.xy.T) + columns.arm_reach
     size = float(extent.max()) + columns.reach_slack + arms.EQUAL_ARMS
     shape, polygons = columns.plane.positioner.outline, find_polygons(columns)
     if shape is None:
-        return collisions.limits(columns.separation, columns.longest, size, polygons=polygons)
+        return collisions.limits(separation, columns.longest, size, polygons=polygons)
     outline = make_outline(shape, columns.xy, columns.central_arm)
     # ``largest`` is an upper limit of the distance between a point of one arm and a point of another arm, if the two
     # arms are at the minimum separation
     arms_apart = columns.longest + outline.offset + float(columns.central_arm.max())
-    largest = columns.separation + outline.offset + 2 * arms_apart
+    largest = separation + outline.offset + 2 * arms_apart
     error = 1.2 * OUTLINE_ERROR * (largest + outline.offset)
-    return collisions.limits(columns.separation + outline.offset, columns.longest, size, outline, error, polygons)
+    return collisions.limits(separation + outline.offset, columns.longest, size, outline, error, polygons)
 
 
 def find_obstacle_slack(columns) -> float:

@@ -10,6 +10,7 @@ import scipy  # its subpackages are imported on first use
 from rfpsurvey._kernels import reach
 from rfpsurvey._units import locked, to_plain
 from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane._fibers import edges_exactly
 
 __all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "make_grid", "sides"]
 
@@ -188,10 +189,15 @@ def _find_pairs(columns, points, accepts) -> Reach:
         target = np.searchsorted(indptr, edge, side="right") - 1
         keep[edge] = [_in_annulus_exactly(columns, owner[k], points[t]) for k, t in zip(edge, target, strict=True)]
         pairs = pairs.where(keep)
-    if not columns.joints_free:
-        allowed = np.zeros(len(pairs.owner), dtype=bool)
+    if not columns.poses_free:
+        allowed, fiber = np.zeros(len(pairs.owner), dtype=bool), None
+        if columns.fibers is None and len(
+            plane.arrays.broken_pairs
+        ):  # the arm model can depend on the fiber type, even if the patrol area does not
+            kind = accepts[pairs.target]
+            fiber = np.where(kind < 0, columns.first_index[pairs.owner], np.log2(np.maximum(kind, 1)).astype(int))
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
-            allowed |= columns.joints_allow(pairs.owner, points[pairs.target], side)
+            allowed |= columns.poses_allowed(pairs.owner, points[pairs.target], side, fiber)
         pairs = pairs.where(allowed)
     return pairs
 
@@ -199,15 +205,15 @@ def _find_pairs(columns, points, accepts) -> Reach:
 def sides(columns, points, own=None, fiber=None) -> np.ndarray:
     """Return the handedness with which each positioner (or each row in ``own``) reaches its point: +1 right, -1 left.
 
-    If arms can bend to both sides, the result is right, unless the joint limits allow only left.
+    If arms can bend to both sides, the result is right, unless joint limits and margins allow only left.
     """
     handedness = columns.plane.positioner.handedness
     side = np.full(len(points), -1.0 if handedness == "left" else 1.0)
-    if handedness == "both" and not columns.joints_free:
+    if handedness == "both" and not columns.poses_free:
         rows = np.flatnonzero(np.isfinite(points).all(axis=1))
         own = np.arange(len(columns.plane)) if own is None else own
         fiber = None if fiber is None else fiber[rows]
-        right, left = (columns.joints_allow(own[rows], points[rows], s, fiber) for s in (1.0, -1.0))
+        right, left = (columns.poses_allowed(own[rows], points[rows], s, fiber) for s in (1.0, -1.0))
         side[rows[~right & left]] = -1.0
     return side
 
@@ -218,11 +224,7 @@ def elbow_names(side: np.ndarray) -> np.ndarray:
 
 
 def _in_annulus_exactly(columns, i, point):
-    """Return whether a point is in a patrol area; the test uses rational arithmetic."""
+    """Return whether a point may be a target of positioner i, if joint limits allow; the test is exact."""
     r2 = sum((Fraction(a) - Fraction(b)) ** 2 for a, b in zip(point, columns.xy[i], strict=True))
-    l1, l2 = Fraction(columns.central_arm[i]), Fraction(columns.eccentric_arm[i])
-    inner, outer = 0 if columns.equal_arms[i] else abs(l1 - l2), l1 + l2
-    if columns.joints is not None:
-        inner = max(inner, Fraction(columns.inner_radius[i]))
-        outer = min(outer, Fraction(columns.outer_radius[i]))
+    inner, outer = edges_exactly(columns, i)
     return inner**2 <= r2 <= outer**2

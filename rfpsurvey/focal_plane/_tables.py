@@ -8,6 +8,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, close_to, listed, warn
+from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.positioner import ArmOutline, Positioner
 
 __all__ = ["read_columns", "to_table"]
@@ -26,6 +27,8 @@ CIRCLES = {"obstacles": "obstacle_radius", "hidden": "hidden_radius"}
 """Names of the columns with the radii of circles; each circle has its own row."""
 POLYGONS = "obstacle_polygons_mm"
 """Key under which the ``meta`` of a table contains the vertices of polygonal obstacles."""
+MARGINS = "margins"
+"""Key under which the ``meta`` of a table contains the margins, as numbers by name, lengths in mm."""
 
 
 def read_columns(table: Table, positioner: Positioner | None) -> dict:
@@ -64,6 +67,8 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     if POLYGONS in table.meta:
         columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
     _warn_of_ignored(names)
+    if MARGINS in table.meta:
+        columns["margins"] = Margins.from_numbers(table.meta[MARGINS])
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
@@ -117,6 +122,8 @@ def to_table(plane) -> QTable:
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     if plane.obstacle_polygons:
         table.meta[POLYGONS] = [one.tolist() for one in plane.arrays.obstacle_polygons]
+    if plane.margins:
+        table.meta[MARGINS] = plane.margins.numbers
     return table
 
 

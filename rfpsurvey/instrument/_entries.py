@@ -138,6 +138,12 @@ ENTRIES = {
         ),
         u.mm,
     ),
+    "margins.outer": CLOSED_LENGTH,
+    "margins.inner": CLOSED_LENGTH,
+    "margins.arms": CLOSED_LENGTH,
+    "margins.broken": CLOSED_LENGTH,
+    "margins.broken_factor": _number("a number of at least 0", 0),
+    "margins.hidden_factor": _number("a number of at least 1", 1),
     "layout.table": TEXT,
     "layout.states": STATES,
     "layout.rings": _whole(0, 500),
@@ -171,7 +177,7 @@ OBSERVING = _whole(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
 """Keys of entries for which a description may set a default value at the top of the file."""
-SECTIONS = ("positioner", "layout", "optics", "observing")
+SECTIONS = ("positioner", "margins", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {

@@ -81,7 +81,7 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
     return {
         "pitch": _pitch(arrays.xy) * u.mm,
         **{name: float(np.median(values)) * u.mm for name, values in columns.items()},
-        "min_separation": instrument.focal_plane.positioner.min_separation,
+        "min_separation": arrays.separation * u.mm,
     }
 
 

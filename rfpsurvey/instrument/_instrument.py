@@ -33,6 +33,7 @@ from rfpsurvey.instrument._arm_models import UNUSED, ArmModels
 from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
+from rfpsurvey.instrument._margins import PREFIX, WithMargins
 from rfpsurvey.instrument._projections import Projections
 from rfpsurvey.instrument._states import LISTED, States, apply_entry
 from rfpsurvey.projection import RadialMap
@@ -45,7 +46,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(ArmModels, AsBuilt, Projections, States):
+class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -277,17 +278,23 @@ class Instrument(ArmModels, AsBuilt, Projections, States):
     @property
     def provenance(self) -> dict:
         """Information about the instrument that is stored in the records of results."""
-        values = {name: v for name, v in self.values.items() if name not in UNUSED}
-        plain = {name: v["value"] for name, v in values.items() if not isinstance(v["value"], list)}
+        plain = {name: v["value"] for name, v in self._used.items() if not isinstance(v["value"], list)}
         own = {"name": self.name, "arm_model": self.focal_plane.positioner.arm_model, "layout": self.layout}
+        margins = self.focal_plane.margins
+        own |= {"margins": margins.record} if margins else {}
         return {**own, "values": plain, "digest": self._digest}
+
+    @property
+    def _used(self) -> dict:
+        """The values on which results depend, apart from the margins of the focal plane."""
+        return {name: v for name, v in self.values.items() if name not in UNUSED and not name.startswith(PREFIX)}
 
     @cached_property
     def _digest(self) -> str:
-        values = {name: v for name, v in self.values.items() if name not in UNUSED}
         plane = self.focal_plane
-        parts = (values, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
+        parts = (self._used, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
+        parts += (plane.margins.record,) if plane.margins else ()
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays
         columns = [arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles]

@@ -105,7 +105,7 @@ def _of_plane(thing):
         posed.elbow,
         posed.tip,
         posed.segments,
-        plane.positioner.numbers.separation / 2,
+        plane.arrays.separation / 2,
         None if plane.positioner.outline is None else plane.positioner.outline.to_dict(),
         status,
         np.zeros(n, bool),

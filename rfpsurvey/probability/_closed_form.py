@@ -15,6 +15,7 @@ N_CIRCLES = 400
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the fraction of each patrol area that at least one other positioner also reaches."""
+    _check_margins(plane, "overlap_ratio", "broken")
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
 
@@ -26,7 +27,8 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
     _check_arms(plane, "closed_form", "elbow_to_tip", "capsule")
-    d, l1, l2 = plane.positioner.numbers.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
+    _check_margins(plane, "closed_form", "outer", "inner", "broken")
+    d, l1, l2 = plane.arrays.clearance, plane.arrays.central_arm, plane.arrays.eccentric_arm
     outer, inner = l1 + l2 + d, np.maximum(0.0, np.abs(l2 - l1) - d)
     if variant == "printed":
         outer, inner = l2 - l1 + d, l2 - l1 - d
@@ -60,7 +62,9 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     positioners reach. The number of targets near a given target therefore has a binomial distribution.
     """
     _check_arms(plane, "close_pair", "elbow_to_tip", "capsule", "fiber_tip")
-    area = np.pi * (plane.arrays.outer_radius**2 - plane.arrays.inner_radius**2)
+    _check_margins(plane, "close_pair", "broken")
+    inner, outer = plane.arrays.edges
+    area = np.pi * (outer**2 - inner**2)
     # a point in several patrol areas is counted only once: for the last positioner (largest row) that reaches the point
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
@@ -79,6 +83,16 @@ def _check_arms(plane, method, *models):
         )
 
 
+def _check_margins(plane, method, *names):
+    """Raise an error if a focal plane has a margin that a formula does not contain."""
+    given = [name for name in names if plane.margins.numbers[name]]
+    if given:
+        raise InputError(
+            f"the margins {', '.join(given)} must be 0 for the method {method!r}, got {plane.margins}; use the method "
+            "quadrature, which supports all margins"
+        )
+
+
 def _pairs_within(plane, radius):
     """Return the pairs of usable positioners for which circles with the given radii around the centers overlap."""
     pairs = cKDTree(plane.arrays.xy).query_pairs(2 * radius.max(), output_type="ndarray")
@@ -93,7 +107,7 @@ def _overlapping(plane, *, both_ways):
     The first array contains the index at which the rows of each positioner begin. If ``both_ways`` is false, only rows
     that are larger than the positioner's own row are listed, so that each pair of positioners occurs once.
     """
-    pairs = np.sort(_pairs_within(plane, plane.arrays.outer_radius), axis=1)
+    pairs = np.sort(_pairs_within(plane, plane.arrays.edges[1]), axis=1)
     pairs = np.concatenate([pairs, pairs[:, ::-1]]) if both_ways else pairs
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
     return np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1)), np.append(pairs[:, 1], 0).astype(np.int64)
@@ -101,9 +115,7 @@ def _overlapping(plane, *, both_ways):
 
 def _covered(plane, rows):
     out, geometry = np.empty(len(plane)), plane.arrays.geometry
-    areas.covered_parts(
-        *rows, geometry.cx, geometry.cy, plane.arrays.inner_radius, plane.arrays.outer_radius, N_CIRCLES, out
-    )
+    areas.covered_parts(*rows, geometry.cx, geometry.cy, *plane.arrays.edges, N_CIRCLES, out)
     return np.minimum(out, 1.0)
 
 

@@ -170,7 +170,8 @@ def collision_probability(
     """
     start = perf_counter()
     plane = as_focal_plane(focal_plane)
-    plane = plane if plane.hidden is None else replace(plane, hidden=None)  # hidden areas do not affect collisions
+    if plane.arrays.any_hidden:  # circles without targets do not affect collisions
+        plane = replace(plane, hidden=None, margins=replace(plane.margins, broken_factor=0.0, hidden_factor=1.0))
     instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:

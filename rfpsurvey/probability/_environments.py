@@ -48,7 +48,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
         i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
         what = np.append(what, 2 * n + k)  # each of the few obstacles is a separate kind
-    rotations = range(6) if plane.arrays.joints_free else range(1)
+    rotations = range(6) if plane.arrays.poses_free else range(1)
     still = (what >= n) & (what < 2 * n)
     keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])
     _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)

@@ -62,6 +62,10 @@ class Quadrature:
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
         radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
+        if len(plane.arrays.broken_pairs):  # include broken positioners near the neighbors
+            radius += (
+                2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.margins.numbers["broken"]
+            )
         if self.density != "uniform":  # include positioners whose patrol areas overlap the neighbors' areas
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)
@@ -112,7 +116,7 @@ class Quadrature:
 
     def _tips(self, rows, points):
         """Return points (mm) in the patrol areas, computed from points in the unit square by an equal-area map."""
-        inner, outer = self.plane.arrays.inner_radius[rows], self.plane.arrays.outer_radius[rows]
+        inner, outer = (radius[rows] for radius in self.plane.arrays.edges)
         r = np.sqrt(inner**2 + points[:, 0] * (outer**2 - inner**2))
         alpha = 2 * np.pi * points[:, 1]
         return self.plane.arrays.xy[rows] + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])
@@ -133,7 +137,7 @@ class Quadrature:
                     f"density must return a finite number of at least 0 for each point, shape ({len(rows)},), got the "
                     f"shape {weight.shape} with values from {weight.min(initial=0):g} to {weight.max(initial=0):g}"
                 )
-        if self.density == "shared" or not self.plane.arrays.joints_free:
+        if self.density == "shared" or not self.plane.arrays.poses_free:
             reach = self.plane.arrays.reach(tips)
             many = np.diff(reach.indptr)
             mine = np.bincount(reach.target, reach.owner == np.repeat(rows, many), minlength=len(rows))
@@ -182,7 +186,7 @@ def integrate(
     plane, (first, number) = task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
-    plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.joints_free
+    plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.poses_free
     least = min(LEAST_POINTS if plain else LEAST_WEIGHTED, precision.max_iterations)
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     # fewer points are used for environments of few positioners, which contribute little to the error of the mean

@@ -75,7 +75,7 @@ class Simulation:
     def compiled(self) -> bool:
         """Whether compiled kernels run the whole simulation."""
         balanced = self.options.allocator == "balanced"
-        return self.source.compiled and balanced and self.plane.arrays.joints_free
+        return self.source.compiled and balanced and self.plane.arrays.poses_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
         """Draw realizations, and return the numbers of collisions in one configuration of each realization."""

@@ -24,6 +24,8 @@ TILE = {
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
     "n_out_of_reach": "  with a target out of reach",
+    "n_within_margins": "  with a target within the margins",
+    "margins": "    margins",
     "n_wrong_fiber": "  without the required fiber type",
     "n_unusable": "rows not scored: disabled or stuck",
     "n_parked": "  parked, as obstacles",
@@ -136,6 +138,7 @@ def survey_facts(survey: "Survey") -> dict:
         "  to sky": s.get("n_sky", 0),
         "  fraction of all fibers": s["fiber_use"],
         "positioners in collision": s["n_colliding"],
+        **({"  margins": s["margins"]} if "margins" in s else {}),
         "  arm model": s.get("arm_model", "unknown"),  # surveys of earlier versions have no arm model
         "  collision rate": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],

@@ -89,6 +89,7 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_colliding": total["n_colliding"],
         "n_colliding_pairs": total["n_colliding_pairs"],
         "arm_model": request.instrument.focal_plane.positioner.arm_model,
+        **({"margins": str(margins)} if (margins := request.instrument.focal_plane.margins) else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "n_unmet": total["n_unmet"],

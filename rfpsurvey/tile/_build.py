@@ -54,6 +54,7 @@ def build_tile(
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_colliding_pairs": len(report.pairs),
         "arm_model": plane.positioner.arm_model,
+        **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
@@ -73,7 +74,7 @@ def build_tile(
         "geometry": {
             "inner_radius_mm": _one_or_all(plane.arrays.inner_radius),
             "outer_radius_mm": _one_or_all(plane.arrays.outer_radius),
-            "min_separation_mm": float(plane.positioner.numbers.separation),
+            "min_separation_mm": float(plane.arrays.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
             "obstacle_polygons_mm": [one.tolist() for one in plane.arrays.obstacle_polygons],

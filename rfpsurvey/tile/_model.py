@@ -67,4 +67,5 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         each = ", one for each fiber type" if isinstance(instrument.distortion, dict) else ""
         positions = f"a tangent plane with the instrument's radial map{each}"
     refraction = "without refraction" if projection in ("tangent", "radial") else f"with {MODELS[projection]}"
-    return f"{collisions}. Positions: {positions}, {refraction}."
+    margins = f" Margins: {plane.margins.description}." if plane.margins else ""
+    return f"{collisions}. Positions: {positions}, {refraction}.{margins}"

@@ -1,5 +1,6 @@
 """The function that finds the collisions in assignments that another program planned."""
 
+from dataclasses import replace
 from time import perf_counter
 
 import astropy.units as u
@@ -245,6 +246,7 @@ def score_tile(
         "n_targets": len(part),
         "n_rows_ignored": len(table) - len(part),
         "n_out_of_reach": n_out,
+        **({"n_within_margins": _within_margins(plane, who, xy, fibers, posed)} if plane.margins else {}),
         "n_wrong_fiber": int(wrong),
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
         "epoch": moved,
@@ -256,6 +258,14 @@ def score_tile(
     used = ("ra", "dec", "pmra", "pmdec", "epoch") if positions == "sky" else ("x", "y")
     meta["columns"] = f"positioner: {name}, {others.statement(('id', 'fiber_type', *used))}"
     return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
+
+
+def _within_margins(plane, who, xy, fibers, posed) -> int:
+    """Return the number of targets that their positioners reach, but that a plan with margins would not assign."""
+    pairs = [one.arrays.reach(xy, fibers) for one in (plane, replace(plane, margins=None))]
+    key = np.arange(len(who)) * len(plane) + who
+    kept, reached = (np.isin(key, one.target * len(plane) + one.owner) for one in pairs)
+    return int((reached & ~kept & ~posed.clipped[who]).sum())
 
 
 def _positioners(find: Finder, instrument: Instrument):

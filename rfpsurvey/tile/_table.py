@@ -54,7 +54,7 @@ class TableOfTile:
         table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
         table["in_collision"] = report.in_collision
         table["colliding_with"] = _partners(plane, report)
-        table["clearance"] = (nearest_distance(plane, posed) - plane.positioner.numbers.separation) * u.mm
+        table["clearance"] = (nearest_distance(plane, posed) - plane.arrays.separation) * u.mm
         table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
         if self.kind is not None:
             table["kind"] = np.append(self.kind, "")[self.target_of]

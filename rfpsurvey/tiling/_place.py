@@ -174,8 +174,8 @@ def place_tiles(
         "method": method,
         "instrument": "" if model is None else model.name,
         "arm_model": model.focal_plane.positioner.arm_model if by_positioners else "",
-        "n_tiles": 0,
-        "passes": 0,
+        **({"margins": str(model.focal_plane.margins)} if by_positioners and model.focal_plane.margins else {}),
+        **dict.fromkeys(("n_tiles", "passes"), 0),
         "radius_deg": float(np.rad2deg(radius_rad)),
     }
     if isinstance(field, Region):

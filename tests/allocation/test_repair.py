@@ -1,5 +1,6 @@
 """Local moves remove the collisions of any plan, and lose at most the stated number of targets."""
 
+from dataclasses import replace
 from itertools import product
 
 import astropy.units as u
@@ -204,3 +205,17 @@ def test_a_start_with_fewer_targets_is_an_error():
     start = rs.allocate(plane, xy[:50], allocator="lamost")
     with pytest.raises(rs.InputError, match="the same targets"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
+
+
+def test_a_start_within_the_margins_of_broken_arms_is_an_error():
+    """The patrol areas of both planes are the same, but one of them forbids poses close to broken positioners."""
+    plane, xy, _ = scene("equal arms")
+    plane = replace(plane, disabled=np.arange(len(plane)) % 3 == 0)
+    start = rs.allocate(plane, xy, allocator="lamost")
+    margined = replace(plane, margins=rs.Margins(broken=9 * MM))
+    same = replace(start, in_reach=rs.allocate(margined, xy, allocator="lamost").in_reach)
+    with pytest.raises(rs.InputError, match="the same focal plane"):
+        rs.allocate(margined, xy, allocator=rs.AllocationOptions("repair", start=same))
+    own = rs.allocate(margined, xy, allocator="lamost")
+    found = rs.allocate(margined, xy, allocator=rs.AllocationOptions("repair", start=own))
+    assert (found.target_of_positioner >= 0).any()

@@ -154,3 +154,9 @@ def test_an_instrument_without_a_loss_has_no_improvements():
     table["loss"][table["instrument"] != ""] = np.nan
     with pytest.raises(rs.InputError, match="lamost has no values of coverage and loss"):
         rs.design.design_improvements(table)
+
+
+def test_an_instrument_with_margins_has_no_design(presets):
+    model = presets["desi"].with_margins()
+    with pytest.raises(rs.InputError, match="desi must have no margins, .*, got outer 0.2 mm, inner"):
+        rs.design.explore_around(model)

@@ -15,6 +15,8 @@ name = "mine"
 central_arm = { value = 3.0, unit = "mm", status = "assumed", source = "s" }
 eccentric_arm = { value = 5.0, unit = "mm", status = "assumed", source = "s" }
 clearance = { value = 1.0, unit = "mm", status = "assumed", source = "s" }
+[margins]
+outer = { value = 0.2, unit = "mm", status = "assumed", source = "s" }
 [layout]
 rings = { value = 2, status = "assumed", source = "s" }
 pitch = { value = 12.0, unit = "mm", status = "assumed", source = "s" }
@@ -152,7 +154,7 @@ def test_entries_that_every_description_must_have(tmp_path):
     assert refused(tmp_path, without_arm) == "[positioner] lacks central_arm, clearance"
 
 
-@pytest.mark.parametrize("section", ["positioner", "layout", "optics", "observing"])
+@pytest.mark.parametrize("section", ["positioner", "margins", "layout", "optics", "observing"])
 def test_a_section_must_be_a_table(section):
     with pytest.raises(rs.InputError, match=f"{section} must be a table, got 3"):
         check_description({"name": "a", section: 3})

@@ -1,0 +1,135 @@
+"""The targets and poses that plans may use: joint limits, margins, and circles in which fibers receive no light."""
+
+from functools import cached_property
+
+import numpy as np
+
+from rfpsurvey._kernels import arms, collisions, conflicts
+from rfpsurvey._units import locked
+from rfpsurvey.focal_plane._circles import Circles
+from rfpsurvey.focal_plane._fibers import edges_exactly
+from rfpsurvey.focal_plane._kinematics import joints_allow
+from rfpsurvey.focal_plane._limits import find_limits
+from rfpsurvey.focal_plane._neighbors import pairs_within
+
+__all__ = ["AllowedPoses"]
+
+ROOM = 1 << 16
+
+
+class AllowedPoses:
+    """Properties that `FocalPlaneArrays` inherits, which state the targets and poses that plans may use."""
+
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Radii between which targets of each positioner may lie, mm: the patrol area, reduced by the margins."""
+        margins = self.plane.margins
+        if not (margins.outer > 0 or margins.inner > 0):
+            return self.inner_radius, self.outer_radius
+        kinds = np.column_stack([self.central_arm, self.eccentric_arm, self.inner_radius, self.outer_radius])
+        _, rows, inverse = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
+        radii = np.array([[float(v) for v in edges_exactly(self, k)] for k in rows])[inverse.reshape(-1)]
+        return tuple(locked(column.copy()) for column in radii.T)
+
+    def is_hidden(self, points: np.ndarray) -> np.ndarray:
+        """Return whether each point (mm) is in a circle without targets: ``hidden``, or around a broken positioner."""
+        return self._circles.contain(points)
+
+    @cached_property
+    def _circles(self) -> Circles:
+        margins, broken = self.plane.margins, np.flatnonzero(~self.usable)
+        circles = self.hidden * (1.0, 1.0, margins.hidden_factor)
+        if margins.broken_factor > 0 and len(broken):
+            radius = margins.broken_factor * self.plane.arrays.outer_radius[broken]
+            circles = np.vstack([circles, np.column_stack([self.xy[broken], radius])])
+        return Circles(circles)
+
+    @property
+    def any_hidden(self) -> bool:
+        """Whether there is at least one circle without targets."""
+        return len(self._circles.x) > 0
+
+    def joints_free_for(self, side: float) -> bool:
+        """Return whether joint limits let all positioners reach their whole patrol areas with handedness ``side``."""
+        numbers = self.plane.positioner.numbers
+        return numbers.joints_free_for(side) if self.joints is None else bool(self.joints.free[side].all())
+
+    @cached_property
+    def joints_free(self) -> bool:
+        """Whether joint limits let all positioners reach their whole patrol areas with the default handedness."""
+        return self.joints_free_for(-1.0 if self.plane.positioner.handedness == "left" else 1.0)
+
+    def joints_allow(
+        self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return whether joint limits let each positioner in ``own`` reach its point (mm) with handedness ``side``."""
+        return joints_allow(self, own, points, side, fiber)
+
+    @cached_property
+    def poses_free(self) -> bool:
+        """Whether plans may use all poses in the patrol area: no joint limit and no broken positioner forbids a pose.
+
+        This refers to the default handedness.
+        """
+        return self.joints_free and len(self.plane.arrays.broken_pairs) == 0
+
+    def poses_allowed(
+        self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return whether a plan may use the pose of each positioner in ``own`` at its point (mm): see `joints_allow`.
+
+        The arm must also keep the margin ``broken`` from the arms of broken positioners.
+        """
+        allowed = self.joints_allow(own, points, side, fiber)
+        if len(self.plane.arrays.broken_pairs):
+            allowed &= _clear_of_broken(self, own, points, side, fiber)
+        return allowed
+
+    @cached_property
+    def broken_pairs(self) -> np.ndarray:
+        """Pairs (usable, broken) of positioners whose arms can come closer than the margin ``broken`` allows."""
+        extra = self.plane.margins.numbers["broken"]
+        if extra == 0 or self.usable.all():
+            return locked(np.empty((0, 2), dtype=np.int64))
+        pairs = pairs_within(self.xy, 2 * self.arm_reach.max() + self.separation + extra + self.touch_slack)
+        pairs = pairs[self.usable[pairs].sum(axis=1) == 1]
+        return locked(np.where(self.usable[pairs[:, :1]], pairs, pairs[:, ::-1]))
+
+
+def _clear_of_broken(columns, own, points, side, fiber):
+    """Return whether arms keep the margin from the arms of broken positioners; they do not if rounding is uncertain."""
+    plane, pairs = columns.plane, columns.plane.arrays.broken_pairs
+    clear = np.ones(len(own), dtype=bool)
+    near = np.zeros(len(plane), dtype=bool)
+    near[pairs[:, 0]] = True
+    rows = np.flatnonzero(near[own] & np.isfinite(points).all(axis=1))
+    broken = np.unique(pairs[:, 1])
+    if len(rows) == 0:
+        return clear
+    mine, side = own[rows], np.broadcast_to(side, len(own)).astype(float)[rows]
+    fiber = columns.fiber_index[mine] if fiber is None else fiber[rows]
+    moved = np.empty((4, len(rows)))
+    arms.place(np.ascontiguousarray(points[rows]), columns.geometry_of(mine, fiber), side, moved)
+    arms.shape(moved, columns.model, columns.length, *columns.angles_of(mine, fiber))
+    fixed = np.ascontiguousarray(plane.arrays.idle(False).segments[:, broken])
+    arms.shape(fixed, columns.model, columns.length, *(angle[broken] for angle in plane.arrays.angles))
+    owner = np.concatenate([mine, broken])
+    order = np.argsort(owner, kind="stable")
+    segments, owner = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), owner[order]
+    size = np.bincount(owner, minlength=len(plane))
+    start = np.concatenate([[0], np.cumsum(size)])
+    halves, limits = np.empty_like(segments), find_limits(plane.arrays, plane.margins.numbers["broken"])
+    collisions.halve(segments, halves)
+    room = max(ROOM, int(size.max()))
+    first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    borderline = np.empty(room, dtype=bool)
+    p = 0
+    while p < len(pairs):
+        n, p = conflicts.list_conflicts(
+            pairs, p, plane.arrays.geometry, start, segments, halves, limits, first, second, borderline
+        )
+        if limits.outline.start.size > 1:
+            n = conflicts.keep_outlined(n, owner, segments, limits, first, second, borderline)
+        close = order[first[:n]]
+        clear[rows[close[close < len(rows)]]] = False
+    return clear
