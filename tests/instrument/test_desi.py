@@ -241,7 +241,7 @@ def without(name):
         (set_("LOCATION", 5, 7000), "PETAL_LOC [+] DEVICE_LOC, got 7000 for PETAL_LOC 0 and DEVICE_LOC 5"),
         (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
         (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
-        (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got FIF"),
+        (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got 'FIF'"),
     ],
 )
 @partial
