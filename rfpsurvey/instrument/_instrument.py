@@ -35,7 +35,7 @@ from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.instrument._margins import PREFIX, WithMargins
 from rfpsurvey.instrument._projections import Projections
-from rfpsurvey.instrument._states import LISTED, States, apply_entry
+from rfpsurvey.instrument._states import LISTED, States, apply_entry, moments_at
 from rfpsurvey.projection import RadialMap
 
 __all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
@@ -198,6 +198,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins):
             with dates and no time is given.
         """
         path = to_path(path)
+        moments_at(time)  # refuse an invalid time, even if the description has no states with dates
         if path.exists() and path.suffix.lower() != ".toml":
             found = cls._read_as_built(path, time)
             if found is not None:

@@ -24,7 +24,7 @@ from rfpsurvey.instrument._desi_state import moment_of
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["LISTED", "States", "apply_entry", "describe_states"]
+__all__ = ["LISTED", "States", "apply_entry", "describe_states", "moments_at"]
 
 LISTED = "layout.states"
 """Name of the entry of a description that lists the states of positioners, or names a table of them."""
@@ -144,7 +144,7 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
     index = {str(own): k for k, own in enumerate(plane.id.tolist())}
     _check_ids(rows, index, what, instrument.name)
     _check_overlaps(rows, what)
-    moments = _moments(time)
+    moments = moments_at(time)
     used = [row for row in rows if _applies(row, moments, what)]
     disabled, stuck = plane.disabled.copy(), plane.arrays.stuck.copy()
     for row in used:
@@ -190,8 +190,8 @@ def _applies(row: Row, moments: list[datetime], what: str) -> bool:
     return n > 0
 
 
-def _moments(time: object) -> list[datetime]:
-    """Return the different times at which states are evaluated, in ascending order."""
+def moments_at(time: object) -> list[datetime]:
+    """Return the different times at which states are evaluated, in ascending order, or raise an error."""
     if time is None:
         return []
     from rfpsurvey.catalog import to_time

@@ -149,7 +149,7 @@ def test_what_cannot_be_drawn_is_refused(tile, presets):
     for arguments, message in (
         (("lamost", {}), "result must be a Tile or a Survey, got str"),
         ((scored, {}), "the tile must have outcomes of targets, got none"),
-        ((tile, {"column": "name"}), "column must be one of the columns of numbers priority, g, got 'name'"),
+        ((tile, {"column": "name"}), "column must be one of the columns of numbers \\(priority, g\\), got 'name'"),
         ((tile, {"column": "mag"}), "got 'mag'"),
         ((tile, {"axes": ()}), "axes must be four Axes, got 0"),
     ):
