@@ -231,7 +231,7 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         return find.table[name] if find.table[name].ndim == 1 else None
     moves = moving(coord)
     try:
-        years = find.numbers("epoch")
+        years = _years(find, moves)
     except InputError:
         if moves.any():
             raise
@@ -247,6 +247,24 @@ def _epoch(find: Finder, coord: SkyCoord) -> Time | None:
         return None
     years = np.where(usable, years, years[usable][0])
     return to_time(years[0] if (years == years[0]).all() else years, name)
+
+
+def _years(find: Finder, moves: np.ndarray) -> np.ndarray:
+    """Return the column of epochs as Julian years, with NaN for missing epochs; text such as J2016.0 is converted.
+
+    Text that is no epoch is an error for targets with a proper motion, and is regarded as missing for other targets.
+    """
+    if not find.is_text("epoch"):
+        return find.numbers("epoch")
+    texts, rows = np.unique(find.texts("epoch"), return_inverse=True)
+    years = np.full(len(texts), np.nan)
+    for k, text in enumerate(texts.tolist()):
+        try:
+            years[k] = to_time(text, f"column {find.name_of('epoch')!r} (epoch)").jyear if text else np.nan
+        except InputError:
+            if moves[rows == k].any():
+                raise
+    return years[rows]
 
 
 def catalog_table(catalog) -> QTable:

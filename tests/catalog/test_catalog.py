@@ -241,6 +241,19 @@ def test_at_epoch_leaves_targets_without_proper_motion_in_place():
         still.at_epoch("soon")
 
 
+def test_epochs_can_be_text():
+    """Julian years such as J2016.0 and dates are converted; text that is no epoch counts for moving targets only."""
+    t = table(pmra=[9, 9, 0] * PM, pmdec=[9, 9, 0] * PM)
+    t["epoch"] = ["J2015.5", "2016-01-01", "unknown"]
+    np.testing.assert_allclose(rs.Catalog.from_table(t).epoch.jyear[:2], [2015.5, 2016], atol=2e-3)
+    t["epoch"] = ["J2015.5", "", "J2016.0"]
+    with pytest.raises(rs.InputError, match="1 of these targets have other values, such as nan"):
+        rs.Catalog.from_table(t)
+    t["epoch"] = ["J2015.5", "soon", "J2016.0"]
+    with pytest.raises(rs.InputError, match=r"column 'epoch' \(epoch\) must be a Time, .* or a date, got 'soon'"):
+        rs.Catalog.from_table(t)
+
+
 def test_epoch_from_the_meta_of_a_table(tycho):
     catalog = rs.Catalog.read(tycho)
     assert len(catalog) == 8830

@@ -184,6 +184,41 @@ def test_newer_columns_are_used(tmp_path):
     assert_same(plan, rs.plans.read_plan(tmp_path / "e.fits"))
 
 
+def moving(n=61):
+    """Return the columns of a design of version 4 whose targets move by up to 100 arcsec in 10 years."""
+    motion = np.random.default_rng(3).uniform(-1e4, 1e4, (2, n)).astype("f4")
+    cobra = np.append(np.arange(1, n), 65533).astype("i4")
+    return {"cobraId": cobra, "epoch": np.full(n, "J2016.0"), "pmRa": motion[0], "pmDec": motion[1]}
+
+
+def test_a_design_with_an_epoch_as_text_is_scored_from_the_sky(presets, tmp_path):
+    """Targets with proper motions were refused, because designs contain epochs such as J2016.0."""
+    plan = rs.plans.read_plan(write_design(tmp_path / "d.fits", design(**moving())))
+    with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):  # the sky positions of the design are approximate
+        still = rs.score_tile(plan, presets["pfs"], positions="sky")
+    assert still.summary["epoch"].startswith("the targets are at the epoch of the catalog (J2016.000)")
+    with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
+        moved = rs.score_tile(plan, presets["pfs"], positions="sky", epoch=2026.0)
+    shift = SkyCoord(moved.table["ra"], moved.table["dec"]).separation(SkyCoord(still.table["ra"], still.table["dec"]))
+    expected = 10 * np.hypot(plan["pm_ra"], plan["pm_dec"])[plan["assigned"]].to_value(u.mas / u.yr)
+    shift = shift[np.isfinite(shift)].to_value(u.mas)
+    np.testing.assert_allclose(sorted(shift), sorted(expected), rtol=1e-3)
+
+
+def test_a_design_with_an_epoch_as_text_is_a_catalog(presets, tmp_path):
+    path = write_design(tmp_path / "d.fits", design(**moving()))
+    plan = rs.plans.read_plan(path)
+    with pytest.warns(rs.RfpsurveyWarning):
+        own = rs.Catalog.read(path)
+    catalog = rs.Catalog.from_table(plan[plan["assigned"]])
+    assert own.id.tolist() == catalog.id.tolist()
+    assert set(catalog.kind.tolist()) == {"science", "sky", "standard"}
+    np.testing.assert_allclose(own.epoch.jyear, 2016)
+    center = SkyCoord(150 * u.deg, -2 * u.deg)
+    tile = rs.plan_tile(catalog, presets["pfs"], center, epoch=2016.0)
+    assert tile.summary["n_assigned"] > 10
+
+
 def test_a_tile_becomes_a_design_with_the_same_assignment_and_collisions(presets, tmp_path):
     pfs, center = presets["pfs"], SkyCoord(150 * u.deg, 2 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=3000, rng=2)
