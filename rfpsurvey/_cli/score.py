@@ -52,6 +52,9 @@ def score(
     select: Annotated[
         list[str] | None, typer.Option(help="Use only rows that have the given value in a column, COLUMN=VALUE.")
     ] = None,
+    skip_missing: Annotated[
+        bool, typer.Option("--skip-missing", help="Skip assigned rows that have no position, and score the other rows.")
+    ] = False,
     parked: _options.ParkedOption = True,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
@@ -64,6 +67,7 @@ def score(
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
+    options["missing"] = "skip" if skip_missing else "refuse"
     if center is None:
         options["equinox"] = equinox
     else:

@@ -12,6 +12,7 @@ from rfpsurvey.catalog._index import SkyIndex, half_chord_squared
 from rfpsurvey.catalog._motion import move_vectors
 from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
+from rfpsurvey.catalog._tables import read_columns
 from rfpsurvey.catalog._time import to_time
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "is_table",
     "move_vectors",
     "partition_catalog",
+    "read_columns",
     "synthetic_catalog",
     "to_time",
 ]

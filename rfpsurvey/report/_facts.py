@@ -21,6 +21,7 @@ TILE = {
     "n_set_aside": "  not requested (sky, standards)",
     "n_reachable": "  in reach of a positioner",
     "n_rows_ignored": "table rows without an assignment",
+    "n_skipped": "assigned rows without a position",
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
     "n_out_of_reach": "  with a target out of reach",

@@ -1,5 +1,6 @@
 """The function that finds the collisions in assignments that another program planned."""
 
+import warnings
 from dataclasses import replace
 from time import perf_counter
 
@@ -9,14 +10,16 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import to_center, to_flags, to_plain
-from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text
+from rfpsurvey._units import rows_of, to_center, to_direction, to_flags, to_plain
+from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text, read_columns
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import (
     InputError,
+    RfpsurveyWarning,
     check_choice,
     check_keywords,
     check_switch,
+    listed,
     warn,
 )
 from rfpsurvey.focal_plane import accepted_types
@@ -56,6 +59,7 @@ def score_tile(
     columns: dict | None = None,
     units: dict | None = None,
     parked_obstacles: bool = True,
+    missing: str = "refuse",
 ) -> Tile:
     """Find the collisions in assignments that another program planned.
 
@@ -99,19 +103,24 @@ def score_tile(
     parked_obstacles : bool, optional
         Whether positioners without a target are obstacles for other arms: in their recorded pose or, if it is unknown
         and both arms have equal lengths, in the parked pose.
+    missing : {"refuse", "skip"}, optional
+        What to do if assigned rows have no position. By default, an error names these rows. With ``"skip"``, the other
+        rows are scored, their positioners have no target, and a warning names the skipped rows.
 
     Returns
     -------
     Tile
         The tile, which has no table of outcomes. Its summary also contains ``n_out_of_reach``, ``n_wrong_fiber``
         (number of positioners without the fiber type that their target requires), ``n_unusable`` (number of rows for
-        disabled or stuck positioners, which are not scored), ``n_recorded`` (number of usable positioners without a
+        disabled or stuck positioners, which are not scored), ``n_skipped`` (number of assigned rows without a position;
+        only with ``missing="skip"``), ``n_recorded`` (number of usable positioners without a
         target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses).
 
     Raises
     ------
     InputError
-        If a positioner is unknown or occurs twice, or if positions or the field center are missing.
+        If a positioner is unknown or occurs twice, if the field center is missing, or if positions are missing and
+        ``missing`` is ``"refuse"``.
 
     Examples
     --------
@@ -126,6 +135,7 @@ def score_tile(
     """
     start = perf_counter()
     check_conditions(conditions, optional=True)
+    check_choice(missing, ("refuse", "skip"), "treatment of rows without a position")
     instrument = as_instrument(instrument)
     table, is_plain = as_table(table, index_as_id=False)
     if is_plain:
@@ -170,9 +180,7 @@ def score_tile(
             model = recorded.get("projection")
             if recorded.get("conditions") is not None:
                 conditions = ObservingConditions.from_record(recorded["conditions"])
-        catalog = Catalog.from_table(part, columns=columns, units=units)
-        if len(catalog) < len(part):
-            raise InputError(f"{len(part) - len(catalog)} assigned rows have no finite coordinates")
+        catalog, there = _catalog(part, columns, units)
         of_catalog = table.meta.get("format") == "confsummary" and find.name_of("ra") == "ra"
         if epoch is None and of_catalog and catalog.epoch is not None:
             epoch = table.meta.get("epoch")
@@ -185,9 +193,9 @@ def score_tile(
         if position_angle is None:
             position_angle = field_value(part, "position angle") * u.deg
         plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
-        xy = plain.project(catalog.arrays.vectors, fibers)
-        icrs = catalog.coord.icrs
-        sky_deg = np.array([icrs.ra.deg, icrs.dec.deg])
+        icrs, xy, sky_deg = catalog.coord.icrs, np.full((len(part), 2), np.nan), np.full((2, len(part)), np.nan)
+        xy[there] = plain.project(catalog.arrays.vectors, fibers[there])
+        sky_deg[:, there] = icrs.ra.deg, icrs.dec.deg
         parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
         if conditions is not None:
             parameters.update(conditions=conditions.record)
@@ -211,18 +219,17 @@ def score_tile(
             )
         xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
         sky_deg = _sky_deg(find)
-    if not np.isfinite(xy).all():
-        raise InputError(
-            f"{int((~np.isfinite(xy)).any(axis=1).sum())} assigned rows have no position on the focal plane"
-        )
-    n = len(plane)
+    n, n_rows = len(plane), len(rows)
+    has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
+    own = _on_focal_plane(find, xy_names if has_places else [None], n, who)
+    keep = _placed(np.isfinite(xy).all(axis=1), rows, part[name], len(table), skip=missing == "skip")
+    part, rows, who, ids, fibers, xy = part[keep], rows[keep], who[keep], ids[keep], fibers[keep], xy[keep]
+    sky_deg = sky_deg[:, keep]
     tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
     tips[who], target_of[who] = xy, np.arange(len(who))
     types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
-    own = _on_focal_plane(find, xy_names if has_places else [None], len(plane), who)
     recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
     posed = place_arms(
         plane,
@@ -244,7 +251,8 @@ def score_tile(
     report = find_collisions(plane, posed)
     summary = {
         "n_targets": len(part),
-        "n_rows_ignored": len(table) - len(part),
+        "n_rows_ignored": len(table) - n_rows,
+        **({"n_skipped": n_rows - len(part)} if missing == "skip" else {}),
         "n_out_of_reach": n_out,
         **({"n_within_margins": _within_margins(plane, who, xy, fibers, posed)} if plane.margins else {}),
         "n_wrong_fiber": int(wrong),
@@ -331,6 +339,36 @@ def _without(find: Finder, positioner_column: str) -> Finder:
     names = [c for c in find.table.colnames if c != positioner_column]
     columns = {role: name for role, name in find.columns.items() if name.removeprefix("-") in names}
     return Finder(find.table[names], columns)
+
+
+def _catalog(part: Table, columns: dict, units: dict | None) -> tuple[Catalog, np.ndarray]:
+    """Return the assigned rows with finite coordinates as a catalog, and the numbers of these rows."""
+    found = read_columns(part, columns, units, "icrs", None, None, assume_units=False)
+    place = to_direction(found["coord"]).data
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*have no finite coordinates", RfpsurveyWarning)  # `_placed` names the rows
+        catalog = Catalog(**found)
+    return catalog, np.flatnonzero(np.isfinite(place.lon.value) & np.isfinite(place.lat.value))
+
+
+def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, skip: bool) -> np.ndarray:
+    """Return the assigned rows that have a position; raise an error if others have none or, with ``skip``, warn.
+
+    ``rows`` are the numbers of the assigned rows in a table of ``n`` rows.
+    """
+    if not has_place.all():
+        where = rows_of(np.isin(np.arange(n), rows[~has_place]))
+        names = to_plain(positioners)[~has_place].tolist()
+        who = f"(positioner{'s' if len(names) > 1 else ''} {listed(names, 3)})"
+        if not has_place.any():
+            raise InputError(f"at least one assigned row must have a finite position, but {where} have none {who}")
+        if not skip:
+            raise InputError(
+                f"every assigned row must have a finite position, but {where} have none {who}; correct these rows, or "
+                'use missing="skip" (or --skip-missing)'
+            )
+        warn(f"{where} have no finite position and are skipped {who}")
+    return np.flatnonzero(has_place)
 
 
 def _on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:

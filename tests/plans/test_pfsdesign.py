@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from pfs_files import centers
+from pfs_files import centers, design, write_design
 
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError
@@ -13,67 +13,6 @@ from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import PFI_ANGLE, design_id
 
 REAL = "pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"
-
-
-def design(n=60, **changes):
-    """Return the tables of a small design of version 3, made from the data model."""
-    fiber, _ = pfs_fibers()
-    cobra = np.arange(1, n + 1)
-    rng = np.random.default_rng(5)
-    target = np.where(np.arange(n) % 5 == 4, 4, np.array([1, 1, 2, 3, 4])[np.arange(n) % 5])
-    has = target != 4
-    xy = np.where(has[:, None], centers()[:n] + rng.uniform(-2, 2, (n, 2)), np.nan)
-    columns = {
-        "fiberId": np.append(fiber[cobra - 1], [1]).astype("i4"),
-        "tract": np.ones(n + 1, "i4"),
-        "patch": np.full(n + 1, "1,1"),
-        "ra": np.append(np.where(has, 150 + xy[:, 1] / 320, np.nan), np.nan),
-        "dec": np.append(np.where(has, -2 - xy[:, 0] / 320, np.nan), np.nan),
-        "catId": np.append(np.where(has, 2, -1), -1).astype("i4"),
-        "objId": np.append(np.where(has, 10**15 + cobra, -1), -1).astype("i8"),
-        "targetType": np.append(target, 5).astype("i4"),
-        "pfiNominal": np.vstack([xy, [np.nan, np.nan]]).astype("f4"),
-        "fiberStatus": np.ones(n + 1, "i4"),
-        **changes,
-    }
-    filters = np.array(["g_ps1", "none"])
-    flux = {"fiberId": np.repeat(columns["fiberId"][:-1], 2), "psfFlux": rng.random(2 * n).astype("f4")}
-    flux["filterName"] = np.tile(filters, n)
-    stars = {
-        "objId": np.arange(3) + 10**17,
-        "epoch": np.full(3, "J2016.0"),
-        "ra": 150 + rng.random(3),
-        "agX": [1.5, 2, 3],
-    }
-    return columns, flux, stars
-
-
-def form(values):
-    values = np.asarray(values)
-    letters = {"i4": "J", "i8": "K", "f4": "E", "f8": "D"}
-    if values.dtype.kind == "U":
-        return f"{values.dtype.itemsize // 4}A"
-    return ("2" if values.ndim == 2 else "") + letters[values.dtype.str[1:]]
-
-
-def write_design(path, tables=None, leave_out=(), **cards):
-    columns, flux, stars = tables or design()
-    header = fits.Header({"RA": 150.0, "DEC": -2.0, "POSANG": 0.0, "ARMS": "br", "DSGN_NAM": "test", "DAMD_VER": 3})
-    numeric = columns["ra"].dtype.kind == "f"
-    header["W_PFDSGN"] = design_id(columns["fiberId"], columns["ra"], columns["dec"]) if numeric else 1
-    header["HIERARCH TargetType.SCIENCE"] = 1, "science target"
-    for name, value in cards.items():
-        if value is None:
-            del header[name]
-        else:
-            header[name] = value
-    units = [fits.PrimaryHDU(header=header)]
-    for name, table in {"DESIGN": columns, "PHOTOMETRY": flux, "GUIDESTARS": stars}.items():
-        made = [fits.Column(k, form(v), array=np.asarray(v)) for k, v in table.items() if k not in leave_out]
-        if name not in leave_out:
-            units.append(fits.BinTableHDU.from_columns(made, header if name != "GUIDESTARS" else None, name=name))
-    fits.HDUList(units).writeto(path)
-    return path
 
 
 def assert_same(one, two):

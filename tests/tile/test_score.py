@@ -115,8 +115,7 @@ def test_rows_without_a_positioner_are_ignored(presets):
 
 def test_assigned_rows_without_coordinates_are_refused(presets):
     plan = QTable({"positioner": [0, 1], "ra": [np.nan, 95] * u.deg, "dec": [23, 23] * u.deg})
-    dropped = pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets have no finite coordinates")
-    with dropped, pytest.raises(rs.InputError, match="1 assigned rows have no finite coordinates"):
+    with pytest.raises(rs.InputError, match=r"must have a finite position, but 1 of 2 rows .row 1. have none"):
         rs.score_tile(plan, presets["lamost"], center=CENTER, position_angle=0 * u.deg)
     with pytest.raises(rs.InputError, match="there is no column for x and y"):
         rs.score_tile(plan, presets["lamost"], positions="focal_plane")
@@ -132,7 +131,7 @@ def test_assigned_rows_without_coordinates_are_refused(presets):
         ({"positioner": [9999], "x": [0] * MM, "y": [0] * MM}, "positioners that the instrument does not have: 9999"),
         ({"positioner": [1, 1], "x": [0, 0] * MM, "y": [0, 0] * MM}, "positioner 1 is assigned more than once"),
         ({"positioner": [-1], "x": [0] * MM, "y": [0] * MM}, "must assign at least one positioner"),
-        ({"positioner": [0], "x": [np.nan] * MM, "y": [0] * MM}, "1 assigned rows have no position"),
+        ({"positioner": [0], "x": [np.nan] * MM, "y": [0] * MM}, "at least one assigned row must have a finite pos"),
         ({"positioner": [[0, 1]], "x": [0] * MM, "y": [0] * MM}, r"column 'positioner' must have one value per row"),
         ({"positioner": [0], "ra": [95] * u.deg, "dec": [23] * u.deg}, "the ra of the field must be given .--center.,"),
     ],
