@@ -47,6 +47,7 @@ __all__ = [
     "read_assignment",
     "read_catalog",
     "read_targets",
+    "read_tiles",
     "targets_and_center",
     "to_mm",
     "units_of",
@@ -63,6 +64,8 @@ def parse_center(text: str | None):
 FORMS = {
     "--column": "ROLE=NAME",
     "--unit": "ROLE=UNIT",
+    "--tiles-column": "ROLE=NAME",
+    "--tiles-unit": "ROLE=UNIT",
     "--fill": "ROLE=VALUE",
     "--select": "COLUMN=VALUE",
     "--objective": "COLUMN=DIRECTION",
@@ -134,6 +137,21 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
     print(f"columns: {catalog.meta['columns']}")
     return replace(catalog, epoch=common[0]) if common else catalog
+
+
+def read_tiles(path: Path | None, column: list[str] | None, unit: list[str] | None) -> "rs.Tiling | None":
+    """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
+    columns, units = parse_pairs(column, "--tiles-column"), parse_pairs(unit, "--tiles-unit")
+    if path is None:
+        if columns or units:
+            raise rs.InputError("--tiles-column and --tiles-unit must be used with a table of tiles")
+        return None
+    tiling = rs.Tiling.read(path, columns, units)
+    meta = tiling.table.meta
+    if any(role != name for role, name in meta["columns"].items()):
+        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
+        print(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
+    return tiling
 
 
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):

@@ -251,6 +251,17 @@ TilesOption = Annotated[
         "catalog are used."
     ),
 ]
+TilesColumnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Name of a column of the table of tiles or centers and its role, ROLE=NAME. The roles are tile "
+        "(the identifier), ra, dec, position_angle and pass."
+    ),
+]
+TilesUnitOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Unit of a column of the table of tiles or centers that has no unit, ROLE=UNIT, such as ra=deg."),
+]
 VisitsOption = Annotated[
     int | None,
     typer.Option(

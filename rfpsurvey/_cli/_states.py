@@ -40,13 +40,12 @@ def time_of(conditions: "rs.ObservingConditions | None", epoch: str | None) -> T
     return None if epoch is None else to_time(epoch, "--epoch")
 
 
-def time_of_tiles(path: Path | None, epoch: str | None, *given: object) -> Time | None:
+def time_of_tiles(tiling: "rs.Tiling | None", epoch: str | None, *given: object) -> Time | None:
     """Return the times of all tiles or, without times, the time of --epoch; None if no time is known.
 
     ``given`` contains the options of the observing conditions, in the order of `conditions_of`.
     """
-    if path is None:
+    if tiling is None:
         return time_of(_conditions.conditions_of(*given) if given else None, epoch)
-    tiling = rs.Tiling.read(path)
     times = times_of_tiles(_conditions.tiles_under(tiling, *given) if given else tiling)
     return time_of(None, epoch) if times is None else times

@@ -11,7 +11,6 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
 from rfpsurvey._executors import end_with_parent
-from rfpsurvey._io import read_table
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 from rfpsurvey.tiling import warn_of_targets
@@ -31,11 +30,10 @@ def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, uni
     return _app.read_catalog(path, column, unit, frame, fill, keep)
 
 
-def tiles_of(path: Path | None, targets, model: "rs.Instrument"):
-    """Return the tiles in a file; if no file is given, return tiles that cover the catalog twice."""
-    if path is not None:
-        tiling = rs.Tiling.read(path)
-        warn_of_targets(read_table(path), len(targets))
+def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs.Tiling":
+    """Return the given tiles; if no tiles are given, return tiles that cover the catalog twice."""
+    if tiling is not None:
+        warn_of_targets(tiling, len(targets))
         return tiling
     if isinstance(targets, rs.PartitionedCatalog):
         raise rs.InputError(

@@ -12,6 +12,8 @@ from rfpsurvey._io import check_output
 def select(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
+    tiles_column: _options.TilesColumnOption = None,
+    tiles_unit: _options.TilesUnitOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
@@ -46,8 +48,9 @@ def select(
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
+    tiling = _app.read_tiles(tiles, tiles_column, tiles_unit)
     model = _app.model_of(
-        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch), margins
+        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch), margins
     )
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
     if visits is not None:
@@ -64,7 +67,7 @@ def select(
         "resume": resume,
         "rng": seed,
     }
-    tiling = _surveys.tiles_of(tiles, targets, model)
+    tiling = _surveys.tiles_of(tiling, targets, model)
     begin = perf_counter()
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
         try:

@@ -7,6 +7,8 @@ from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins
 def survey(
     catalog: _options.SurveyCatalogArgument = None,
     tiles: _options.TilesOption = None,
+    tiles_column: _options.TilesColumnOption = None,
+    tiles_unit: _options.TilesUnitOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
@@ -54,8 +56,9 @@ def survey(
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     seen = conditions, site, time, hour_angle, wavelength, exposure_time
+    tiling = _app.read_tiles(tiles, tiles_column, tiles_unit)
     model = _app.model_of(
-        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch, *seen), margins
+        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch, *seen), margins
     )
     targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
     options = {
@@ -78,7 +81,7 @@ def survey(
         "resume": resume,
         "rng": seed,
     }
-    tiling = _surveys.tiles_of(tiles, targets, model)
+    tiling = _surveys.tiles_of(tiling, targets, model)
     tiling = _conditions.tiles_under(tiling, *seen)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
         _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)

@@ -23,6 +23,8 @@ def tile(
     completeness: _options.CompletenessOption = None,
     n_tiles: _options.NTilesOption = None,
     centers: _options.CentersOption = None,
+    tiles_column: _options.TilesColumnOption = None,
+    tiles_unit: _options.TilesUnitOption = None,
     declination: _options.DeclinationOption = None,
     pa: _options.TilingPaOption = None,
     allocator: _options.TilingAllocatorOption = None,
@@ -63,7 +65,7 @@ def tile(
         fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
         allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
         radius=None if radius is None else radius * u.deg,
-        centers=_centers(centers, declination, pa),
+        centers=_centers(_app.read_tiles(centers, tiles_column, tiles_unit), declination, pa),
         exclude=[rs.Region.parse(one) for one in exclude or []],
         visits=visits,
         progress=sys.stderr.isatty(),
@@ -83,10 +85,10 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
     return catalog[inside]
 
 
-def _centers(path, declination, pa):
+def _centers(tiling, declination, pa):
     """Return the constraints on the centers of tiles from the command-line options."""
     return rs.tiling.Centers(
-        None if path is None else rs.Tiling.read(path),
+        tiling,
         None if declination is None else declination * u.deg,
         None if pa is None else pa * u.deg,
     )

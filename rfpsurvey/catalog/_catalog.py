@@ -216,9 +216,9 @@ class Catalog:
             sign of its numbers, as in ``{"priority": "-rank"}`` if smaller ranks are more important.
         units : dict, optional
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
-            no column of a table has a unit, positions are assumed to be in degrees and proper motions in mas / yr, and
-            a warning is issued. There is no warning for DataFrames, which cannot have units. ``meta["assumed_units"]``
-            lists the columns with an assumed unit.
+            none of the columns of positions and proper motions has a unit, positions are assumed to be in degrees and
+            proper motions in mas / yr, and a warning is issued. There is no warning for DataFrames, which cannot have
+            units, and for tables of DESI and SDSS-V. ``meta["assumed_units"]`` lists the columns with an assumed unit.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
@@ -237,8 +237,8 @@ class Catalog:
         Raises
         ------
         InputError
-            If coordinates are missing or have a wrong unit, if coordinates have no unit although other columns have
-            units, or if a priority or a number of visits is missing and ``fill`` does not replace it.
+            If coordinates are missing or have a wrong unit, if only some of the columns of positions and proper motions
+            have units, or if a priority or a number of visits is missing and ``fill`` does not replace it.
 
         Examples
         --------

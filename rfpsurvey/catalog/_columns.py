@@ -146,6 +146,12 @@ class Finder:
             )
         return own or given
 
+    def has_units(self, roles: tuple[str, ...]) -> bool:
+        """Return whether the table states a unit for any column of positions or proper motions with these roles."""
+        names = [self.name_of(role) for role in roles if role in UNITS]
+        units = [getattr(self.table[name], "unit", None) for name in names if name is not None]
+        return any(unit is not None and u.Unit(unit) != u.dimensionless_unscaled for unit in units)
+
     def quantity(self, role: str) -> u.Quantity | None:
         """Return the column with this role as a Quantity in the default unit of the role; masked values become NaN."""
         name = self.name_of(role)
@@ -252,8 +258,8 @@ class Finder:
         labels = to_labels(self.table[name], f"column {name!r} ({role})")
         return np.where(labels == "", str(self.fill[role]), labels) if role in self.fill else labels
 
-    def missing(self, what: str) -> InputError:
-        """Return the exception for a required column that is missing."""
+    def missing(self, what: str, option: str = "--column") -> InputError:
+        """Return the exception for a required column that is missing; ``option`` is the option that names a column."""
         text = f"there is no column for {what}; {self.listing()}"
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
             return InputError(
@@ -262,7 +268,7 @@ class Finder:
             )
         role = what.split()[0]
         remedy = (
-            f"; state its name, for example columns={{{role!r}: ...}} or --column {role}=..."
+            f"; state its name, for example columns={{{role!r}: ...}} or {option} {role}=..."
             if self.table.colnames
             else ""
         )

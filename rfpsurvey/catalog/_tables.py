@@ -25,11 +25,12 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     """Read the columns of a table, and return them as a dict of arguments for `Catalog`.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
-    option, default units are assumed only if no column of the table has a unit. A warning is then issued, except for
-    tables that cannot have units, such as DataFrames.
+    option, default units are assumed only if no column of positions or proper motions has a unit. A warning is then
+    issued, except for tables that cannot have units, such as DataFrames, and for tables of surveys.
     """
     table, is_plain = as_table(table, columns)
-    find = Finder(table, columns or {}, units or {}, assume_units or is_plain or not has_units(table), fill or {})
+    find, roles = Finder(table, columns or {}, units or {}, fill=fill or {}), catalog_roles(frame)
+    find.assume_units = assume_units or is_plain or not find.has_units(roles)
     category = find.labels("category")
     kind, visits = find.labels("kind"), find.complete("visits")
     if kind is not None:
@@ -41,16 +42,15 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     coord = _coordinates(find, frame)
     find.warn_of_doubt()
     meta = _plain_meta(table.meta)
-    roles = catalog_roles(frame)
     if mixed := _sky_coords(find):
         roles = [role for role in roles if role not in ("ra", "dec", "lon", "lat", "pmra", "pmdec")]
     meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed)
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
-        if not (assume_units or is_plain):
+        if not (assume_units or is_plain or find.format):
             warn(
-                f"no column of the table has a unit: the assumed units are {meta['assumed_units']}; to use other "
-                "units, give units= or --unit"
+                f"the positions and proper motions have no units: the assumed units are {meta['assumed_units']}; to "
+                "use other units, give units= or --unit"
             )
     return {
         "coord": coord,

@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
-from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, as_table, choose_epoch, is_table
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -204,7 +204,7 @@ def prepare_request(
         if first.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a joint plan")
     if is_table(tiling):
-        warn_of_targets(as_table(tiling)[0], len(source))
+        warn_of_targets(tiles, len(source))
     request = make_request(
         source,
         tiles,

@@ -162,11 +162,12 @@ class Request:
     @cached_property
     def provenance(self) -> dict:
         """Software versions, instrument, catalog, tiling and parameters of the survey."""
+        about = self.tiling.table.meta
         found = {
             "software": self.software,
             "instrument": self.instrument.provenance,
             "catalog": dict(self.source.meta),
-            "tiling": dict(self.tiling.summary),
+            "tiling": {k: v for k, v in about.items() if k in ("columns", "omitted")} | self.tiling.summary,
             "parameters": self.parameters,
             "units": self.source.units,
         }

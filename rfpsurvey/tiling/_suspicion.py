@@ -3,6 +3,8 @@
 import re
 
 from rfpsurvey.errors import number_of, warn
+from rfpsurvey.tiling._columns import COLUMNS
+from rfpsurvey.tiling._tiling import Tiling
 
 __all__ = ["warn_of_targets"]
 
@@ -16,20 +18,21 @@ OF_TARGETS = re.compile(
 MANY = 1000
 
 
-def warn_of_targets(table, n_targets: int) -> None:
-    """Warn if a table of tiles seems to be a table of targets; ``n_targets`` is the number of targets of the survey.
+def warn_of_targets(tiling: Tiling, n_targets: int) -> None:
+    """Warn if the table of a tiling seems to be a table of targets; ``n_targets`` is the number of targets.
 
     There is no warning if the table has a column that occurs only in lists of tiles. Otherwise there is a warning if
     the table has a column that is typical of targets, such as a magnitude, or if it has more than ``MANY`` rows and
     more rows than the survey has targets.
     """
-    names = [name.lower() for name in table.colnames]
-    if any(map(OF_TILES.fullmatch, names)):
+    columns = list(tiling.table.meta["columns"].values())
+    columns += [name for name in tiling.table.colnames if name not in COLUMNS]
+    if any(OF_TILES.fullmatch(name.lower()) for name in columns):
         return
-    found = [name for name in table.colnames if OF_TARGETS.fullmatch(name.lower())]
-    if found or len(table) > max(MANY, n_targets):
-        columns = ", ".join(found[:3] or table.colnames[:5])
+    found = [name for name in columns if OF_TARGETS.fullmatch(name.lower())]
+    if found or len(tiling) > max(MANY, n_targets):
+        columns = ", ".join(found[:3] or columns[:5])
         warn(
-            f"the {number_of(len(table), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
+            f"the {number_of(len(tiling), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
             "one tile per row; if they are targets, give a list of tiles instead (see place_tiles or 'rfpsurvey tile')"
         )

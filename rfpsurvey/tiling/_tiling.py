@@ -12,23 +12,13 @@ from astropy.table import QTable, Table
 from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
-from rfpsurvey.catalog import Finder, SkyIndex, as_table, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, refusal
+from rfpsurvey.catalog import SkyIndex, as_table, is_table
+from rfpsurvey.errors import InputError, InputTypeError, number_of
 from rfpsurvey.observing import ObservingConditions, check_conditions
+from rfpsurvey.tiling._columns import COLUMNS, find_names, read_angles, without_others
 from rfpsurvey.tiling._conditions import convert_when
 
 __all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
-
-COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
-# Common names of the columns, in order of preference. Upper case and lower case are not distinguished.
-NAMES = {
-    "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
-    "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
-    "dec": "dec deccen dec_cen decen tile_dec tiledec field_dec center_dec deccenter dec_center dec_deg decdeg dej2000 "
-    "decj2000 de_icrs dec_icrs",
-    "position_angle": "position_angle positionangle pa field_pa posang pos_angle fieldrot",
-    "pass": "pass passnum pass_number layer visit",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,46 +157,36 @@ class Tiling:
             Table with centers (``ra`` and ``dec``, ``racen`` and ``deccen``, ``tile_ra`` and ``tile_dec``, ...).
             These columns are optional: the identifier (``tile``, ``tileid``, ``field``, ...; the row number by
             default), ``pass`` (1 by default) and the position angle (``position_angle``, ``pa``, ``field_pa``,
-            ``posang``; 0 by default). Other columns are kept. A DataFrame of pandas or Polars and an Arrow table
-            are accepted; their angles are in degrees unless ``units`` specifies other units.
+            ``posang``; 0 by default). Other columns are kept. Tiles whose value in the column ``IN_DESI`` is 0 are not
+            part of DESI's survey, and are omitted. A DataFrame of pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
             Dict from role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns whose
             names are not recognized.
         units : dict, optional
-            Dict from role to unit, for columns without a unit, for example ``{"ra": "deg", "dec": "deg"}``.
+            Dict from role to unit, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If
+            neither right ascensions nor declinations have a unit in the table, degrees are assumed, and a warning is
+            issued. There is no warning for DataFrames, which cannot have units, and for lists of tiles of DESI.
 
         Returns
         -------
         Tiling
-            The tiles in the order of the table.
+            The tiles in the order of the table; ``table.meta`` states which column has which role (``columns``),
+            and how many tiles are omitted (``omitted``).
 
         Raises
         ------
         InputError
-            If coordinates are missing, have no unit or are out of range, or if an identifier or a tile occurs twice.
+            If coordinates are missing or out of range, if only one of the two coordinates has a unit, or if an
+            identifier or a tile occurs twice.
         """
         return cls._from_table(table, columns, units, assume_units=False)
 
     @classmethod
     def _from_table(cls, table, columns, units, *, assume_units):
         table, is_plain = as_table(table, index_as_id=False)
-        assume_units = assume_units or is_plain
-        names = _find(table, columns)
-        units = {} if units is None else units
-        if not isinstance(units, dict):
-            raise refusal("units must be a dict from role to unit", units, dict)
-        for role in units:
-            check_choice(role, ("ra", "dec", "position_angle"), "column role with a unit")
-        missing = [role for role in ("ra", "dec") if role not in names]
-        if missing:
-            raise Finder(table).missing(" and ".join(missing))
-        n, found = len(table), {}
-        for role in ("ra", "dec", "position_angle"):
-            if role in names:
-                # `Finder` supports only the columns of a catalog; therefore, its role "ra" is used for every angle
-                as_angle = {"ra": names[role]}
-                unit = {"ra": units[role]} if role in units else {}
-                found[role] = Finder(table, as_angle, unit, assume_units or role == "position_angle").quantity("ra")
+        names = find_names(table, columns)
+        table, said = without_others(table)
+        n, found = len(table), read_angles(table, names, units, silent=assume_units or is_plain or bool(said))
         result = QTable(
             {
                 "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
@@ -215,7 +195,7 @@ class Tiling:
                 "position_angle": found.get("position_angle", np.zeros(n) * u.deg),
                 "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
             },
-            meta=dict(table.meta),
+            meta={**table.meta, "columns": names, **({"omitted": said} if said else {})},
         )
         for name in table.colnames:
             if name not in names.values() and name not in COLUMNS:
@@ -229,8 +209,8 @@ class Tiling:
         Parameters
         ----------
         path : str or path-like
-            FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. CSV files have no units; degrees are
-            assumed.
+            FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. Angles in CSV files without units are in
+            degrees; no warning is issued.
         columns, units : dict, optional
             Names and units of the columns, as in `from_table`.
 
@@ -248,7 +228,7 @@ class Tiling:
         table = _io.read_table(path)
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
-            return cls._from_table(table, columns, units, assume_units=_io.suffix_of(path) == ".csv")
+            return cls._from_table(table, columns, units, assume_units=_io.suffix_of(path) in (".csv", ".tsv"))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -319,20 +299,6 @@ def place_of(ra, dec) -> np.ndarray:
     return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
         np.int64
     )
-
-
-def _find(table, columns):
-    """Return a dict from the role of a column, such as ``ra``, to its name in the table."""
-    columns = {} if columns is None else columns
-    if not isinstance(columns, dict):
-        raise refusal("columns must be a dict from role to column", columns, dict)
-    for role, name in columns.items():
-        check_choice(role, COLUMNS, "column role of a tiling")
-        if name not in table.colnames:
-            raise InputError(f"there is no column {name!r} for {role}; {Finder(table).listing()}")
-    lower = {c.lower(): c for c in reversed(table.colnames)}
-    usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
-    return {role: name for role, name in {**usual, **columns}.items() if name is not None}
 
 
 def _integers(column, tile):

@@ -196,8 +196,16 @@ def test_a_table_without_any_unit_is_read_with_a_warning():
     assert catalog.coord.pm_dec[1].to_value(u.mas / u.yr) == pytest.approx(4)
     units = {"ra": "deg", "dec": "deg", "pmra": "mas/yr", "pmdec": "mas/yr"}
     assert "assumed_units" not in rs.Catalog.from_table(table, units=units).meta
-    table["mag"] = [1.0, 2.0] * u.mag  # this table can have units; missing units of positions are therefore an error
-    with pytest.raises(rs.InputError, match="column 'ra' has no unit"):
+
+
+@pytest.mark.parametrize("name", ["ra", "dec", "pmra", "pmdec"])
+def test_positions_without_units_are_refused_only_if_another_position_has_a_unit(name):
+    """A table in which a magnitude had a unit, but no position, was refused."""
+    table = QTable({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "pmra": [1, 2], "pmdec": [3, 4], "mag": [1, 2] * u.mag})
+    with pytest.warns(rs.RfpsurveyWarning, match="the positions and proper motions have no units: the assumed units"):
+        assert rs.Catalog.from_table(table).coord.dec.deg == pytest.approx([3, 4])
+    table[name] = table[name] * (u.mas / u.yr if "pm" in name else u.deg)
+    with pytest.raises(rs.InputError, match=f"column '{'dec' if name == 'ra' else 'ra'}' has no unit"):
         rs.Catalog.from_table(table)
 
 

@@ -109,6 +109,18 @@ def test_epoch_zero_of_targets_without_proper_motion_is_accepted():
         rs.Catalog.from_table(table)
 
 
+@pytest.mark.parametrize("table", [ledger(), sdssv()])
+def test_positions_of_surveys_without_units_are_in_degrees(table):
+    """Ledgers of DESI in which only another column has a unit were refused."""
+    expected, plain = rs.Catalog.from_table(table), table.copy()
+    for name in [name for name in table.colnames if name.lower() in ("ra", "dec")]:
+        plain[name] = table[name].value
+    plain["FLUX"] = np.ones(len(table)) * u.Unit("nanomaggy", parse_strict="silent")
+    catalog = rs.Catalog.from_table(plain)  # without a warning, which would fail the test
+    assert (catalog.coord.ra == expected.coord.ra).all()
+    assert catalog.meta["assumed_units"].lower() == "ra in deg, dec in deg"
+
+
 @pytest.mark.parametrize("identifier", ["catalogid", "rsid"])
 @pytest.mark.parametrize("fiber_type", ["fiberType", "fiber_type"])
 @pytest.mark.parametrize("selection", ["cadence", "category"])

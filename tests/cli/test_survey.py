@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _surveys
@@ -213,6 +213,46 @@ def test_wrong_words(call, files, words, sentence):
     folder, _, _ = files
     known = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
     assert sentence in call(*known, *words, code=0 if not sentence else 2)[1]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("survey", "{stars}", "--tiles"),
+        ("select", "{stars}", "--realizations", 1, "--output", "{out}.fits", "--tiles"),
+        ("tile", "{stars}", "--method", "given", "--output", "{out}.ecsv", "--centers"),
+    ],
+)
+def test_columns_and_units_of_tiles_can_be_given(call, files, tmp_path, words):
+    """--column and --unit did not apply to tables of tiles, although an error recommended --unit."""
+    path = tmp_path / "tiles.ecsv"
+    QTable({"who": [7, 8], "alpha": [94.8 / 15, 95.2 / 15], "delta": [23, 23] * u.deg, "mag": [1, 2]}).write(path)
+    names = {"stars": files[0] / "stars.fits", "out": tmp_path / "out"}
+    words = (*(str(word).format(**names) for word in words), path, "--instrument", "moons")
+    columns = ("--tiles-column", "tile=who", "--tiles-column", "ra=alpha", "--tiles-column", "dec=delta")
+    assert "--tiles-column ra=..." in call(*words, code=2)[1]
+    assert "or --tiles-unit ra=deg" in call(*words, *columns, code=2)[1]
+    assert "--tiles-unit must have the form ROLE=UNIT, got 'h'" in call(*words, "--tiles-unit", "h", code=2)[1]
+    out, err = call(*words, *columns, "--tiles-unit", "ra=hourangle")
+    assert "columns of tiles: tile: who, ra: alpha, dec: delta\n" in out
+    assert "2" in next(line for line in out.splitlines() if line.startswith("tiles ")).split()
+    assert "no target was observed" not in err  # the centers are where the targets are
+    options = "--tiles-column and --tiles-unit must be used with a table of tiles"
+    assert options in call(words[0], "--tiles-unit", "ra=deg", code=2)[1]
+
+
+def test_the_provenance_of_a_survey_states_the_columns_of_the_tiles(call, files, tmp_path):
+    """It was not recorded which tiles of a list were omitted, and which columns were used."""
+    path = tmp_path / "tiles.ecsv"
+    table = Table({"TILEID": [1, 2], "RA": [95.0, 95.0], "DEC": [23.0, 23.1], "IN_DESI": [True, False]})
+    table.write(path)
+    out, err = call("survey", files[0] / "stars.fits", "--tiles", path, "--folder", tmp_path / "plan")
+    omitted = "1 of 2 tiles (IN_DESI = 0)"
+    assert f"columns of tiles: tile: TILEID, ra: RA, dec: DEC; omitted: {omitted}\n" in out
+    assert err.count(f"warning: {omitted} are omitted") == 1
+    survey = rs.Survey.read(tmp_path / "plan")
+    assert survey.provenance["tiling"] == {"columns": {"tile": "TILEID", "ra": "RA", "dec": "DEC"}, "omitted": omitted}
+    assert survey.tiles["tile"].tolist() == [1]
 
 
 def test_bad_tiles(call, files, tmp_path):

@@ -13,8 +13,10 @@ from rfpsurvey.tiling import warn_of_targets
 TAKEN = "are taken as centers of tiles"
 
 
-def table(names, n=50):
-    return QTable({name: np.linspace(0, 40, n) for name in names.split()})
+def tiling(names, n=50):
+    center = "ra dec raj2000 dej2000 racen deccen field_ra field_dec".split()
+    places, numbers = np.linspace(0, 40, n) * u.deg, np.arange(1, n + 1)
+    return rs.Tiling.from_table(QTable({k: places if k.lower() in center else numbers for k in names.split()}))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +35,7 @@ def table(names, n=50):
 )
 def test_columns_of_targets_are_suspected(names):
     with pytest.warns(rs.RfpsurveyWarning, match=f"the 50 rows of a table with the columns .* {TAKEN}"):
-        warn_of_targets(table(names), 10000)
+        warn_of_targets(tiling(names), 10000)
 
 
 @pytest.mark.parametrize(
@@ -54,22 +56,22 @@ def test_columns_of_targets_are_suspected(names):
 def test_lists_of_tiles_are_not(names):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warn_of_targets(table(names), 40)
-        warn_of_targets(table(names, 900), 40)
+        warn_of_targets(tiling(names), 40)
+        warn_of_targets(tiling(names, 900), 40)
 
 
 def test_more_tiles_than_targets_are_suspected():
     with pytest.warns(rs.RfpsurveyWarning, match=f"the 5000 rows of a table with the columns ra, dec {TAKEN}"):
-        warn_of_targets(table("ra dec", 5000), 4999)
-    warn_of_targets(table("ra dec", 5000), 5000)
-    warn_of_targets(table("ra dec tile", 5000), 100)
+        warn_of_targets(tiling("ra dec", 5000), 4999)
+    warn_of_targets(tiling("ra dec", 5000), 5000)
+    warn_of_targets(tiling("ra dec tile", 5000), 100)
 
 
 def test_tilings_of_ours_are_not(tmp_path):
-    tiling = rs.place_tiles(rs.Region.box(ra=(0 * u.deg, 40 * u.deg), dec=(0 * u.deg, 40 * u.deg)), "moons")
-    tiling.write(tmp_path / "tiles.ecsv")
-    assert len(tiling) > 1000
-    warn_of_targets(QTable.read(tmp_path / "tiles.ecsv"), 10)
+    placed = rs.place_tiles(rs.Region.box(ra=(0 * u.deg, 40 * u.deg), dec=(0 * u.deg, 40 * u.deg)), "moons")
+    placed.write(tmp_path / "tiles.ecsv")
+    assert len(placed) > 1000
+    warn_of_targets(rs.Tiling.read(tmp_path / "tiles.ecsv"), 10)
 
 
 def test_a_survey_warns_of_its_own_targets(run, tmp_path):

@@ -64,6 +64,43 @@ def test_columns_and_units_can_be_given():
     assert tiling.table["position_angle"][0] == 90 * DEG
 
 
+@pytest.mark.parametrize("others", [{}, {"EBV_MED": [0.1] * u.mag}])
+def test_centers_without_units_are_in_degrees(others):
+    """Lists of tiles in which only another column has a unit were refused."""
+    with pytest.warns(rs.RfpsurveyWarning, match="the assumed unit of RA and DEC is deg; to use other units, give"):
+        tiling = rs.Tiling.from_table(QTable({"RA": [10.0], "DEC": [20.0], **others}))
+    assert (tiling.coord.ra.deg, tiling.coord.dec.deg) == (10, 20)
+    in_hours = QTable({"RA": [10.0], "DEC": [20.0], **others})
+    tiling = rs.Tiling.from_table(in_hours, units={"ra": "hourangle", "dec": "deg"})
+    assert tiling.coord.ra.deg == pytest.approx(150)
+
+
+@pytest.mark.parametrize("kind", [bool, np.uint8, str])
+def test_tiles_that_are_not_part_of_desi_are_omitted_with_a_warning(kind):
+    """Tiles outside the footprint of DESI, which DESI's lists contain, were planned."""
+    is_part = np.array([1, 0, 1]).astype(kind)
+    given = Table({"TILEID": [7, 8, 9], "RA": [10.0, 20.0, 30.0], "DEC": [0.0, 5.0, 10.0], "IN_DESI": is_part})
+    with pytest.warns(rs.RfpsurveyWarning, match=r"^1 of 3 tiles \(IN_DESI = 0\) are omitted, because they are not"):
+        tiling = rs.Tiling.from_table(given)
+    assert tiling.table["tile"].tolist() == [7, 9]
+    assert tiling.coord.dec.deg.tolist() == [0, 10]
+    assert tiling.table.meta["omitted"] == "1 of 3 tiles (IN_DESI = 0)"
+    all_in = rs.Tiling.from_table(given[::2])  # without a warning, which would fail the test
+    assert all_in.table.meta["omitted"] == "0 of 2 tiles (IN_DESI = 0)"
+    assert all_in.table.meta["columns"] == {"tile": "TILEID", "ra": "RA", "dec": "DEC"}
+
+
+def test_the_list_of_tiles_of_desi_is_read(real_data):
+    """The list was refused, because only the column EBV_MED has a unit."""
+    path = real_data("desi/tiles-main-head.ecsv")
+    tiling, table = rs.Tiling.read(path), Table.read(path)
+    assert tiling.table["tile"].tolist() == table["TILEID"][table["IN_DESI"]].tolist()
+    assert (tiling.coord.ra.deg == table["RA"]).all()
+    assert (tiling.coord.dec.deg == table["DEC"]).all()
+    assert (as_tiling(table).coord.ra == tiling.coord.ra).all()
+    assert (Centers(table).tiling.coord.ra == tiling.coord.ra).all()
+
+
 @pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
 def test_write_then_read(tmp_path, suffix):
     first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, centers=Centers(position_angle=30 * DEG))
@@ -107,7 +144,10 @@ def test_csv_is_in_degrees(tmp_path):
     ("make", "message"),
     [
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
-        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0], "dec": [1.0]})), "column 'ra' has no unit"),
+        (
+            lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "DEC": [1.0]})),
+            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --tiles-unit dec=deg",
+        ),
         (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table, a QTable or a DataFrame, got"),
         (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
         (lambda: rs.Tiling.from_table(QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG})), "ra must lie between"),

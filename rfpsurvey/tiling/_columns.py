@@ -1,0 +1,85 @@
+"""Find the columns of a table of tiles, and read the centers and position angles of the tiles."""
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey._units import to_flags
+from rfpsurvey.catalog import Finder
+from rfpsurvey.errors import InputError, check_choice, number_of, refusal, warn
+
+__all__ = ["COLUMNS", "find_names", "read_angles", "without_others"]
+
+COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
+# Common names of the columns, in order of preference. Upper case and lower case are not distinguished.
+NAMES = {
+    "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
+    "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
+    "dec": "dec deccen dec_cen decen tile_dec tiledec field_dec center_dec deccenter dec_center dec_deg decdeg dej2000 "
+    "decj2000 de_icrs dec_icrs",
+    "position_angle": "position_angle positionangle pa field_pa posang pos_angle fieldrot",
+    "pass": "pass passnum pass_number layer visit",
+}
+ANGLES = ("ra", "dec", "position_angle")
+
+
+def find_names(table: Table, columns: dict | None) -> dict[str, str]:
+    """Return a dict from the role of a column, such as ``ra``, to its name in the table."""
+    columns = {} if columns is None else columns
+    if not isinstance(columns, dict):
+        raise refusal("columns must be a dict from role to column", columns, dict)
+    for role, name in columns.items():
+        check_choice(role, COLUMNS, "column role of a tiling")
+        if name not in table.colnames:
+            raise InputError(f"there is no column {name!r} for {role}; {Finder(table).listing()}")
+    lower = {c.lower(): c for c in reversed(table.colnames)}
+    usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
+    names = {role: name for role, name in {**usual, **columns}.items() if name is not None}
+    if missing := [role for role in ("ra", "dec") if role not in names]:
+        raise Finder(table).missing(" and ".join(missing), "--tiles-column")
+    return names
+
+
+def without_others(table: Table) -> tuple[Table, str]:
+    """Return the tiles that are part of DESI's survey, and text that states how many other tiles are omitted.
+
+    The column ``IN_DESI`` states which tiles are part of the survey; without this column, the text is empty.
+    """
+    name = next((c for c in table.colnames if c.lower() == "in_desi"), None)
+    if name is None:
+        return table, ""
+    is_part = to_flags(table[name], f"column {name!r}")
+    said = f"{np.count_nonzero(~is_part)} of {number_of(len(table), 'tile')} ({name} = 0)"
+    if not is_part.all():
+        warn(f"{said} are omitted, because they are not part of DESI's survey")
+    return table[is_part], said
+
+
+def read_angles(table: Table, names: dict[str, str], units: dict | None, *, silent: bool) -> dict:
+    """Return the angles of the tiles as quantities; the keys are the roles of the columns.
+
+    If neither coordinate has a unit in the table, degrees are assumed, and a warning is issued unless ``silent``.
+    """
+    units = {} if units is None else units
+    if not isinstance(units, dict):
+        raise refusal("units must be a dict from role to unit", units, dict)
+    for role in units:
+        check_choice(role, ANGLES, "column role with a unit")
+    found, assumed = {}, []
+    has_units = Finder(table, {role: names[role] for role in ("ra", "dec")}).has_units(("ra", "dec"))
+    for role in (role for role in ANGLES if role in names):
+        # `Finder` supports only the columns of a catalog; therefore, its role "ra" is used for every angle
+        find = Finder(table, {"ra": names[role]}, {"ra": units[role]} if role in units else {}, assume_units=True)
+        found[role] = find.quantity("ra")
+        if find.assumed and role != "position_angle":
+            assumed.append(names[role])
+            if has_units:
+                raise InputError(
+                    f"column {names[role]!r} has no unit; state the unit, for example units={{{role!r}: 'deg'}} or "
+                    f"--tiles-unit {role}=deg"
+                )
+    if assumed and not silent:
+        warn(
+            f"the centers of tiles have no units: the assumed unit of {' and '.join(assumed)} is deg; to use other "
+            "units, give units= or --tiles-unit"
+        )
+    return found
