@@ -13,6 +13,7 @@ import resource
 import select
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -25,6 +26,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
+from valid_inputs import inputs
 
 OUTCOMES = (
     "read",
@@ -78,7 +80,7 @@ def main() -> int:
     table, bad, start, slowest = Counter(), [], time.perf_counter(), 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        made = [s for s in samples(folder) if options.format in (None, s.format)]
+        made = [s for s in samples(folder) + inputs(folder) if options.format in (None, s.format)]
         for sample in made:
             result = outcome(sample, sample.path)
             assert result == ("read", ""), (sample.path, result)
@@ -96,14 +98,14 @@ def main() -> int:
                 if options.keep:
                     options.keep.mkdir(exist_ok=True)
                     target = options.keep / f"{number}-{path.name}"
-                    shutil.copytree(path, target) if path.is_dir() else shutil.copy(path, target)
+                    subprocess.run(["cp", "-a", str(path), str(target)], check=True)  # pipes are not opened
             shutil.rmtree(place)
     formats = sorted({name for name, _ in table})
     shown = [o for o in OUTCOMES if o in FINE or any(table[f, o] for f in formats)]
-    print(f"{'format':12}" + "".join(f"{o:>16}" for o in shown))
+    print(f"{'format':18}" + "".join(f"{o:>16}" for o in shown))
     for name in formats:
-        print(f"{name:12}" + "".join(f"{table[name, o]:16}" for o in shown))
-    print(f"{'all':12}" + "".join(f"{sum(table[f, o] for f in formats):16}" for o in shown))
+        print(f"{name:18}" + "".join(f"{table[name, o]:16}" for o in shown))
+    print(f"{'all':18}" + "".join(f"{sum(table[f, o] for f in formats):16}" for o in shown))
     print(f"{options.number} files in {time.perf_counter() - start:.0f} s, the slowest {slowest:.1f} s")
     for number, name, done, what, text in bad:
         print(f"{number} {name} ({done}): {what}: {text[:300]}")

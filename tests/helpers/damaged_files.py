@@ -6,10 +6,14 @@ other packages, or return fewer rows without a warning.
 
 import bz2
 import gzip
+import io
 import lzma
+import os
 import re
 import shutil
 import warnings
+import zipfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +22,11 @@ import rfpsurvey as rs
 from valid_files import Sample
 
 NUMBER = re.compile(rb"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
-HUGE = (b"999999999", b"-1", b"0", b"1e400", b"99999999999999999999", b"2147483648", b"NaN", b"1000000")
+HUGE = (
+    *(b"999999999", b"-1", b"0", b"1e400", b"99999999999999999999", b"2147483648", b"NaN", b"1000000"),
+    *(b"9" * 400, b"-" + b"9" * 400, b"7" * 5000, b"0." + b"3" * 400, b"inf", b"-inf", b"1e308", b"5e-324", b"1e-400"),
+    *(b"9223372036854775807", b"-9223372036854775808", b"18446744073709551616", b"true", b"''"),
+)
 TOKENS = (
     b'"',
     b"\0",
@@ -37,6 +45,13 @@ TOKENS = (
     b"{",
     b"=",
     b"END",
+    b"\xff\xfe",
+    b"\xc3\x28",
+    b"\xef\xbb\xbf",
+    b"[" * 3000,
+    b"{a=" * 3000,
+    b"a." * 3000,
+    b"<a>" * 3000,
 )
 
 
@@ -146,6 +161,100 @@ def compress(rng, b):
     ](b)
 
 
+def change_archive(rng, b):
+    """Change a member of a NumPy archive."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(b)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+    except zipfile.BadZipFile:
+        return b
+    name = sorted(members)[int(rng.integers(len(members)))]
+    kind = ("huge", "objects", "type", "shape", "text", "bomb", "no member", "other member", "not finite")[
+        int(rng.integers(9))
+    ]
+    values = (
+        np.lib.format.read_array(io.BytesIO(members[name])) if members[name].startswith(b"\x93NUMPY") else np.ones(3)
+    )
+    changed = io.BytesIO()
+    if kind == "huge":
+        shape = (int(rng.choice([2**31, 2**40, 2**62])), *values.shape[1:])
+        np.lib.format.write_array_header_1_0(changed, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    elif kind == "objects":
+        np.save(changed, np.array([{"a": 1}, None], dtype=object), allow_pickle=True)
+    elif kind == "type":
+        types = ("f4", "i1", "c16", "S3", "M8[s]", "?", "u8", [("a", "f8"), ("b", "i4")])
+        np.save(changed, np.zeros(values.shape, types[int(rng.integers(len(types)))]))
+    elif kind == "shape":
+        np.save(
+            changed,
+            (values[:-1], values[None], np.zeros(()), values[..., None], np.zeros((0,)))[int(rng.integers(5))]
+            if values.ndim
+            else values[None],
+        )
+    elif kind == "not finite" and values.size:
+        other = (np.nan, np.inf, -1, 2**62, 255, 0)[int(rng.integers(6))]
+        values = values.astype(float if not np.isfinite(other) else np.int64)
+        values.flat[int(rng.integers(values.size))] = other
+        np.save(changed, values)
+    elif kind == "text":
+        changed.write(b"not an array")
+    members[name] = changed.getvalue()
+    if kind == "no member":
+        del members[name]
+    elif kind == "other member":
+        members["other.npy"] = members.pop(name)
+    found = io.BytesIO()
+    with zipfile.ZipFile(found, "w") as archive:
+        for one, content in members.items():
+            archive.writestr(one, content)
+    return _bomb(name) if kind == "bomb" else found.getvalue()
+
+
+@cache
+def _bomb(name: str, n: int = 3 * 2**30) -> bytes:
+    """Return an archive of a few MB with an array of n bytes, all of them zero."""
+    found = io.BytesIO()
+    with (
+        zipfile.ZipFile(found, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open(name, "w", force_zip64=True) as file,
+    ):
+        np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (n,)})
+        for _ in range(n >> 24):
+            file.write(bytes(1 << 24))
+    return found.getvalue()
+
+
+def replace_file(rng, path: Path) -> str:
+    """Replace a file by something else that has its name, and return a description."""
+    kinds = (
+        "nothing",
+        "folder",
+        "loop of links",
+        "link to nothing",
+        "pipe",
+        "link to /dev/zero",
+        "empty",
+        "link to a folder",
+    )
+    kind = kinds[int(rng.integers(len(kinds)))]
+    path.unlink()
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "loop of links":
+        path.symlink_to(path.name)
+    elif kind == "link to nothing":
+        path.symlink_to("no-such-file")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "link to /dev/zero":
+        path.symlink_to("/dev/zero")
+    elif kind == "link to a folder":
+        path.symlink_to("/")
+    elif kind == "empty":
+        path.touch()
+    return kind
+
+
 MUTATORS = (
     flip,
     flip,
@@ -179,12 +288,15 @@ def damage(rng: np.random.Generator, sample: Sample, folder: Path) -> tuple[Path
     else:
         piece = path
         shutil.copy(sample.path, path)
+    if rng.integers(12) == 0:
+        return path, f"{piece.name}: {replace_file(rng, piece)}"
     before = piece.read_bytes()
     inside = piece.suffix == ".gz" and rng.integers(2)
     after = gzip.decompress(before) if inside else before
     done = []
     for _ in range(1 if rng.integers(3) else 2):
-        mutator = MUTATORS[int(rng.integers(len(MUTATORS)))]
+        archive = after.startswith(b"PK") and rng.integers(2)
+        mutator = change_archive if archive else MUTATORS[int(rng.integers(len(MUTATORS)))]
         after = mutator(rng, after)
         done.append(mutator.__name__)
     piece.write_bytes(gzip.compress(after, mtime=0) if inside else after)
