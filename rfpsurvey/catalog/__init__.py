@@ -12,7 +12,7 @@ from rfpsurvey.catalog._index import SkyIndex, half_chord_squared
 from rfpsurvey.catalog._motion import move_vectors
 from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
-from rfpsurvey.catalog._time import to_time
+from rfpsurvey.catalog._time import to_moment, to_time
 
 __all__ = [
     "RESERVED",
@@ -33,5 +33,6 @@ __all__ = [
     "move_vectors",
     "partition_catalog",
     "synthetic_catalog",
+    "to_moment",
     "to_time",
 ]
