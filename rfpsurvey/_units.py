@@ -1,6 +1,6 @@
 """Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
-from numbers import Number
+from numbers import Integral, Number
 
 import astropy.units as u
 import numpy as np
@@ -21,9 +21,11 @@ MOST_VISITS = 255
 
 __all__ = [
     "exact_text",
+    "is_seed_given",
     "locked",
     "rows_of",
     "to_center",
+    "to_dimensionless",
     "to_direction",
     "to_flags",
     "to_generator",
@@ -65,7 +67,8 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
     try:
         return np.array(_filled(value).to_value(unit), dtype=np.float64, order="C")
     except u.UnitConversionError:
-        raise InputUnitsError(f"{name} must have a unit convertible to {unit}, got {value.unit}") from None
+        needed = f"have a unit convertible to {unit}" if str(unit) else "be a number without a unit"
+        raise InputUnitsError(f"{name} must {needed}, got {value.unit if str(value.unit) else short(value)}") from None
 
 
 def to_scalar(
@@ -76,9 +79,9 @@ def to_scalar(
     if number.shape != ():
         raise InputError(f"{name} must be one value, got the shape {number.shape}")
     if not np.isfinite(number) or not (low < number < high or (closed and number == low)):
-        limits = f" above {low:g} {unit}" if low > -np.inf else ""
+        limits = f" above {low:g} {unit}".rstrip() if low > -np.inf else ""
         limits = limits.replace(" above", " of at least") if closed else limits
-        limits += f" and below {high:g} {unit}" if high < np.inf else ""
+        limits += f" and below {high:g} {unit}".rstrip() if high < np.inf else ""
         raise InputError(f"{name} must be one finite value{limits}, got {value}")
     return float(number)
 
@@ -244,9 +247,12 @@ def rows_of(mask: np.ndarray) -> str:
     return f"{len(rows)} of {np.size(mask)} rows (row{'s' if len(rows) > 1 else ''} {few})"
 
 
-def to_numbers(value: object, name: str) -> np.ndarray:
-    """Return numbers as float64; raise an error if two integers could become the same number."""
-    values = to_plain(value, name)
+def to_numbers(value: object, name: str, *, unitless: bool = False) -> np.ndarray:
+    """Return numbers as float64; raise an error if two integers could become the same number.
+
+    With ``unitless``, raise an error if the numbers have a unit.
+    """
+    values = to_dimensionless(value, name) if unitless else to_plain(value, name)
     try:
         numbers = values.astype(float)
     except (TypeError, ValueError) as error:
@@ -259,10 +265,20 @@ def to_numbers(value: object, name: str) -> np.ndarray:
     return numbers
 
 
+def to_dimensionless(value: object, name: str) -> np.ndarray:
+    """Return plain numbers; raise an error for a Quantity with a unit that is not dimensionless."""
+    if not isinstance(value, u.Quantity):
+        return to_plain(value, name)
+    try:
+        return to_plain(value.to(u.dimensionless_unscaled), name)
+    except u.UnitConversionError:
+        raise InputUnitsError(f"{name} must be numbers without a unit, got {short(value)}") from None
+
+
 def to_visits(visits: object, n: int) -> np.ndarray:
     """Return the requested number of visits of each of n targets as 8-bit integers."""
     try:
-        values = to_plain(visits, "visits").astype(float)
+        values = to_dimensionless(visits, "visits").astype(float)
     except InputError:
         raise
     except (TypeError, ValueError):
@@ -283,6 +299,11 @@ def to_generator(rng: object) -> np.random.Generator:
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
         raise refusal("rng must be a seed of at least 0, a numpy Generator or None", rng, Number) from None
+
+
+def is_seed_given(rng) -> bool:
+    """Return whether ``rng`` is not the default seed 0."""
+    return not (isinstance(rng, Integral) and rng == 0)
 
 
 def to_seed(rng: object) -> int:

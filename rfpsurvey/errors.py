@@ -2,7 +2,9 @@
 
 import inspect
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
 from numbers import Integral, Number
@@ -25,7 +27,10 @@ __all__ = [
     "number_of",
     "refusal",
     "short",
+    "used_elsewhere",
     "warn",
+    "warn_no_effect",
+    "warn_of_unused",
 ]
 
 T = TypeVar("T", bound=Callable)
@@ -88,6 +93,55 @@ def warn(text: str) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "rfpsurvey":
         level, frame = level + 1, frame.f_back
     warnings.warn(text, RfpsurveyWarning, stacklevel=level)
+
+
+# Options that cause no warning in `warn_no_effect`, because the caller uses them; None stands for all options.
+_used_elsewhere: ContextVar[frozenset[str] | None] = ContextVar("used_elsewhere", default=frozenset())
+
+
+@contextmanager
+def used_elsewhere(*names: str) -> Iterator[None]:
+    """Issue no warnings that options have no effect, because the caller also uses them; without names, all options."""
+    before = _used_elsewhere.get()
+    token = _used_elsewhere.set(None if before is None or not names else before | {*names})
+    try:
+        yield
+    finally:
+        _used_elsewhere.reset(token)
+
+
+def warn_no_effect(name: str, why: str) -> None:
+    """Issue a warning that an option was given although it has no effect; ``why`` completes the sentence."""
+    silent = _used_elsewhere.get()
+    if silent is not None and name not in silent:
+        warn(f"{name} has no effect {why}")
+
+
+def warn_of_unused(
+    given: Iterable[str], chosen: Collection[object], uses: Mapping[str, Collection[str]], what: str
+) -> None:
+    """Issue a warning for each given option that none of the chosen methods uses.
+
+    Parameters
+    ----------
+    given : iterable of str
+        Names of the options whose values differ from the default values.
+    chosen : collection of str or callable
+        The methods. A function, or a method that is not in ``uses``, is assumed to use every option.
+    uses : mapping of str to collection of str
+        Names of the options that each method uses.
+    what : str
+        Noun for a method, such as "allocator".
+    """
+    if not all(isinstance(one, str) and one in uses for one in chosen):
+        return
+    for name in given:
+        if not any(name in uses[one] for one in chosen):
+            users = [one for one, names in uses.items() if name in names]
+            who = f"{', '.join(users[:-1])} and {users[-1]} use" if len(users) > 1 else f"{users[0]} uses"
+            methods = " and ".join(repr(one) for one in dict.fromkeys(chosen))
+            plural = "s" if len({*chosen}) > 1 else ""
+            warn_no_effect(name, f"with the {what}{plural} {methods}; only {who} it")
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:

@@ -291,8 +291,9 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
     with pytest.warns(rs.RfpsurveyWarning, match="2 of 2 targets are out of reach"):
         rs.score_tile(plan, small)
     plan["x"] = x
-    with pytest.warns(rs.RfpsurveyWarning, match="not used, because .*: center, epoch; to use"):
+    with pytest.warns(rs.RfpsurveyWarning, match="no effect because the table has positions") as told:
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
+    assert [str(one.message).split()[0] for one in told] == ["center", "epoch"]
     with pytest.warns(rs.RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
         rs.plan_tile(few(), small, CENTER, epoch=2030)
     with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the same id as another target"):

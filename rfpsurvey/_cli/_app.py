@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from rfpsurvey._cli._print import (
 from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, is_example, to_time
-from rfpsurvey.errors import check_choice, listed
+from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
 
@@ -48,9 +49,11 @@ __all__ = [
     "read_catalog",
     "read_targets",
     "read_tiles",
+    "seed_of",
     "targets_and_center",
     "to_mm",
     "units_of",
+    "warn_without_catalog",
 ]
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
@@ -154,10 +157,23 @@ def read_tiles(path: Path | None, column: list[str] | None, unit: list[str] | No
     return tiling
 
 
+def warn_without_catalog(**given) -> None:
+    """Issue a warning for each given option that describes a catalog, although no catalog is given."""
+    for name, value in given.items():
+        if value and (name, value) != ("frame", "icrs"):
+            warn_no_effect(f"--{name}", "without a catalog")
+
+
+def seed_of(path: Path | str | None) -> AbstractContextManager[None]:
+    """Return a context without warnings that the seed has no effect if it is also the seed of synthetic targets."""
+    return used_elsewhere("rng") if path is None else nullcontext()
+
+
 def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
     """Read a catalog, or generate one if ``path`` is None; return the catalog and the field center (or None)."""
     field = parse_center(center)
     if path is None:
+        warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep)
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
     return as_catalog(read_catalog(path, column, unit, frame, fill, keep)), field

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import astropy.units as u
 import typer
-from astropy.time import Time
 
 import rfpsurvey as rs
+from rfpsurvey.catalog import to_moment
 from rfpsurvey.observing import SITES, location
 
 __all__ = [
@@ -87,10 +87,7 @@ def conditions_of(
     if site is not None:
         given["site"] = site if "," not in site else location(site.split(","))
     if time is not None:
-        try:
-            given["time"] = Time(time, scale="utc")
-        except ValueError:
-            raise rs.InputError(f"--time must be a UTC time such as 2026-07-01T06:30:00, got {time!r}") from None
+        given["time"] = to_moment(time, "--time")
     if hour_angle is not None:
         given["hour_angle"] = hour_angle * u.hourangle
     if wavelength:

@@ -7,7 +7,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey.errors import warn
+from rfpsurvey.errors import warn_of_unused
 
 __all__ = ["FixedOption", "GapOption", "IterationsOption", "JointTimeOption", "joint_order"]
 
@@ -44,8 +44,7 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
     given = {name: value for name, value in given.items() if value is not None}
     if order == "joint":
         return rs.JointOptions(**given, inform=_print_gain)
-    if given:
-        warn("--joint-gap, --joint-iterations, --joint-time and --fixed have no effect without --order joint")
+    warn_of_unused(given, [order], {"joint": given, "color": (), "given": ()}, "order")
     return order
 
 

@@ -52,6 +52,10 @@ OPTIONS = {
     "gap": "--joint-gap",
     "iterations": "--joint-iterations",
     "time_limit": "--joint-time",
+    "targets": "--n-targets",
+    "rng": "--seed",
+    "parked_obstacles": "--no-parked",
+    "lost_in_collision": "--kept",
 }
 """Parameters whose command-line options have different names, and the names of these options."""
 
@@ -116,7 +120,7 @@ def _options(
 
 def main() -> None:
     """Run the command that the user typed; if the input is invalid, print one sentence and exit with the code 2."""
-    warnings.showwarning = lambda message, *_: print(f"rfpsurvey: warning: {message}", file=sys.stderr)
+    warnings.showwarning = _show_warning
     warnings.filterwarnings("ignore", module="astropy")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
     code = 0
@@ -131,6 +135,11 @@ def main() -> None:
     sys.exit(_flush(code))
 
 
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning as one line."""
+    print(f"rfpsurvey: warning: {_with_options(str(message), sys.argv[1:])}", file=sys.stderr)
+
+
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
     with suppress(BrokenPipeError):
@@ -139,14 +148,14 @@ def _complain(error: Exception) -> int:
 
 
 def _with_options(text: str, words: list[str]) -> str:
-    """Replace the names of parameters in an error message by the command-line options that the user typed."""
+    """Replace the names of parameters in a message by the command-line options that the user typed."""
     typed = {word.partition("=")[0] for word in words if word.startswith("--")}
 
     def option(match: re.Match) -> str:
         names = "--" + match[0].replace("_", "-"), OPTIONS.get(match[0])
         return next((name for name in names if name in typed), match[0])
 
-    text = re.sub(r"^[a-z_]+(?= must )", option, text)
+    text = re.sub(r"^[a-z_]+(?= (must|has no effect) )", option, text)
     return re.sub(r"(?<![\w'=-])[a-z]+(_[a-z]+)+(?![\w'=(])", option, text)
 
 

@@ -23,6 +23,7 @@ MANY = 0.05  # the collision rate above which a hint is printed
 def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep):
     """Read a catalog from a file or a folder of partitions; by default, make a synthetic catalog wider than a field."""
     if path is None:
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep)
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options

@@ -76,6 +76,8 @@ def compare(
         _app.model_of(name, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
         for name in instruments or (rs.available_instruments() if arm_model or margins else ())
     ]
+    if catalog is None:
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill)
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
     )

@@ -60,15 +60,16 @@ def compare_allocators(
         keep_out=keep_out,
         subpriority=subpriority,
     )
-    table, plans = rs.compare_allocators(
-        targets,
-        model,
-        north_of_date(field, equinox),
-        allocators=allocator,
-        options=options,
-        return_tiles=True,
-        position_angle=pa * u.deg,
-        epoch=epoch,
-        rng=seed,
-    )
+    with _app.seed_of(catalog):
+        table, plans = rs.compare_allocators(
+            targets,
+            model,
+            north_of_date(field, equinox),
+            allocators=allocator,
+            options=options,
+            return_tiles=True,
+            position_angle=pa * u.deg,
+            epoch=epoch,
+            rng=seed,
+        )
     _app.finish_comparison(table, plans, output, plot, report, overwrite=overwrite)

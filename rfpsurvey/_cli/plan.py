@@ -72,7 +72,7 @@ def plan(
         subpriority=subpriority,
     )
     _app.check_text(sky, model, field, output)
-    with end_on_interrupt() as interrupted:
+    with _app.seed_of(catalog), end_on_interrupt() as interrupted:
         tile = rs.plan_tile(
             sky,
             model,

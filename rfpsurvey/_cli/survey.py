@@ -83,5 +83,5 @@ def survey(
     }
     tiling = _surveys.tiles_of(tiling, targets, model)
     tiling = _conditions.tiles_under(tiling, *seen)
-    with _surveys.workers(workers, scheduler, processes=processes) as executor:
+    with _app.seed_of(catalog), _surveys.workers(workers, scheduler, processes=processes) as executor:
         _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)

@@ -6,6 +6,7 @@ import astropy.units as u
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey.allocation import given_options
 
 
 @_main.app.command(epilog=_examples.TILE_EXAMPLES)
@@ -54,23 +55,26 @@ def tile(
     if catalog is not None or region is None:
         field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill)
         field = field if inside is None else _targets_inside(field, inside)
+    else:
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill)
     _margins.check_use(margins, by_positioners=field is not inside and (allocator or not (fibers or radius)))
-    tiling = rs.place_tiles(
-        field,
-        model,
-        method=method,
-        passes=passes,
-        completeness=completeness,
-        n_tiles=n_tiles,
-        fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
-        allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
-        radius=None if radius is None else radius * u.deg,
-        centers=_centers(_app.read_tiles(centers, tiles_column, tiles_unit), declination, pa),
-        exclude=[rs.Region.parse(one) for one in exclude or []],
-        visits=visits,
-        progress=sys.stderr.isatty(),
-        rng=seed,
-    )
+    with _app.seed_of(catalog or region):
+        tiling = rs.place_tiles(
+            field,
+            model,
+            method=method,
+            passes=passes,
+            completeness=completeness,
+            n_tiles=n_tiles,
+            fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
+            allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
+            radius=None if radius is None else radius * u.deg,
+            centers=_centers(_app.read_tiles(centers, tiles_column, tiles_unit), declination, pa),
+            exclude=[rs.Region.parse(one) for one in exclude or []],
+            visits=visits,
+            progress=sys.stderr.isatty(),
+            rng=seed,
+        )
     shown = {"region": inside, "targets": None if field is inside else field}
     _app.finish_tiling(tiling, shown, output, plot, report, overwrite=overwrite)
 
@@ -96,12 +100,11 @@ def _centers(tiling, declination, pa):
 
 def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
     """Return the options of an allocation, or None if all options have their default values."""
-    asked = require is not None or sky_separation is not None or not parked
+    options = _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)
+    asked = given_options(options)
     if allocator is None and given and asked:
         raise rs.InputError(
-            "--allocator must be given if --fibers or --radius is combined with --require, --sky-separation or "
-            "--no-parked"
+            "--allocator must be given if --fibers or --radius is combined with --require, --sky-separation, "
+            "--time-limit or --no-parked"
         )
-    if allocator is None and not asked:
-        return None
-    return _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)
+    return None if allocator is None and not asked else options

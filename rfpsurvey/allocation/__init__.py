@@ -8,12 +8,13 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import brief
-from rfpsurvey.allocation._options import ALLOCATORS, AllocationOptions, as_options
+from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
+from rfpsurvey.allocation._uses import ALLOCATORS, OPTIONS, given_options, warn_of_parked, warn_of_unused_options
 
 if TYPE_CHECKING:
     from rfpsurvey.allocation._weighted import (
@@ -29,6 +30,7 @@ __all__ = [
     "ALLOCATORS",
     "IDLE_REASONS",
     "KINDS",
+    "OPTIONS",
     "Allocation",
     "AllocationAnswer",
     "AllocationOptions",
@@ -51,6 +53,7 @@ __all__ = [
     "brief",
     "end_on_interrupt",
     "find_idle_reasons",
+    "given_options",
     "hint_of_name",
     "id_numbers",
     "packages",
@@ -60,6 +63,8 @@ __all__ = [
     "subpriorities",
     "tie_order",
     "to_subpriorities",
+    "warn_of_parked",
+    "warn_of_unused_options",
 ]
 
 _IMPORTED_ON_USE = {

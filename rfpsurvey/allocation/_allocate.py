@@ -8,7 +8,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import rows_of, to_generator, to_numbers, to_plain, to_points_mm
+from rfpsurvey._units import rows_of, to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
@@ -18,8 +18,17 @@ from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
+from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_keywords, short
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_fiber_type,
+    check_keywords,
+    short,
+    warn_no_effect,
+)
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 __all__ = ["allocate", "assign"]
@@ -96,7 +105,8 @@ def allocate(
     Warns
     -----
     RfpsurveyWarning
-        If ``sky_separation`` is given but no requirement counts sky positions.
+        If an option that the allocator does not use is given, or if ``sky_separation`` is given but no requirement
+        counts sky positions.
 
     Examples
     --------
@@ -111,8 +121,13 @@ def allocate(
     >>> best.n_assigned, best.gap
     (2, 0.0)
     """
-    options = as_options(allocator).for_instrument(None)
+    asked = as_options(allocator)
+    options = asked.for_instrument(None)
     check_plane(focal_plane)
+    arrays = {"required": required, "subpriority": subpriority}
+    warn_of_unused_options([asked], focal_plane, rng, [name for name, values in arrays.items() if values is not None])
+    if avoid is not None and options.sky_separation is None:
+        warn_no_effect("avoid", "without sky_separation, the distance between sky positions and other objects")
     points = to_points_mm(xy, "xy")
     n = len(points)
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
@@ -250,7 +265,7 @@ def _marked(required, n):
     """Convert the rows of the required targets to a boolean array over all targets."""
     if required is None or np.size(required) == 0:
         return None
-    rows = np.atleast_1d(to_plain(required, "required"))
+    rows = np.atleast_1d(to_dimensionless(required, "required"))
     if rows.dtype.kind not in "iu" or rows.ndim != 1:
         raise InputTypeError(
             f"required must be row numbers of targets (whole numbers), got {rows.dtype.name} of the shape {rows.shape}"

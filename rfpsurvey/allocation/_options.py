@@ -1,7 +1,7 @@
 """The options of an allocation, which are the same for plans of tiles, surveys, tilings and comparisons."""
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import astropy.units as u
@@ -12,6 +12,7 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
+from rfpsurvey.allocation._uses import ALLOCATORS, ONLY_SOME, given_options, uses_with
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -21,7 +22,7 @@ from rfpsurvey.errors import (
     check_switch,
     refusal,
     short,
-    warn,
+    warn_no_effect,
 )
 from rfpsurvey.region import Region
 
@@ -32,8 +33,6 @@ SEPARATION = (
     "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
 )
 OBJECTIVES = ("priority", "count")
-ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
-"""Built-in allocators."""
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
 # ``repr`` shortens lists of more than this number of values.
@@ -72,7 +71,7 @@ class AllocationOptions:
     requirements : list of Requirement or str, or "instrument", optional
         Minimum and maximum numbers of targets per plan, as in ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
-        are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` ignore
+        are met as far as possible; minima that are not met are reported. ``balanced`` and ``nearest`` do not use
         requirements, but report requirements that are not met.
     sky_separation : Quantity, optional
         Minimum distance of sky positions from all targets: a length on the focal plane or, if the instrument is known,
@@ -95,7 +94,7 @@ class AllocationOptions:
         Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
         assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
         possible; ``repair`` assigns the required targets for which its local moves find a positioner; ``balanced``
-        ignores this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name,
+        does not use this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name,
         with rows in place of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as circles around bright stars. In each
@@ -121,6 +120,11 @@ class AllocationOptions:
     InputError
         If the name of an allocator or of an objective is unknown, if a requirement cannot be read, if a number is out
         of range, or if ``keep_out`` contains a region that is not a circle.
+
+    Notes
+    -----
+    Functions that plan issue a warning for each option that the allocator does not use and that does not have its
+    default value. The plan then records the default value of ``objective``, ``time_limit`` and ``start``.
 
     References
     ----------
@@ -171,9 +175,7 @@ class AllocationOptions:
             object.__setattr__(self, "subpriority", check_seed(self.subpriority))
 
     def __repr__(self):
-        given = {f.name: getattr(self, f.name) for f in fields(self)[1:]}
-        usual = {f.name: f.default if f.default_factory is MISSING else f.default_factory() for f in fields(self)[1:]}
-        changed = [f"{name}={_shown(value)}" for name, value in given.items() if value != usual[name]]
+        changed = [f"{name}={_shown(getattr(self, name))}" for name in given_options(self)]
         return f"AllocationOptions({', '.join([repr(self.name), *changed])})"
 
     @property
@@ -259,20 +261,13 @@ class AllocationOptions:
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         if separation is not None and not _asks_for_sky(requirements):
-            text = (
-                "sky_separation has no effect: no requirement counts sky positions; add a requirement such as "
-                "'sky=20/spectrograph'"
-            )
-            warn(text)
+            remedy = "add a requirement such as 'sky=20/spectrograph'"
+            warn_no_effect("sky_separation", f"because no requirement counts sky positions; {remedy}")
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)
-        built_in = self.name in ALLOCATORS
-        unused = {}
-        if built_in and self.allocator not in ("sdss", "optimal", "repair"):  # ``repair`` can call the other allocators
-            unused["time_limit"] = 60 * u.s
-        if built_in and self.allocator != "repair":
-            unused["start"] = AllocationOptions.start
+        used = uses_with(self).get(self.allocator, ONLY_SOME) if isinstance(self.allocator, str) else ONLY_SOME
+        unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if name not in used}
         return replace(self, requirements=requirements, sky_separation=separation, **unused)
 
     @property

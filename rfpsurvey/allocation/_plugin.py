@@ -9,8 +9,9 @@ from rfpsurvey._plugins import Plugin, find_function, find_plugin, name_of
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._methods import METHODS
-from rfpsurvey.allocation._options import ALLOCATORS, GROUP, AllocationOptions
+from rfpsurvey.allocation._options import GROUP, AllocationOptions
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._uses import ALLOCATORS
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import elbow_names
 

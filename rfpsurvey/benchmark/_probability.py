@@ -12,7 +12,7 @@ from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.allocation import allocate
 from rfpsurvey.benchmark._common import provenance
-from rfpsurvey.errors import InputError, check_whole
+from rfpsurvey.errors import InputError, check_whole, used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
@@ -99,12 +99,13 @@ def benchmark_probability(
     runs = [(method, n) for method, numbers in efforts.items() for n in numbers]
     check_whole(repeats, "repeats")
     rng = to_generator(rng)
-    truth = {
-        kind: collision_probability(
-            instrument, method="auto", estimand=kind, precision=precision, rng=rng.spawn(1)[0], most_entries=64
-        )
-        for kind in sorted(set(estimands.values()))
-    }
+    with used_elsewhere():  # methods use different options
+        truth = {
+            kind: collision_probability(
+                instrument, method="auto", estimand=kind, precision=precision, rng=rng.spawn(1)[0], most_entries=64
+            )
+            for kind in sorted(set(estimands.values()))
+        }
     results: dict = {run: [] for run in runs}
     turns = range(repeats + 1)  # the first run compiles the kernels
     with Progress(progress, len(turns), "rounds") as bar:
@@ -112,7 +113,8 @@ def benchmark_probability(
             for method, n in runs:
                 effort = Precision(max_iterations=n or None)
                 start = perf_counter()
-                found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
+                with used_elsewhere():
+                    found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
                 results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
             bar(turn + 1)
     rows = []

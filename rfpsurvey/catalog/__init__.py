@@ -13,7 +13,7 @@ from rfpsurvey.catalog._motion import move_vectors
 from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._synthetic import synthetic_catalog
 from rfpsurvey.catalog._tables import read_columns
-from rfpsurvey.catalog._time import to_time
+from rfpsurvey.catalog._time import to_moment, to_time
 
 __all__ = [
     "RESERVED",
@@ -35,5 +35,6 @@ __all__ = [
     "partition_catalog",
     "read_columns",
     "synthetic_catalog",
+    "to_moment",
     "to_time",
 ]

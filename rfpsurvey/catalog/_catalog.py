@@ -109,8 +109,10 @@ class Catalog:
         columns = {"id": np.arange(n) if self.id is None else to_labels(self.id, "id")}
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
-            if value is not None:
-                columns[name] = to_plain(value, name).astype(str) if name in TEXTS else to_numbers(value, name)
+            if value is not None and name in TEXTS:
+                columns[name] = to_plain(value, name).astype(str)
+            elif value is not None:
+                columns[name] = to_numbers(value, name, unitless=name == "visits")
         extra = extra_columns(self.extra, n)
         for name, value in columns.items():
             if value.shape != (n,):
@@ -362,7 +364,7 @@ class Catalog:
         InputError
             If the catalog has proper motions but no epoch.
         """
-        time = to_time(time, "time")
+        time = to_time(time, "time", one=True)
         still = self.epoch is None and not moving(self.coord).any()
         if still or not self.has_proper_motion or len(self) == 0:
             return self

@@ -34,7 +34,7 @@ def choose_epoch(
     str or None
         The sentence; None if the targets have no proper motions.
     """
-    asked = None if epoch is None else to_time(epoch, "epoch")
+    asked = None if epoch is None else to_time(epoch, "epoch", one=True)
     if not catalog.has_proper_motion:
         if epoch is not None:
             warn("the epoch has no effect, because the targets have no proper motions")

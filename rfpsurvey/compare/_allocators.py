@@ -10,10 +10,10 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
-from rfpsurvey.allocation import ALLOCATORS, AllocationOptions
+from rfpsurvey.allocation import ALLOCATORS, OPTIONS, AllocationOptions, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
-from rfpsurvey.errors import RfpsurveyWarning, check_switch
+from rfpsurvey.errors import RfpsurveyWarning, check_switch, used_elsewhere
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import Tile, plan_tile
 
@@ -77,6 +77,11 @@ def compare_allocators(
     InputError
         If `plan_tile` raises an InputError for one of the allocators.
 
+    Warns
+    -----
+    RfpsurveyWarning
+        If an option is given that no allocator uses, or if `plan_tile` issues a warning about the field.
+
     Examples
     --------
     >>> import astropy.units as u
@@ -92,10 +97,12 @@ def compare_allocators(
     methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
     instrument, catalog = as_instrument(instrument), as_catalog(catalog)
     tiles = {}
-    for method in [replace(methods[0], allocator=BLIND), *methods]:
+    every = [replace(methods[0], allocator=BLIND), *methods]
+    warn_of_unused_options(every, instrument.focal_plane, others.get("rng", 0))
+    for method in every:
         if method in tiles:
             continue
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), used_elsewhere(*OPTIONS):
             if tiles:
                 warnings.simplefilter("ignore", RfpsurveyWarning)  # issue a warning about the field only once
             # this first plan has a short time limit and only compiles the code

@@ -14,9 +14,18 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_with_progress
 from rfpsurvey._units import to_center, to_generator
-from rfpsurvey.allocation import ALLOCATORS, AllocationOptions, as_options
+from rfpsurvey.allocation import ALLOCATORS, OPTIONS, AllocationOptions, as_options
 from rfpsurvey.catalog import Catalog, synthetic_catalog
-from rfpsurvey.errors import InputError, InputTypeError, RfpsurveyWarning, check_whole, refusal, short, warn
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    RfpsurveyWarning,
+    check_whole,
+    refusal,
+    short,
+    used_elsewhere,
+    warn,
+)
 from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -136,9 +145,10 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
         if options.name in ALLOCATORS:
             _compile(options.name, options.start)
         try:
-            tile = plan_tile(
-                field.catalog, field.instrument, field.center, allocator=options, **{"rng": field.seed, **others}
-            )
+            with used_elsewhere(*OPTIONS):  # allocators use different options
+                tile = plan_tile(
+                    field.catalog, field.instrument, field.center, allocator=options, **{"rng": field.seed, **others}
+                )
         except InputError as error:
             raise InputError(f"{field.instrument.name}: {error}") from None
         table, summary = tile.table, tile.summary

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -10,9 +11,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import AllocationOptions, packages
+from rfpsurvey.allocation import AllocationOptions, packages, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.compare._fields import BLIND, Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
@@ -158,6 +159,11 @@ def compare_instruments(
         If an instrument or an allocator is unknown, if two instruments have the same name, if a field has no target, or
         if `plan_tile` raises an error.
 
+    Warns
+    -----
+    RfpsurveyWarning
+        If an option is given that no allocator uses.
+
     See Also
     --------
     compare_allocators : Compare allocators on one field of one instrument.
@@ -183,6 +189,7 @@ def compare_instruments(
     """
     models = _models(instruments)
     methods = allocators_of(allocators, options, others)
+    warn_of_unused_options([replace(methods[0], allocator=BLIND), *methods], rng=0 if isinstance(catalog, str) else rng)
     facts = [_describe(model) for model in models]
     if density is not None and targets_per_positioner is not None:
         raise InputError("give targets_per_positioner or density, not both")

@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_radian, to_seed
+from rfpsurvey._units import is_seed_given, to_radian, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
@@ -128,8 +128,8 @@ def explore_designs(
     Warns
     -----
     RfpsurveyWarning
-        If designs are impossible (they remain in the table without values), if the time limit ended searches, or if the
-        scan was begun with other versions of the software.
+        If an option is given that the method does not use, if designs are impossible (they remain in the table without
+        values), if the time limit ended searches, or if the scan was begun with other versions of the software.
 
     See Also
     --------
@@ -191,6 +191,7 @@ def scan(
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
+    loss.warn_of_unused(["rng"] if n_designs is None and is_seed_given(rng) else [])
     task = Task(*loss.question, float(to_radian(step, "step")), *loss.targets, loss.n_skies, loss.seconds, seed)
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)

@@ -7,6 +7,7 @@ import numpy as np
 
 from rfpsurvey.allocation import AllocationOptions, allocate
 from rfpsurvey.design._lattice import Lattice
+from rfpsurvey.errors import used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability import (
     AXES,
@@ -17,7 +18,7 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )
 
-__all__ = ["ESTIMANDS", "METHODS", "SURROGATE_ERROR", "Loss", "Skies", "cheapest", "in_box"]
+__all__ = ["AUTOMATIC", "ESTIMANDS", "METHODS", "SURROGATE_ERROR", "USES", "Loss", "Skies", "cheapest", "in_box"]
 
 N_POINTS = 256
 """Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""
@@ -110,11 +111,27 @@ ESTIMANDS = {
     "repair": "collision_free",
 }
 
+USES = {
+    "surrogate": (),
+    "quadrature": ("rng",),
+    "conditional": ("n_skies", "rng"),
+    "optimal": ("n_skies", "time_limit", "rng"),
+    "repair": ("n_skies", "time_limit", "rng"),
+}
+"""Names of the options that each method uses. The table does not contain the options that all methods use."""
+
+AUTOMATIC = {
+    "independent": ("surrogate", "quadrature"),
+    "allocated": ("conditional",),
+    "collision_free": ("optimal",),
+}
+"""Names of the methods from which `cheapest` selects, by estimand."""
+
 
 def cheapest(estimand: str, lattice: Lattice) -> str:
     """Return the fastest method that is accurate enough for a design."""
-    if estimand != "independent":
-        return {"allocated": "conditional", "collision_free": "optimal"}[estimand]
+    if len(AUTOMATIC[estimand]) == 1:
+        return AUTOMATIC[estimand][0]
     sure = in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
     return "surrogate" if sure else "quadrature"
 
@@ -130,7 +147,8 @@ def _compare(lattice, skies, method):
 
     def look(points, plane, core):
         options = {name: AllocationOptions(name, time_limit=limit) for name in ("sdss", method)}
-        plans = {name: allocate(plane, points, allocator=one) for name, one in options.items()}
+        with used_elsewhere():  # repair has no time limit
+            plans = {name: allocate(plane, points, allocator=one) for name, one in options.items()}
         blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
         unproven = any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
         return blind, blind - found, unproven, _gap(plans["sdss"], plans[method]) if method == "optimal" else np.nan

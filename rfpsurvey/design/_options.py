@@ -1,5 +1,6 @@
 """Options that define how a scan of designs computes the loss (the fraction of fibers lost to collisions)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from numbers import Number
 
@@ -7,9 +8,9 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.design._losses import ESTIMANDS, METHODS
+from rfpsurvey.design._losses import AUTOMATIC, ESTIMANDS, METHODS, USES
 from rfpsurvey.design._work import MOST_TARGETS
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_of_unused
 
 __all__ = ["LossOptions"]
 
@@ -83,6 +84,18 @@ class LossOptions:
         if self.estimand not in (None, own):
             raise InputError(f"the estimand must be {own!r} for the method {self.method!r}, got {self.estimand!r}")
         return own, self.method
+
+    def warn_of_unused(self, also: Sequence[str] = ()) -> None:
+        """Issue a warning for each given option that the method does not use.
+
+        Parameters
+        ----------
+        also : sequence of str, optional
+            Names of options of the scan that were given.
+        """
+        estimand, method = self.question
+        given = [name for name in ("n_skies", "time_limit") if getattr(self, name) != getattr(LossOptions, name)]
+        warn_of_unused([*given, *also], AUTOMATIC[estimand] if method == "auto" else [method], USES, "method")
 
     @property
     def targets(self) -> tuple[float, bool]:

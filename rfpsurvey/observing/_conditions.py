@@ -12,12 +12,22 @@ from astropy.time import Time
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_toml
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
+from rfpsurvey.catalog import to_moment
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
 from rfpsurvey.observing._sites import as_site, location
 
 __all__ = ["RATE", "ObservingConditions", "as_hour_angle", "check_conditions"]
 
 LONGEST_DAYS = 0.5
+EXAMPLES = {
+    "hour_angle": "-1.5 hourangle",
+    "pressure": "720 hPa",
+    "temperature": "10 deg_C",
+    "exposure_time": "30 min",
+    "tolerance": "10 um",
+    **dict.fromkeys(("wavelength", "guide_wavelength"), "0.54 um"),
+}
+"""Values in TOML files, for error messages."""
 # Angle by which the Earth rotates in a second of time (UT1), radians.
 RATE = 1.00273781191135448 * 2 * np.pi / 86400
 
@@ -32,10 +42,11 @@ class ObservingConditions:
     site : EarthLocation or str
         Location of the telescope, or one of ``apache point``, ``kitt peak``, ``las campanas``, ``mauna kea``,
         ``paranal`` and ``xinglong``.
-    time : Time, optional
-        Midpoint of the exposure. With a time, the projection includes precession, nutation, aberration, and the
-        deflection of light by the Sun. No file is downloaded: the time must be covered by the tables of the Earth's
-        rotation that are installed with astropy.
+    time : Time, datetime, date or str, optional
+        Midpoint of the exposure. Text such as ``"2026-07-01T06:30:00"``, a datetime without a time zone and a date are
+        in UTC. With a time, the projection includes precession, nutation, aberration, and the deflection of light by
+        the Sun. No file is downloaded: the time must be covered by the tables of the Earth's rotation that are
+        installed with astropy.
     hour_angle : Quantity, optional
         Hour angle of the field center at the midpoint of the exposure, positive west of the meridian, as an angle or as
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
@@ -97,8 +108,8 @@ class ObservingConditions:
         if (self.time is None) == (self.hour_angle is None):
             both = "none of them" if self.time is None else "both"
             raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
-        if self.time is not None and not (isinstance(self.time, Time) and self.time.isscalar and not self.time.mask):
-            raise InputTypeError(f"time must be one Time, got {short(self.time)}")
+        if self.time is not None:
+            object.__setattr__(self, "time", to_moment(self.time, "time"))
         if self.time is not None and self.time.scale in ("ut1", "local"):
             raise InputError(f"time must be in a scale such as UTC, got the scale {self.time.scale}; give UTC")
         if self.hour_angle is not None:
@@ -130,6 +141,8 @@ class ObservingConditions:
             ) from None
         to_scalar(celsius, u.deg_C, "temperature", low=-150, high=200)
         object.__setattr__(self, "temperature", celsius)
+        if np.any(getattr(self.humidity, "mask", False)):
+            raise InputError("humidity must have a value, got a masked value; leave it out to use the default value")
         try:
             humidity = u.Quantity(self.humidity)
         except TypeError:
@@ -167,6 +180,8 @@ class ObservingConditions:
         given = {name: _from_text(name, value, path) for name, value in read_toml(path).items()}
         if {"time", "hour_angle"} & set(changes):
             given = {name: value for name, value in given.items() if name not in ("time", "hour_angle")}
+        if "site" not in {**given, **changes}:
+            raise InputError(f'{path} must state the site, such as site = "xinglong", got {listed(given)}')
         try:
             return cls(**{**given, **changes})
         except InputError as error:
@@ -277,7 +292,7 @@ class ObservingConditions:
                 "exposure_time": record["exposure_time_s"] * u.s,
             }
             if "time" in record:
-                given["time"] = Time(record["time"], scale="utc")
+                given["time"] = record["time"]
             if "hour_angle_deg" in record:
                 given["hour_angle"] = record["hour_angle_deg"] * u.deg
             if "tolerance_mm" in record:
@@ -310,17 +325,15 @@ def _from_text(name: str, value: object, path: object) -> object:
     """Return the value of a parameter from a TOML file."""
     check_choice(name, [one.name for one in fields(ObservingConditions)], f"key of {path}")
     if name == "site" and isinstance(value, list):
-        return location(value)
-    if name in ("site", "humidity"):
+        return location(value, f"{path}: site")
+    if name in ("site", "humidity", "time"):
         return value
     try:
-        if name == "time":
-            return Time(value, scale="utc")
         if isinstance(value, dict):
             return {kind: u.Quantity(text) for kind, text in value.items()}
         return u.Quantity(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {name} must be text such as '0.54 um', got {short(value)}: {error}") from None
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: {name} must be text such as {EXAMPLES[name]!r}, got {short(value)}") from None
 
 
 def _check_wavelength(value, name: str) -> None:

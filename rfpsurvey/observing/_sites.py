@@ -20,13 +20,13 @@ SITES = {
 }
 
 
-def location(values: list) -> EarthLocation:
+def location(values: list, what: str = "site") -> EarthLocation:
     """Return the location for longitude and latitude (deg) and height (m)."""
     try:
         lon, lat, height = map(float, values)
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
     except (TypeError, ValueError):
-        raise InputError(f"site must be longitude, latitude (deg) and height (m), got {short(values)}") from None
+        raise InputError(f"{what} must be longitude, latitude (deg) and height (m), got {short(values)}") from None
 
 
 def as_site(site: object) -> EarthLocation:

@@ -15,6 +15,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from rfpsurvey._io import output_path
 from rfpsurvey._readers import content_of, is_number, sentence
+from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.plans._plan import make_plan, text_of_lost
 from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
@@ -322,7 +323,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
         epoch = meta.get("epoch")
         header = {
             "instruments": "BOSS APOGEE",
-            "epoch": MISSING if epoch is None else Time(epoch).jd,
+            "epoch": MISSING if epoch is None else to_time(epoch, "epoch").jd,
             "observatory": next(site for site, name in INSTRUMENTS.items() if name == meta["instrument"]),
             "raCen": meta.get("racen", MISSING),
             "decCen": meta.get("deccen", MISSING),

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import fields, replace
 from numbers import Number
 from time import perf_counter
 
@@ -11,8 +11,15 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._plugins import name_of
-from rfpsurvey._units import to_spawner
-from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages
+from rfpsurvey._units import is_seed_given, to_spawner
+from rfpsurvey.allocation import (
+    Allocation,
+    AllocationOptions,
+    as_options,
+    given_options,
+    packages,
+    warn_of_unused_options,
+)
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import (
     InputError,
@@ -23,11 +30,13 @@ from rfpsurvey.errors import (
     refusal,
     short,
     warn,
+    warn_no_effect,
+    warn_of_unused,
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
-from rfpsurvey.probability._methods import cheapest, check_usable, reason_of
+from rfpsurvey.probability._methods import USES, cheapest, check_usable, reason_of
 from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets, as_precision
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES
@@ -84,7 +93,7 @@ def collision_probability(
         Quantity that ``auto`` estimates, ``allocated`` by default. With any other ``method``, the only allowed value is
         the estimand of that method.
     targets : RandomTargets, str, Catalog, Quantity (n, 2) or callable, optional
-        Targets to allocate; methods for independent targets ignore this argument. For random targets, give
+        Targets to allocate; methods for independent targets do not use this argument. For random targets, give
         `~rfpsurvey.probability.RandomTargets`, the name of a kind of random targets (``"uniform"`` or ``"poisson"``),
         or a function that takes a Generator and returns new targets (a Quantity of shape (n, 2)) at each call. For one
         fixed set of targets, give points on the focal plane (a Quantity of shape (n, 2)), or a Catalog. The science
@@ -139,14 +148,13 @@ def collision_probability(
     Raises
     ------
     InputError
-        If the name of a preset, method, estimand, allocator or other option is unknown, if a number is out of range, if
-        an option is given that the method does not use, or if a method that is not built in fails or returns an invalid
-        result.
+        If the name of a preset, method, estimand, allocator or other option is unknown, if a number is out of range, or
+        if a method that is not built in fails or returns an invalid result.
 
     Warns
     -----
     RfpsurveyWarning
-        If the requested precision was not reached.
+        If the requested precision was not reached, or if an option is given that the method does not use.
 
     References
     ----------
@@ -180,9 +188,6 @@ def collision_probability(
     answer, asked = find_method(name if method == "auto" else method)
     if estimand not in (None, asked):
         raise InputError(f"{name!r} estimates the probability for {asked!r} targets, not for {estimand!r} targets")
-    _check_options_of_method(
-        name, density=density, variant=variant, interval=precision.interval, center=center, targets=targets
-    )
     _check_density(density)
     _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
@@ -194,6 +199,10 @@ def collision_probability(
         if method == "auto":
             name = cheapest("allocated", options.allocator, source)
             answer, _ = find_method(name)
+        warn_of_unused_options([options], plane)
+    given = {"density": density, "variant": variant, "targets": targets, "center": center}
+    given["most_entries"] = most_entries
+    _warn_of_unused(name if method == "auto" else method, options, precision, rng, given)
     precision = precision.for_method(name)
     question = ProbabilityQuestion(
         plane,
@@ -230,19 +239,23 @@ def collision_probability(
     return with_dynamic(estimate, float(dynamic))
 
 
-def _check_options_of_method(name, *, density, variant, interval, center, targets):
-    """Raise an error if an option is given that the method does not use."""
-    if density is not None and name != "quadrature":
-        raise InputError(f"density must be given only with the method 'quadrature', got the method {name!r}")
-    if variant != "corrected" and name != "closed_form":
-        raise InputError(f"variant must be given only with the method 'closed_form', got the method {name!r}")
-    if interval != "wilson" and name not in ("monte_carlo", "conditional"):
-        raise InputError(
-            f"interval must be given only with the method 'monte_carlo' or 'conditional', got {interval!r} with the "
-            f"method {name!r}"
-        )
-    if center is not None and not isinstance(targets, Catalog):
-        raise InputError("center must be given only if targets is a Catalog")
+def _warn_of_unused(name, options, precision, rng, given) -> None:
+    """Issue a warning for each given option that the method does not use."""
+    usual = {"targets": "uniform", "variant": "corrected"}
+    names = [one for one, value in given.items() if not _is_usual(value, usual.get(one))]
+    if (options.allocator != "balanced" or given_options(options)) and _is_usual(given["density"], None, str, Callable):
+        names.append("allocator")
+    changed = [one.name for one in fields(precision) if getattr(precision, one.name) != one.default]
+    names += ["rng"] if is_seed_given(rng) else []
+    names += dict.fromkeys(one if one in ("interval", "stop") else "precision" for one in changed)
+    warn_of_unused(names, [name], USES, "method")
+    if "center" in names and "center" in USES.get(name, ()) and not isinstance(given["targets"], Catalog):
+        warn_no_effect("center", "because targets is not a Catalog")
+
+
+def _is_usual(value, usual, *types) -> bool:
+    """Return whether a value is the default value, or has one of ``types``."""
+    return value is usual or isinstance(value, types) or (isinstance(value, str) and value == usual)
 
 
 def _check_science_only(options):

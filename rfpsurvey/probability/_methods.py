@@ -14,7 +14,7 @@ from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "cheapest", "check_usable"]
+__all__ = ["ESTIMANDS", "METHODS", "USES", "cheapest", "check_usable"]
 
 CHUNK = {"monte_carlo": 64, "conditional": 8}
 """Number of realizations that are simulated together, as one task of an executor, by method.
@@ -133,6 +133,16 @@ ESTIMANDS = {
     "conditional": "allocated",
 }
 
+_SIMULATION = ("targets", "center", "allocator", "precision", "interval", "stop", "rng")
+USES = {
+    "overlap_ratio": (),
+    "closed_form": ("variant",),
+    "close_pair": (),
+    "quadrature": ("density", "precision", "rng"),
+    "monte_carlo": _SIMULATION,
+    "conditional": (*_SIMULATION, "most_entries"),
+}
+"""Names of the options that each method uses. The table does not contain the options that all methods use."""
 
 SHORT = 2.0
 """If there are fewer targets per positioner than this number, ``monte_carlo`` is faster than ``conditional``."""

@@ -9,6 +9,7 @@ import numpy as np
 from astropy.table import QTable, Row
 
 from rfpsurvey._executors import map_with_progress
+from rfpsurvey.errors import used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Estimate, RandomTargets, collision_probability
@@ -88,7 +89,8 @@ def estimate(
         options.setdefault("most_entries", MOST_ENTRIES)
     if isinstance(options["targets"], RandomTargets):
         options["targets"] = replace(options["targets"], number=N_TARGETS, radius=layout["radius"])
-    return collision_probability(plane, rng=np.random.default_rng(seed), **options)
+    with used_elsewhere():  # methods use different options
+        return collision_probability(plane, rng=np.random.default_rng(seed), **options)
 
 
 def scaled(values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole, used_elsewhere, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
@@ -141,21 +141,20 @@ def selection_probabilities(
             f"subpriority must not be given, because each realization has its own subpriorities, "
             f"got {allocator.subpriority}"
         )
-    request = prepare_request(
-        catalog,
-        instrument,
-        tiles,
-        allocator=allocator,
-        visits=None,
-        passes=passes,
-        epoch=epoch,
-        lost_in_collision=lost_in_collision,
-        order=order,
-        executor=executor,
-        rng=rng,
-    )
-    if request.options.requirements and request.options.name in ("nearest", "balanced"):
-        warn(f"the requirements have no effect with the allocator {request.options.name!r}")
+    with used_elsewhere("rng"):
+        request = prepare_request(
+            catalog,
+            instrument,
+            tiles,
+            allocator=allocator,
+            visits=None,
+            passes=passes,
+            epoch=epoch,
+            lost_in_collision=lost_in_collision,
+            order=order,
+            executor=executor,
+            rng=rng,
+        )
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
     if request.visits.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")

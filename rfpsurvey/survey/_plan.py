@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name
+from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
@@ -189,6 +189,7 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
+    warn_of_unused_options([asked], instrument.focal_plane, rng)
     tiles, joint = as_tiling(tiling), as_joint(order)
     times = times_of_tiles(tiles) if len(tiles) else None
     if isinstance(catalog, PartitionedCatalog):

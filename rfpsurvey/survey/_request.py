@@ -9,7 +9,7 @@ import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._io import check_fits_text
-from rfpsurvey._units import to_plain, to_visits
+from rfpsurvey._units import to_dimensionless, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
 from rfpsurvey.errors import InputError, number_of, warn
@@ -205,7 +205,7 @@ def make_request(
     if len(source) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     number = np.asarray(tiling.table["pass"])
-    asked = np.unique(number) if passes is None else np.atleast_1d(to_plain(passes, "passes", "numbers"))
+    asked = np.unique(number) if passes is None else np.atleast_1d(to_dimensionless(passes, "passes"))
     known = np.unique(number).tolist()
     strange = [p for p in asked.tolist() if p not in known]
     passes = asked.tolist() if strange else asked.astype(int).tolist()

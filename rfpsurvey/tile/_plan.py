@@ -21,6 +21,7 @@ from rfpsurvey.allocation import (
     hint_of_name,
     packages,
     sentences,
+    warn_of_unused_options,
 )
 from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
 from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
@@ -114,6 +115,12 @@ def plan_tile(
         identifier of a required target is unknown, or if a unit is missing; or if targets have proper motions but no
         epoch.
 
+    Warns
+    -----
+    RfpsurveyWarning
+        If an option that the allocator does not use is given, if identifiers occur twice, or if no target has the
+        category that a requirement counts.
+
     Examples
     --------
     >>> import astropy.units as u
@@ -135,6 +142,7 @@ def plan_tile(
     plane = instrument.projection(center, position_angle)
     plain, chosen = choose_projection(instrument, plane, conditions, projection)
     options = asked.for_instrument(instrument)
+    warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
     is_required = mark_required(options.required, [catalog.id])

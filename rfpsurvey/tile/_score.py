@@ -11,6 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import rows_of, to_center, to_direction, to_flags, to_plain
+from rfpsurvey.allocation import warn_of_parked
 from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text, read_columns
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.errors import (
@@ -21,6 +22,7 @@ from rfpsurvey.errors import (
     check_switch,
     listed,
     warn,
+    warn_no_effect,
 )
 from rfpsurvey.focal_plane import accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
@@ -211,12 +213,9 @@ def score_tile(
             "epoch": epoch,
             "conditions": conditions,
         }
-        unused = [name for name, value in given.items() if value is not None]
-        if unused:
-            warn(
-                f"these parameters are not used, because the table has positions on the focal plane: "
-                f"{', '.join(unused)}; to use positions on the sky, give positions='sky'"
-            )
+        for unused in (name for name, value in given.items() if value is not None):
+            remedy = "to use positions on the sky, give positions='sky'"
+            warn_no_effect(unused, f"because the table has positions on the focal plane; {remedy}")
         xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
         sky_deg = _sky_deg(find)
     n, n_rows = len(plane), len(rows)
@@ -231,6 +230,8 @@ def score_tile(
     types[who] = fibers
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
+    if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
+        warn_of_parked(plane)
     posed = place_arms(
         plane,
         tips * u.mm,

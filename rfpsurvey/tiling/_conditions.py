@@ -11,7 +11,8 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, short
+from rfpsurvey.catalog import to_moment
+from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions, as_hour_angle
 from rfpsurvey.pipeline import field_radius_rad
@@ -116,25 +117,16 @@ def _times(column, tile) -> np.ndarray:
         if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):
             times = column.utc
         else:
-            dated = isinstance(column, Time) or np.asarray(column).dtype.kind == "M"
-            values = column if dated else to_plain(column, "time")
-            texts = [str(value) for value in values]
-            bad = [k for k, text in enumerate(texts) if not _is_time(text)]
-            if bad:
-                raise InputError(
-                    "time must be a date and time (UTC) such as 2026-07-01T06:30:00 for every tile, got "
-                    f"{short(texts[bad[0]])} for tile {tile[bad[0]]}"
-                )
-            times = Time(texts, scale="utc") if texts else Time([], format="jd")
+            dated = isinstance(column, Time) or np.asarray(column).dtype.kind in "MO"
+            values = column if dated else to_plain(column, "time").tolist()
+            try:
+                times = Time(np.asarray(values).astype(str), scale="utc") if len(values) else Time([], format="jd")
+                if times.format.endswith("year_str"):
+                    raise ValueError
+            except ValueError:
+                found = [to_moment(value, f"time of tile {name}") for value, name in zip(values, tile, strict=True)]
+                times = Time(found)
         return np.array(Time(times, format="isot", precision=3).value, dtype=str)
-
-
-def _is_time(text: str) -> bool:
-    try:
-        Time(text, scale="utc")
-    except ValueError:
-        return False
-    return True
 
 
 def _hour_angles(column, tile) -> u.Quantity:

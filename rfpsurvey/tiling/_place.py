@@ -10,8 +10,8 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_scalar, to_seed, to_visits
-from rfpsurvey.allocation import AllocationOptions, as_options
+from rfpsurvey._units import is_seed_given, to_scalar, to_seed, to_visits
+from rfpsurvey.allocation import AllocationOptions, as_options, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
@@ -22,6 +22,7 @@ from rfpsurvey.errors import (
     refusal,
     short,
     warn,
+    warn_no_effect,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogFields
@@ -29,7 +30,7 @@ from rfpsurvey.region import Region
 from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
-from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS
+from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS, check_region_options, warn_of_unused_passes
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
@@ -139,7 +140,7 @@ def place_tiles(
     -----
     RfpsurveyWarning
         If the completeness is not reached, if targets are beyond the limits of declination, or if the allowed centers
-        do not cover the region.
+        do not cover the region. Also, if an option is given that the method, the allocator or the field does not use.
 
     References
     ----------
@@ -166,6 +167,9 @@ def place_tiles(
     radius = model.field_radius if radius is None else radius
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
     passes = _whole(passes, "passes")
+    warn_of_unused_passes(method, passes, has_goal=not (n_tiles is None and completeness is None))
+    if not (fibers.lost_in_collision or (by_positioners and not isinstance(field, Region))):
+        warn_no_effect("lost_in_collision", "without the positioners of an allocator")
     where, exclude = as_centers(centers), _regions(exclude)
     progress = progress if callable(progress) else check_switch(progress, "progress")
     if method == GIVEN and where.tiling is None:
@@ -179,15 +183,11 @@ def place_tiles(
         "radius_deg": float(np.rad2deg(radius_rad)),
     }
     if isinstance(field, Region):
-        given = {
-            "n_tiles": n_tiles,
-            "completeness": completeness,
-            "visits": visits,
-            "allocator": allocator,
-            "fibers": fibers.number,
-            "min_separation": fibers.min_separation,
-        }
-        return _place_on_region(field, method, radius_rad, passes, where, exclude, summary, given)
+        goals = {"n_tiles": n_tiles, "completeness": completeness}
+        unused = {"visits": visits, "allocator": allocator, "fibers": fibers.number}
+        unused |= {"min_separation": fibers.min_separation, "rng": rng if is_seed_given(rng) else None}
+        check_region_options(method, goals, unused)
+        return _place_on_region(field, method, radius_rad, passes, where, exclude, summary)
     if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
         raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
     catalog = as_catalog(field)
@@ -220,11 +220,14 @@ def place_tiles(
     if by_positioners:
         options = as_options("lamost" if allocator is None else allocator)
         options.check_for_fields("place_tiles")
+        warn_of_unused_options([options], model.focal_plane, rng)
         options = options.for_instrument(model)
         tiles = given_tiles(where) if method == GIVEN else where.angle_deg
         serve = FocalPlaneFibers(model, options, CatalogFields(catalog, index), fibers, tiles, seed, reference)
         reach = serve.radius + serve.margin
     else:
+        if is_seed_given(rng):
+            warn_no_effect("rng", "without the positioners of an allocator")
         priority = None if catalog.priority is None else catalog.priority[index.order]
         serve, reach = FreeFibers(number, priority, neighbors), radius_rad
     goal = n_tiles or completeness or 1.0
@@ -260,13 +263,8 @@ def place_tiles(
     return _finish(_table(np.reshape(centers_, (-1, 3)), number, where), summary, columns)
 
 
-def _place_on_region(region, method, radius_rad, passes, where, exclude, summary, given):
+def _place_on_region(region, method, radius_rad, passes, where, exclude, summary):
     """Return the tiling of a region."""
-    if method not in COVERINGS and method != GIVEN:
-        raise InputError(f"the method {method!r} needs targets, got a Region; {' and '.join(COVERINGS)} cover regions")
-    for name, value in given.items():
-        if value is not None:
-            raise InputError(f"{name} applies only to targets, and a region has none")
     cover = RegionCover(region, radius_rad, exclude)
     if method == GIVEN:
         table, vectors = given_tiles(where).table, where.tiling.vectors

@@ -311,5 +311,7 @@ def test_found_sky_does_not_hide_sky_of_the_catalog():
 
 def test_a_separation_that_nobody_needs_is_said():
     plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
-    with pytest.warns(rs.RfpsurveyWarning, match="sky_separation has no effect: no requirement counts sky positions"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="sky_separation has no effect because no requirement counts sky positions"
+    ):
         rs.allocate(plane, [[3, 3]] * MM, allocator=rs.AllocationOptions("balanced", sky_separation=1 * MM))

@@ -229,7 +229,7 @@ def test_an_option_without_an_effect_is_warned_of_once(compare):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         compare(options)
-    assert [str(one.message).partition(":")[0] for one in told] == ["sky_separation has no effect"]
+    assert [str(one.message).partition(" because")[0] for one in told] == ["sky_separation has no effect"]
 
 
 def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independent_trials():

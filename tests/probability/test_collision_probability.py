@@ -108,6 +108,7 @@ def assert_agree(one, other):
 def test_conditional_and_monte_carlo_agree(name, part):
     plane, options, n_conditional, n_plain = SETTINGS[name]
     conditional = batches(plane, 1, method="conditional", max_iterations=n_conditional // part, **options)
+    options = {key: value for key, value in options.items() if key != "most_entries"}
     plain = batches(plane, 2, method="monte_carlo", max_iterations=n_plain // part, **options)
     assert 0.005 < plain[0].value < 0.7
     assert_agree(conditional, plain)
@@ -279,6 +280,7 @@ def test_figures_of_lamost():
     assert got.per_positioner[inner].mean() == pytest.approx(0.063, abs=0.002)
 
 
+@pytest.mark.filterwarnings("ignore:precision has no effect")
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo", "quadrature", "closed_form"])
 def test_dynamic_collisions_are_independent_of_static_ones(method):
     plane = lamost_like(1)
@@ -364,11 +366,6 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         ({"interval": "normal"}, "unknown interval 'normal'"),
         ({"stop": "soon"}, "unknown stopping rule 'soon'"),
         ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
-        (
-            {"density": "shared"},
-            "density must be given only with the method 'quadrature', got the method 'conditional'",
-        ),
-        ({"method": "monte_carlo", "density": "uniform"}, "density must be given only .* got the method 'monte_carlo'"),
         ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
         ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations with queues"),
@@ -399,6 +396,7 @@ def test_bad_options_are_named(options, words):
         flat.collision_probability(lamost_like(1), **options)
 
 
+@pytest.mark.filterwarnings("ignore:precision has no effect")
 def test_bad_planes_are_named():
     with pytest.raises(rs.InputError, match="unknown instrument 'lamos'.*Did you mean 'lamost'"):
         rs.collision_probability("lamos")

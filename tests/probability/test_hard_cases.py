@@ -1,5 +1,7 @@
 """Scenes with difficult probabilities: immovable positioners, rare collisions, narrow densities, crowded targets."""
 
+import re
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -162,16 +164,46 @@ def test_a_generator_that_cannot_spawn_is_refused():
     [
         ({"method": "quadrature", "density": []}, "density must be one of"),
         ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
-        ({"method": "quadrature", "interval": "bootstrap"}, "interval must be given only with the method"),
-        ({"method": "closed_form", "density": "uniform"}, "density must be given only with the method 'quadrature'"),
-        ({"variant": "printed"}, "variant must be given only with the method 'closed_form'"),
-        ({"center": 3}, "center must be given only if targets is a Catalog"),
         ({"most_entries": True}, "most_entries must be a whole number"),
     ],
 )
-def test_options_that_do_not_belong_are_named(options, words):
+def test_bad_options_are_named(options, words):
     with pytest.raises(rs.InputError, match=words):
         flat.collision_probability(lamost_like(1), **options)
+
+
+USERS = "only monte_carlo and conditional use it"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "quadrature", "interval": "bootstrap"}, f"interval has no effect with .* 'quadrature'; {USERS}"),
+        ({"method": "quadrature", "stop": "convergence"}, f"stop has no effect with the method 'quadrature'; {USERS}"),
+        ({"method": "quadrature", "targets": "poisson"}, f"targets has no effect with .* 'quadrature'; {USERS}"),
+        ({"method": "quadrature", "allocator": "lamost"}, f"allocator has no effect with .* 'quadrature'; {USERS}"),
+        ({"method": "closed_form", "density": "uniform"}, "density has no effect with .*; only quadrature uses it"),
+        (
+            {"method": "closed_form", "precision": 0.1},
+            "precision has no effect with the method 'closed_form'; only qua",
+        ),
+        ({"method": "close_pair", "rng": 3}, "rng has no effect with the method 'close_pair'; only quadrature, mon"),
+        ({"method": "monte_carlo", "most_entries": 3}, "most_entries has no effect .*; only conditional uses it"),
+        ({"method": "monte_carlo", "density": "uniform"}, "density has no effect with the method 'monte_carlo'; only"),
+        ({"variant": "printed"}, "variant has no effect with .* 'conditional'; only closed_form uses it"),
+        ({"center": 3}, "center has no effect because targets is not a Catalog"),
+        (
+            {"allocator": rs.AllocationOptions("balanced", time_limit=1 * u.s)},
+            "time_limit has no effect with the allocator 'balanced'; only sdss and optimal use it",
+        ),
+    ],
+)
+def test_options_without_effect_cause_one_warning(options, words):
+    with pytest.warns(rs.RfpsurveyWarning) as told:
+        found = flat.collision_probability(lamost_like(1), **options)
+    assert 0 < found.value < 1
+    assert len(told) == 1
+    assert re.search(words, str(told[0].message))
 
 
 @pytest.mark.parametrize("method", ["closed_form", "close_pair", "overlap_ratio", "quadrature", "conditional"])

@@ -327,7 +327,7 @@ def test_requirements_without_effect_cause_a_warning():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
     sky = rs.Catalog(sky.coord, kind=np.where(np.arange(50) < 9, "standard", "science"))
     options = rs.AllocationOptions("nearest", requirements="standard=2")
-    with pytest.warns(rs.RfpsurveyWarning, match="the requirements have no effect with the allocator 'nearest'"):
+    with pytest.warns(rs.RfpsurveyWarning, match="requirements has no effect with the allocator 'nearest'"):
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=options)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
 from rfpsurvey.region import border_of, circle_around, distance_to, is_inside
-from rfpsurvey.tiling import Centers, as_tiling
+from rfpsurvey.tiling import Centers, Fibers, as_tiling
 from rfpsurvey.tiling._covering import dither, hexagonal, lattice, spiral, widest_gap
 
 DEG = u.deg
@@ -315,7 +315,6 @@ def test_centers_restrict_coverings():
         ({"method": "sdss"}, "the method 'sdss' needs targets, got a Region; hexagonal and spiral cover regions"),
         ({"completeness": 0.9}, "completeness applies only to targets"),
         ({"n_tiles": 5}, "n_tiles applies only to targets"),
-        ({"fibers": 5}, "fibers applies only to targets"),
         (
             {"centers": Centers(declination=(50, 60) * DEG)},
             "a part of the region must be within reach of centers from 50",
@@ -333,6 +332,39 @@ def test_centers_restrict_coverings():
 def test_bad_requests_for_a_region_are_named(options, message):
     with pytest.raises(rs.InputError, match=message):
         rs.place_tiles(rs.Region.parse("cap 95 23 8"), **{"radius": 2 * DEG, **options})
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"fibers": 5}, "fibers has no effect on a region, which has no targets"),
+        ({"visits": 2}, "visits has no effect on a region"),
+        ({"rng": 2}, "rng has no effect on a region"),
+        ({"instrument": "lamost", "allocator": "lamost"}, "allocator has no effect on a region"),
+        ({"fibers": Fibers(lost_in_collision=False)}, "lost_in_collision has no effect without the positioners"),
+    ],
+)
+def test_options_for_targets_cause_a_warning_on_a_region(options, words):
+    with pytest.warns(rs.RfpsurveyWarning, match=words) as told:
+        rs.place_tiles(rs.Region.parse("cap 95 23 3"), **{"radius": 2 * DEG, **options})
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "max_density", "passes": 2}, "passes has no effect with .*; only hexagonal and spiral use it"),
+        ({"n_tiles": 3, "passes": 2}, "passes has no effect if n_tiles or completeness is given"),
+        ({"rng": 4}, "rng has no effect without the positioners of an allocator"),
+        ({"fibers": Fibers(9, lost_in_collision=False)}, "lost_in_collision has no effect without the positioners"),
+        ({"instrument": "lamost", "fibers": None, "radius": None, "rng": 4}, "rng has no effect with the allocator"),
+    ],
+)
+def test_options_without_effect_on_tiles_of_targets_cause_a_warning(options, words):
+    sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 1 * DEG, n_targets=30, rng=1)
+    with pytest.warns(rs.RfpsurveyWarning, match=words) as told:
+        rs.place_tiles(sky, **{"radius": 2 * DEG, "fibers": 9, **options})
+    assert len(told) == 1
 
 
 def test_the_hexagonal_lattice_does_not_go_around():

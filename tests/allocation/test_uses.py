@@ -1,0 +1,123 @@
+"""Warnings about options that an allocator does not use."""
+
+from dataclasses import fields
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from rfpsurvey.allocation import ALLOCATORS, OPTIONS
+from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation._uses import USES
+
+CENTER = SkyCoord("6h20m +23d")
+TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
+INDEPENDENT = ("keep_out", "sky_separation")
+"""Options that affect the results of every allocator."""
+
+
+@pytest.fixture(scope="module")
+def sky():
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=60, rng=1)
+    return rs.Catalog(sky.coord, kind=np.where(np.arange(60) < 20, "sky", "science"))
+
+
+def told_by(call):
+    """Return the warnings that a call issues, as text."""
+    with pytest.warns(rs.RfpsurveyWarning) as told:
+        call()
+    return [str(one.message) for one in told]
+
+
+def test_the_table_lists_every_allocator_and_every_option():
+    assert tuple(USES) == ALLOCATORS == tuple(METHODS)
+    names = {field.name for field in fields(rs.AllocationOptions)} - {"allocator"}
+    assert names - {*INDEPENDENT} == {*OPTIONS} - {"rng"}
+    assert set().union(*USES.values()) == {*OPTIONS} - {"parked_obstacles"}
+
+
+UNUSED = [
+    (
+        "lamost",
+        {"objective": "count"},
+        "objective has no effect with the allocator 'lamost'; only sdss and optimal use it",
+    ),
+    (
+        "repair",
+        {"time_limit": 5 * u.s},
+        "time_limit has no effect with the allocator 'repair'; only sdss and optimal use",
+    ),
+    ("optimal", {"start": "nearest"}, "start has no effect with the allocator 'optimal'; only repair uses it"),
+    (
+        "nearest",
+        {"requirements": "sky=2"},
+        "requirements has no effect with the allocator 'nearest'; only lamost, sdss,",
+    ),
+    (
+        "balanced",
+        {"required": [3]},
+        "required has no effect with the allocator 'balanced'; only nearest, lamost, sdss,",
+    ),
+    ("sdss", {"rng": 3}, "rng has no effect with the allocator 'sdss'; only balanced uses it"),
+    ("sdss", {"rng": np.random.default_rng(1)}, "rng has no effect with the allocator 'sdss'; only balanced uses it"),
+    (
+        "lamost",
+        {"parked_obstacles": False},
+        "parked_obstacles has no effect because no positioner has two arms of equal",
+    ),
+]
+
+
+@pytest.mark.parametrize(("allocator", "options", "words"), UNUSED)
+def test_plans_warn_of_an_option_that_the_allocator_does_not_use(sky, allocator, options, words):
+    own = {name: value for name, value in options.items() if name != "rng"}
+    rng = options.get("rng", 0)
+    asked = rs.AllocationOptions(allocator, **own)
+    calls = {
+        "plan_tile": lambda: rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=rng),
+        "plan_survey": lambda: rs.plan_survey(sky, "moons", TILES, allocator=asked, rng=rng),
+    }
+    if "required" not in own:
+        calls["place_tiles"] = lambda: rs.place_tiles(sky, "moons", allocator=asked, rng=rng)
+    for name, call in calls.items():
+        found = [text for text in told_by(call) if "no effect" in text]
+        assert len(found) == 1, name
+        assert found[0].startswith(words), name
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_option_that_the_start_of_repair_uses_causes_no_warning(sky):
+    asked = rs.AllocationOptions("repair", start="optimal", objective="count", time_limit=50 * u.s)
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator=asked)
+    assert tile.provenance["parameters"]["objective"] == "count"
+    rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("repair", start="balanced"), rng=4)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_function_may_use_every_option(sky):
+    asked = rs.AllocationOptions(METHODS["lamost"], objective="count", time_limit=5 * u.s)
+    rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=4)
+
+
+@pytest.mark.filterwarnings("error")
+def test_comparisons_warn_only_of_options_that_no_allocator_uses(sky):
+    options = rs.AllocationOptions(requirements="sky=2", time_limit=50 * u.s)
+    rs.compare_allocators(sky, "moons", CENTER, allocators=["nearest", "balanced", "lamost"], options=options, rng=3)
+    options = rs.AllocationOptions(start="nearest", parked_obstacles=False)
+    one, two = told_by(lambda: rs.compare_allocators(sky, "moons", CENTER, allocators=["nearest"], options=options))
+    assert one.startswith("start has no effect with the allocators 'sdss' and 'nearest'; only repair uses it")
+    assert two.startswith("parked_obstacles has no effect")
+    (one,) = told_by(lambda: rs.compare_instruments(sky, ["moons"], allocators=["nearest"], rng=2))
+    assert one.startswith("rng has no effect")
+    rs.compare_instruments("uniform", ["moons"], allocators=["nearest"], n_realizations=1, rng=2)
+
+
+def test_arrays_of_allocate_without_effect_cause_a_warning():
+    plane = rs.FocalPlane([[0, 0]] * u.mm, rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm))
+    points = [[3, 3], [5, 5]] * u.mm
+    (text,) = told_by(lambda: rs.allocate(plane, points, allocator="balanced", required=[1]))
+    assert text.startswith("required has no effect with the allocator 'balanced'")
+    (text,) = told_by(lambda: rs.allocate(plane, points, avoid=points))
+    assert text.startswith("avoid has no effect without sky_separation")
