@@ -56,6 +56,7 @@ def compare(
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
     workers: _options.WorkersOption = 1,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -81,7 +82,7 @@ def compare(
     )
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
-            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),
+            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill, hdu=hdu),
             models or None,
             center=_app.parse_center(center),
             allocators=allocator or ("lamost", "optimal"),

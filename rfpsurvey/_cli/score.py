@@ -53,6 +53,7 @@ def score(
         list[str] | None, typer.Option(help="Use only rows that have the given value in a column, COLUMN=VALUE.")
     ] = None,
     parked: _options.ParkedOption = True,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     output: _options.OutputOption = None,
@@ -62,7 +63,7 @@ def score(
 ) -> None:
     """Find the collisions in an assignment that was made by another program."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    table = _app.read_assignment(assignment, select)
+    table = _app.read_assignment(assignment, select, hdu)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
     if center is None:
         options["equinox"] = equinox
