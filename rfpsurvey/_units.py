@@ -180,6 +180,7 @@ def to_plain(column: object, name: str = "the values", what: str = "numbers or t
     values = getattr(column, "value", column)
     mask = np.asarray(getattr(column, "mask", False))
     values = np.asarray(getattr(values, "unmasked", values))
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)  # tables in FITS files are big-endian
     if values.dtype.kind == "S":
         try:
             values = np.char.decode(values, "utf-8")

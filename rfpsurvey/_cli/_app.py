@@ -48,7 +48,6 @@ __all__ = [
     "read_assignment",
     "read_catalog",
     "read_targets",
-    "read_tiles",
     "seed_of",
     "targets_and_center",
     "to_mm",
@@ -125,10 +124,12 @@ def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"
     return instrument
 
 
-def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | None = None):
+def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | None = None, hdu: str | None = None):
     """Read a catalog from a file, or from a folder with the partitions of a catalog."""
     columns, units, fill = parse_pairs(column, "--column"), parse_pairs(unit, "--unit"), parse_pairs(fill, "--fill")
     if path.is_dir():
+        if hdu is not None:
+            raise rs.InputError(f"--hdu must be used only with FITS files, got the folder {path}")
         parts = rs.PartitionedCatalog(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
         for name in ("collection", "columns"):
             if name in parts.meta:
@@ -137,24 +138,9 @@ def read_catalog(path: Path, column, unit, frame: str, fill, keep: list[str] | N
     common = re.fullmatch(r"J\d+(\.\d+)?", columns.get("epoch", ""))  # the value is an epoch, not the name of a column
     if common:
         del columns["epoch"]
-    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep)
+    catalog = rs.Catalog.read(path, columns=columns, units=units, frame=frame, fill=fill, keep=keep, hdu=hdu)
     print(f"columns: {catalog.meta['columns']}")
     return replace(catalog, epoch=common[0]) if common else catalog
-
-
-def read_tiles(path: Path | None, column: list[str] | None, unit: list[str] | None) -> "rs.Tiling | None":
-    """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
-    columns, units = parse_pairs(column, "--tiles-column"), parse_pairs(unit, "--tiles-unit")
-    if path is None:
-        if columns or units:
-            raise rs.InputError("--tiles-column and --tiles-unit must be used with a table of tiles")
-        return None
-    tiling = rs.Tiling.read(path, columns, units)
-    meta = tiling.table.meta
-    if any(role != name for role, name in meta["columns"].items()):
-        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
-        print(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
-    return tiling
 
 
 def warn_without_catalog(**given) -> None:
@@ -169,14 +155,14 @@ def seed_of(path: Path | str | None) -> AbstractContextManager[None]:
     return used_elsewhere("rng") if path is None else nullcontext()
 
 
-def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None):
+def targets_and_center(path, center, model, seed, column, unit, frame, fill, keep=None, hdu=None):
     """Read a catalog, or generate one if ``path`` is None; return the catalog and the field center (or None)."""
     field = parse_center(center)
     if path is None:
-        warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep)
+        warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep, hdu=hdu)
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
-    return as_catalog(read_catalog(path, column, unit, frame, fill, keep)), field
+    return as_catalog(read_catalog(path, column, unit, frame, fill, keep, hdu)), field
 
 
 def _parse_circle(text: str) -> "rs.Region":
@@ -223,9 +209,12 @@ def allocation_options(
     )
 
 
-def read_assignment(path: Path, select: list[str] | None):
+def read_assignment(path: Path, select: list[str] | None, hdu: str | None = None):
     """Read a table, and select the rows that match all pairs COLUMN=VALUE; values are compared as text."""
-    table = read_table(path) if native_format(path) is None else read_plan(path)
+    if native_format(path) is None or hdu is not None:
+        table = read_table(path, hdu, "; to read another table, give --hdu")
+    else:
+        table = read_plan(path)
     for name, value in parse_pairs(select, "--select").items():
         if name not in table.colnames:
             raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
@@ -247,9 +236,10 @@ def to_mm(value: float | None):
     return None if value is None else value * u.mm
 
 
-def read_targets(name: str):
+def read_targets(name: str, hdu: str | None = None):
     """Read a catalog if ``name`` is a file or an example; otherwise return ``name``, a kind of random targets."""
-    return read_catalog(Path(name), None, None, "icrs", None) if Path(name).suffix or is_example(name) else name
+    is_catalog = Path(name).suffix or is_example(name)
+    return read_catalog(Path(name), None, None, "icrs", None, hdu=hdu) if is_catalog else name
 
 
 def check_outputs(

@@ -115,6 +115,14 @@ KeepOption = Annotated[
 UnitOption = Annotated[
     list[str] | None, typer.Option(help="Unit of a column that has no unit, ROLE=UNIT, such as ra=deg.")
 ]
+HduOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HDU",
+        help="Number or name (EXTNAME) of the table to read from a FITS file with several tables. By default, the "
+        "first table is read.",
+    ),
+]
 FillOption = Annotated[
     list[str] | None,
     typer.Option(help="Value that replaces missing values of a column, ROLE=VALUE, such as priority=0 or visits=1."),
@@ -173,13 +181,6 @@ ExcludeOption = Annotated[
     typer.Option(
         help="Region to exclude, in the form of --region; the targets and the area inside are ignored. The "
         "option may be repeated."
-    ),
-]
-CentersOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Table of permitted centers of tiles, with at least the columns ra and dec. With --method=given, a "
-        "tile is placed at each of these centers."
     ),
 ]
 DeclinationOption = Annotated[
@@ -243,24 +244,6 @@ SurveyCatalogArgument = Annotated[
         "partitions (HATS), or example:anticenter, a catalog that comes with the package. By default, "
         "Poisson-distributed targets are generated in a circle with twice the radius of the field."
     ),
-]
-TilesOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Table of tiles, with at least the columns ra and dec. By default, two hexagonal coverings of the "
-        "catalog are used."
-    ),
-]
-TilesColumnOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Name of a column of the table of tiles or centers and its role, ROLE=NAME. The roles are tile "
-        "(the identifier), ra, dec, position_angle and pass."
-    ),
-]
-TilesUnitOption = Annotated[
-    list[str] | None,
-    typer.Option(help="Unit of a column of the table of tiles or centers that has no unit, ROLE=UNIT, such as ra=deg."),
 ]
 VisitsOption = Annotated[
     int | None,

@@ -20,15 +20,15 @@ __all__ = ["run", "targets_of", "tiles_of", "workers"]
 MANY = 0.05  # the collision rate above which a hint is printed
 
 
-def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep):
+def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep, hdu):
     """Read a catalog from a file or a folder of partitions; by default, make a synthetic catalog wider than a field."""
     if path is None:
-        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep)
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep, hdu=hdu)
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
-    return _app.read_catalog(path, column, unit, frame, fill, keep)
+    return _app.read_catalog(path, column, unit, frame, fill, keep, hdu)
 
 
 def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs.Tiling":

@@ -56,6 +56,7 @@ def compare(
     time_limit: _options.TimeLimitOption = 60.0,
     seed: _options.SeedOption = 0,
     workers: _options.WorkersOption = 1,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -77,13 +78,13 @@ def compare(
         for name in instruments or (rs.available_instruments() if arm_model or margins else ())
     ]
     if catalog is None:
-        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill)
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, hdu=hdu)
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
     )
     with ThreadPoolExecutor(workers) as pool:
         table = rs.compare_instruments(
-            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill),
+            "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill, hdu=hdu),
             models or None,
             center=_app.parse_center(center),
             allocators=allocator or ("lamost", "optimal"),

@@ -36,6 +36,7 @@ def compare_allocators(
     seed: _options.SeedOption = 0,
     subpriority: _options.SubpriorityOption = None,
     parked: _options.ParkedOption = True,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -48,7 +49,7 @@ def compare_allocators(
     """Compare allocators on the same field."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
     model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
-    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill)
+    targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, hdu=hdu)
     options = _app.allocation_options(
         "lamost",
         require,

@@ -39,6 +39,7 @@ def plan(
     seed: _options.SeedOption = 0,
     subpriority: _options.SubpriorityOption = None,
     parked: _options.ParkedOption = True,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -56,7 +57,7 @@ def plan(
     _app.check_targets(targets, plot)
     seen = _conditions.conditions_of(conditions, site, time, hour_angle, wavelength, exposure_time)
     model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(seen, epoch), margins)
-    sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep)
+    sky, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, keep, hdu)
     if field is None and equinox is not None:
         field = sky.mean_direction
     _app.check_targets(targets, plot, sky)

@@ -37,6 +37,7 @@ def probability(
             "example:anticenter."
         ),
     ] = "uniform",
+    hdu: _options.HduOption = None,
     n_targets: Annotated[float | None, typer.Option(help="Number of random targets.")] = None,
     target_radius: Annotated[
         float | None, typer.Option(help="Radius of the circle that contains the random targets (mm).")
@@ -74,7 +75,7 @@ def probability(
     model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
     options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}
     options["precision"] = Precision(precision, max_iterations)
-    options["targets"] = _targets(targets, n_targets, target_radius, min_separation)
+    options["targets"] = _targets(targets, hdu, n_targets, target_radius, min_separation)
     options.update(dynamic=dynamic, rng=seed, progress=sys.stderr.isatty())
     with ThreadPoolExecutor(workers) as executor:
         options["executor"] = executor
@@ -82,9 +83,9 @@ def probability(
     _app.finish_estimate(estimate, model, output, plot, report, overwrite=overwrite)
 
 
-def _targets(name, number, radius, separation):
+def _targets(name, hdu, number, radius, separation):
     """Return random targets if ``name`` is a kind of random targets; otherwise, read a catalog."""
-    targets = _app.read_targets(name)
+    targets = _app.read_targets(name, hdu)
     if isinstance(targets, str):
         return RandomTargets(targets, number, _app.to_mm(radius), _app.to_mm(separation))
     given = {"--n-targets": number, "--target-radius": radius, "--min-separation": separation}

@@ -56,6 +56,7 @@ def score(
         bool, typer.Option("--skip-missing", help="Skip assigned rows that have no position, and score the other rows.")
     ] = False,
     parked: _options.ParkedOption = True,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     output: _options.OutputOption = None,
@@ -65,7 +66,7 @@ def score(
 ) -> None:
     """Find the collisions in an assignment that was made by another program."""
     _app.check_outputs(output, plot, report, overwrite=overwrite)
-    table = _app.read_assignment(assignment, select)
+    table = _app.read_assignment(assignment, select, hdu)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
     options["missing"] = "skip" if skip_missing else "refuse"
     if center is None:

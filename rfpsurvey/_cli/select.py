@@ -4,16 +4,17 @@ import sys
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _main, _margins, _options, _selections, _states, _surveys
+from rfpsurvey._cli import _app, _main, _margins, _options, _selections, _states, _surveys, _tiles
 from rfpsurvey._io import check_output
 
 
 @_main.app.command(epilog=_selections.SELECT_EXAMPLES)
 def select(
     catalog: _options.SurveyCatalogArgument = None,
-    tiles: _options.TilesOption = None,
-    tiles_column: _options.TilesColumnOption = None,
-    tiles_unit: _options.TilesUnitOption = None,
+    tiles: _tiles.TilesOption = None,
+    tiles_hdu: _tiles.TilesHduOption = None,
+    tiles_column: _tiles.TilesColumnOption = None,
+    tiles_unit: _tiles.TilesUnitOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
@@ -39,6 +40,7 @@ def select(
     processes: _options.ProcessesOption = False,
     scheduler: _options.SchedulerOption = None,
     seed: _options.SeedOption = 0,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -48,11 +50,11 @@ def select(
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
         check_output(output, (".fits",), overwrite=overwrite)
-    tiling = _app.read_tiles(tiles, tiles_column, tiles_unit)
+    tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
     model = _app.model_of(
         instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch), margins
     )
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None, hdu)
     if visits is not None:
         targets = _selections.with_visits(targets, visits)
     options = {

@@ -1,14 +1,15 @@
 """The command ``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins, _options, _states, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins, _options, _states, _surveys, _tiles
 
 
 @_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
 def survey(
     catalog: _options.SurveyCatalogArgument = None,
-    tiles: _options.TilesOption = None,
-    tiles_column: _options.TilesColumnOption = None,
-    tiles_unit: _options.TilesUnitOption = None,
+    tiles: _tiles.TilesOption = None,
+    tiles_hdu: _tiles.TilesHduOption = None,
+    tiles_column: _tiles.TilesColumnOption = None,
+    tiles_unit: _tiles.TilesUnitOption = None,
     instrument: _options.InstrumentOption = "lamost",
     arm_model: _options.ArmModelOption = None,
     broken: _states.BrokenOption = None,
@@ -43,6 +44,7 @@ def survey(
     processes: _options.ProcessesOption = False,
     scheduler: _options.SchedulerOption = None,
     seed: _options.SeedOption = 0,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -56,11 +58,11 @@ def survey(
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
     seen = conditions, site, time, hour_angle, wavelength, exposure_time
-    tiling = _app.read_tiles(tiles, tiles_column, tiles_unit)
+    tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
     model = _app.model_of(
         instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch, *seen), margins
     )
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep)
+    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep, hdu)
     options = {
         "allocator": _app.allocation_options(
             allocator,

@@ -5,7 +5,7 @@ import sys
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states, _tiles
 from rfpsurvey.allocation import given_options
 
 
@@ -23,9 +23,10 @@ def tile(
     passes: _options.PassesOption = 1,
     completeness: _options.CompletenessOption = None,
     n_tiles: _options.NTilesOption = None,
-    centers: _options.CentersOption = None,
-    tiles_column: _options.TilesColumnOption = None,
-    tiles_unit: _options.TilesUnitOption = None,
+    centers: _tiles.CentersOption = None,
+    tiles_hdu: _tiles.TilesHduOption = None,
+    tiles_column: _tiles.TilesColumnOption = None,
+    tiles_unit: _tiles.TilesUnitOption = None,
     declination: _options.DeclinationOption = None,
     pa: _options.TilingPaOption = None,
     allocator: _options.TilingAllocatorOption = None,
@@ -38,6 +39,7 @@ def tile(
     radius: _options.RadiusOption = None,
     visits: _options.VisitsOption = None,
     seed: _options.SeedOption = 0,
+    hdu: _options.HduOption = None,
     column: _options.ColumnOption = None,
     unit: _options.UnitOption = None,
     frame: _options.FrameOption = "icrs",
@@ -53,10 +55,10 @@ def tile(
     inside = None if region is None else rs.Region.parse(region)
     field = inside
     if catalog is not None or region is None:
-        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill)
+        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill, hdu=hdu)
         field = field if inside is None else _targets_inside(field, inside)
     else:
-        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill)
+        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, hdu=hdu)
     _margins.check_use(margins, by_positioners=field is not inside and (allocator or not (fibers or radius)))
     with _app.seed_of(catalog or region):
         tiling = rs.place_tiles(
@@ -69,7 +71,7 @@ def tile(
             fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
             allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
             radius=None if radius is None else radius * u.deg,
-            centers=_centers(_app.read_tiles(centers, tiles_column, tiles_unit), declination, pa),
+            centers=_centers(_tiles.read_tiles(centers, tiles_column, tiles_unit, tiles_hdu), declination, pa),
             exclude=[rs.Region.parse(one) for one in exclude or []],
             visits=visits,
             progress=sys.stderr.isatty(),

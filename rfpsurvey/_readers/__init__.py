@@ -5,6 +5,7 @@ from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
 from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, is_present, sentence
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
+from rfpsurvey._readers._quantities import without_unit
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
 
 __all__ = [
@@ -27,4 +28,5 @@ __all__ = [
     "suffix_of",
     "table_of_arrow",
     "to_path",
+    "without_unit",
 ]

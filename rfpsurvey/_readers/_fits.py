@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from astropy.table import QTable
+from astropy.table import Column, Table
 
 from rfpsurvey._readers._limits import open_content, sentence
-from rfpsurvey.errors import InputError, warn
+from rfpsurvey.errors import InputError, listed, refusal, short, warn
 
 __all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
@@ -19,29 +19,49 @@ MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}
 META_KEY = "RFPSURVY"
 """Keyword of the header card in which rfpsurvey stores the ``meta`` of a table."""
+NAME = re.compile(r" *'((?:[^']|'')*)'")
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
-def read_fits(path: Path, number: int | None = None) -> QTable:
-    """Return the table with the index ``number``, counted from 0, in a FITS file; by default, return the first table.
+def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "") -> Table:
+    """Return the table with the number or name ``hdu`` in a FITS file; by default, return the first table.
 
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
-    by rfpsurvey.
+    by rfpsurvey. The warning ends with ``remedy``, which describes how to read another table.
     """
     with open_content(path) as file:
         found = _find_tables(file, path)
-        if number is not None and number >= len(found):
-            raise InputError(f"{path}: the file must have at least {number + 1} tables, got {len(found)}")
-        table, n_rows = _read(file, found[number or 0])
-        if number is None and len(found) > 1 and META_KEY not in table.meta:
-            text = f"{path}: the file has {len(found)} tables; only the first one was read"
-            warn(text)
+        table, n_rows = _read(file, next(iter(found)) if hdu is None else _choose(found, hdu, path))
+        if hdu is None and len(found) > 1 and META_KEY not in table.meta:
+            text = f"{path}: the file has {len(found)} tables, and only the first one was read: {_listed(found)}"
+            warn(text + remedy)
     if len(table) != n_rows:
         raise InputError(f"{path}: the table must have {n_rows} rows, as its header states, got {len(table)}")
     return table
 
 
-def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
+def _choose(found: dict[int, str], hdu: int | str, path: Path) -> int:
+    """Return the number of the header-data unit that has the number or the name ``hdu``."""
+    if isinstance(hdu, bool) or not isinstance(hdu, int | np.integer | str):
+        raise refusal(f"{path}: hdu must be the number or the name of a table", hdu)
+    named = [number for number, name in found.items() if name and name.lower() == str(hdu).strip().lower()]
+    if isinstance(hdu, str) and len(named) == 1:
+        return named[0]
+    number = int(hdu) if not isinstance(hdu, str) or (hdu.isdecimal() and hdu.isascii()) else None
+    if number not in found:
+        raise InputError(
+            f"{path}: hdu must be the number or the unique name of a table in the file ({_listed(found)}), "
+            f"got {short(hdu)}"
+        )
+    return number
+
+
+def _listed(found: dict[int, str]) -> str:
+    """Return text that lists the numbers and names of the tables in a file."""
+    return listed([f"{number} ({name})" if name else str(number) for number, name in found.items()])
+
+
+def read_all_fits(path: Path) -> tuple[dict, list[Table]]:
     """Return the keywords of the first header of a FITS file, and all tables of the file, with text as bytes.
 
     The ``meta`` of each table contains the keywords of its header.
@@ -64,7 +84,7 @@ def read_all_fits(path: Path) -> tuple[dict, list[QTable]]:
     return header, [table for table, _ in found]
 
 
-def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
+def _read(file: BinaryIO, at: int) -> tuple[Table, int]:
     """Return the table of a header-data unit, and the number of rows that its header states."""
     from astropy.io import fits
 
@@ -75,8 +95,11 @@ def _read(file: BinaryIO, at: int) -> tuple[QTable, int]:
             return _table_of(units[at])
 
 
-def _table_of(unit) -> tuple[QTable, int]:
-    table = QTable.read(unit, format="fits", mask_invalid=False)
+def _table_of(unit) -> tuple[Table, int]:
+    table = Table.read(unit, format="fits", mask_invalid=False)
+    for name, column in table.columns.items():
+        if isinstance(column, Column) and not column.dtype.isnative:
+            table.replace_column(name, column.astype(column.dtype.newbyteorder("=")), copy=False)
     for name in table.colnames if unit.header["XTENSION"] == "TABLE" else ():
         if table[name].dtype.kind == "U":
             values = np.asarray(table[name])
@@ -90,7 +113,7 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
 
     try:
         file = io.BytesIO(content)
-        at = _find_tables(file, name)[0]
+        at = next(iter(_find_tables(file, name)))
         file.seek(0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -143,9 +166,9 @@ def _native(values: np.ndarray) -> np.ndarray:
     return values.astype(values.dtype.newbyteorder("="))
 
 
-def _find_tables(file: BinaryIO, path: object) -> list[int]:
-    """Return the numbers of the header-data units that are tables; raise an error if tables or data are missing."""
-    size, place, tables = file.seek(0, io.SEEK_END), 0, []
+def _find_tables(file: BinaryIO, path: object) -> dict[int, str]:
+    """Return the numbers and names of the header-data units that are tables; raise an error if data are missing."""
+    size, place, tables = file.seek(0, io.SEEK_END), 0, {}
     if size == 0:
         raise InputError(f"{path}: the file must be a FITS file, got an empty file")
     for number in range(MOST_UNITS):
@@ -163,7 +186,7 @@ def _find_tables(file: BinaryIO, path: object) -> list[int]:
         end = begin + n_bytes + -n_bytes % BLOCK
         if is_table:
             _check_table(file, cards, what, begin + n_bytes, min(end, size), path)
-            tables.append(number)
+            tables[number] = _name(cards)
         place = end
         if place >= size:
             break
@@ -210,6 +233,13 @@ def _refuse_rest(file, path):
 
 def _surplus(path) -> str:
     return f"{path}: each FITS extension must begin with XTENSION, got other bytes"
+
+
+def _name(cards: dict) -> str:
+    """Return the name of a header-data unit (EXTNAME), or empty text if it has no printable name."""
+    match = NAME.match(cards.get(b"EXTNAME", b"").decode("latin-1"))
+    name = match[1].replace("''", "'").strip() if match else ""
+    return name if name.isprintable() else ""
 
 
 def _text(value: bytes) -> str:

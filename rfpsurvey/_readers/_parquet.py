@@ -4,10 +4,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from astropy.table import QTable, Table
+from astropy.table import Table
 
 from rfpsurvey._readers._documents import parse_json
 from rfpsurvey._readers._limits import check_width, sentence
+from rfpsurvey._readers._quantities import with_quantities
 from rfpsurvey.errors import InputError
 
 __all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
@@ -45,7 +46,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             content = file.read(columns=names)
         if content.num_rows != n_rows:
             raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
-        table = _with_units(_to_table(content, names, path), schema.metadata or {})
+        table = _with_units(_to_table(content, names, path), schema.metadata or {}, f"{path}: ")
         return _with_index(table, schema.metadata or {}) if reads_all else table
     except InputError:
         raise
@@ -144,7 +145,7 @@ def _with_index(table: Table, metadata: dict) -> Table:
     return table
 
 
-def _with_units(table: Table, metadata: dict) -> Table:
+def _with_units(table: Table, metadata: dict, where: str = "") -> Table:
     """Return the table with the units and coordinate columns that astropy wrote to the metadata."""
     text = metadata.get(b"table_meta_yaml")
     if text is None:
@@ -160,4 +161,5 @@ def _with_units(table: Table, metadata: dict) -> Table:
     table.meta.update(header.get("meta", {}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return QTable(serialize._construct_mixins_from_columns(table))
+        table = serialize._construct_mixins_from_columns(table)
+    return with_quantities(table, where)

@@ -11,7 +11,8 @@ from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import META_KEY, read_all_fits, read_fits
 from rfpsurvey._readers._limits import check_is_file, check_width, sentence
 from rfpsurvey._readers._parquet import read_parquet
-from rfpsurvey.errors import InputError, refusal
+from rfpsurvey._readers._quantities import with_quantities
+from rfpsurvey.errors import InputError, refusal, short
 
 __all__ = ["FORMATS", "META_KEY", "read_table", "read_tables", "suffix_of", "to_path"]
 
@@ -67,18 +68,24 @@ def suffix_of(path: Path) -> str:
     return suffixes[-1] if suffixes else ""
 
 
-def read_table(path: str | os.PathLike, number: int | None = None) -> QTable:
-    """Read a table in one of `FORMATS`; ``number``, counted from 0, selects one of several tables in a FITS file."""
+def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: str = "") -> QTable:
+    """Read a table in one of `FORMATS`.
+
+    ``hdu`` is the number or the name of one of several tables in a FITS file. Without ``hdu``, a warning about several
+    tables ends with ``remedy``, which describes how to read another table.
+    """
     path = to_path(path)
     suffix = suffix_of(path)
     if suffix not in FORMATS:
         raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (.gz may follow)")
     check_is_file(path)
     try:
-        options = {} if number is None else {"number": number}
+        options = (hdu, remedy) if FORMATS[suffix] == "fits" else ()
+        if hdu is not None and not options:
+            raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
         with warnings.catch_warnings():  # sexagesimal text can have a unit, such as h:m:s
             warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
-            table = QTable(READERS[FORMATS[suffix]](path, **options))
+            table = with_quantities(READERS[FORMATS[suffix]](path, *options), f"{path}: ")
         for name in table.colnames:
             _make_text(table, name, path)
         check_size(table.meta, path)
@@ -103,6 +110,7 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     check_is_file(path)
     try:
         header, tables = read_all_fits(path)
+        tables = [with_quantities(table, f"{path}: ") for table in tables]
         for table in tables:
             for name in table.colnames:
                 _make_text(table, name, path)

@@ -11,7 +11,7 @@ import struct
 import warnings
 from pathlib import Path
 
-from astropy.table import QTable
+from astropy.table import Table
 
 from rfpsurvey._readers._limits import MOST_COLUMNS, MOST_PADDING, open_content
 from rfpsurvey.errors import InputError
@@ -39,7 +39,7 @@ MOST_ROW, FREE_ROWS = 400_000, 2**29
 ALTERED = re.compile(r"\b(?:W46|W51): (.*)")
 
 
-def read_votable(path: Path) -> QTable:
+def read_votable(path: Path) -> Table:
     """Return the only table of a VOTable file."""
     with open_content(path) as file:
         about = _Contents(path)
@@ -48,7 +48,7 @@ def read_votable(path: Path) -> QTable:
         file.seek(0)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            table = QTable.read(file, format="votable", verify="warn")
+            table = Table.read(file, format="votable", verify="warn")
     for warning in caught:
         altered = ALTERED.search(str(warning.message))
         if altered:

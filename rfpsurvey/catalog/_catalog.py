@@ -226,8 +226,7 @@ class Catalog:
             declination; for other frames they are longitude and latitude.
         fill : dict, optional
             Values that replace missing values (masked or NaN) of ``priority``, ``subpriority``, ``visits``, ``kind``,
-            ``category`` or ``fiber_type``, as in ``{"priority": 0}``. A minus sign in ``columns`` does not affect these
-            values.
+            ``category`` or ``fiber_type``, as in ``{"priority": 0}``. Minus signs in ``columns`` do not affect them.
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
 
@@ -272,6 +271,7 @@ class Catalog:
         frame: str = "icrs",
         fill: dict | None = None,
         keep: list | None = None,
+        hdu: int | str | None = None,
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
@@ -290,6 +290,8 @@ class Catalog:
             Values that replace missing values, as in `from_table`.
         keep : list of str, optional
             Names of further columns that results include, as in `from_table`.
+        hdu : int or str, optional
+            Number or name (EXTNAME) of a table in a FITS file; by default, the first table is read.
 
         Returns
         -------
@@ -302,13 +304,13 @@ class Catalog:
             If the file does not exist or cannot be read, or if a required column is missing.
         """
         path, name = path_and_name(path)
-        table = read_table(path)
+        table = read_table(path, hdu)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
             catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        catalog.meta["file"] = name
+        catalog.meta.update({"file": name} if hdu is None else {"file": name, "hdu": hdu})
         return catalog
 
     def to_table(self) -> QTable:

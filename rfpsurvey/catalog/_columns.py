@@ -85,6 +85,8 @@ class Finder:
     """For each role, the value that replaces missing values."""
     assumed: dict = field(default_factory=dict, init=False)
     """Default units of the columns whose unit was assumed; the keys are the roles of the columns."""
+    remarks: dict = field(default_factory=dict, init=False)
+    """Text about columns that the statement on the columns includes; the keys are the roles of the columns."""
     format: SurveyFormat | None = field(default=None, init=False)
     """Format of the table, if the table has the columns of a known survey."""
     given: frozenset = field(default=frozenset(), init=False)
@@ -289,7 +291,7 @@ class Finder:
             names["kind"] = self.format.bits
         signs = {role: " (reversed sign)" for role, name in self.columns.items() if name.startswith("-")}
         said = [
-            f"{role}: {name or 'none'}{signs.get(role, '')}"
+            f"{role}: {name or 'none'}{signs.get(role, '')}{self.remarks.get(role, '')}"
             for role, name in names.items()
             if name or role in ("priority", "visits")
         ]

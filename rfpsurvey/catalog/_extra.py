@@ -8,6 +8,7 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
+from rfpsurvey._readers import without_unit
 from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
 __all__ = ["RESERVED", "extra_columns", "pick_columns", "result_name"]
@@ -35,7 +36,7 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
         if name not in table.colnames:
             raise InputError(f"keep must name columns of the table ({listed(table.colnames)}), got {name!r}")
     names = [name for name in names if name not in others]
-    return extra_columns(QTable({name: table[name] for name in names}), len(table)) if names else None
+    return extra_columns({name: table[name] for name in names}, len(table)) if names else None
 
 
 def extra_columns(columns: object, n: int) -> QTable | None:
@@ -74,6 +75,7 @@ def _plain(column, name):
     if isinstance(column, Masked):
         values, missing = getattr(column.unmasked, "value", column.unmasked), np.asarray(column.mask)
     values = np.asarray(values)
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if values.dtype.kind == "O":
         values, missing = _of_objects(values, missing, name)
     if values.ndim != 1 or values.dtype.kind not in KINDS:
@@ -95,7 +97,11 @@ def _plain(column, name):
         if values.max(initial=0) >= 2**63:
             raise InputError(f"column {name!r} in keep must contain integers below 2**63, got {values.max()}")
         values = values.astype(np.int64)
-    return values if unit is None or unit == u.dimensionless_unscaled else values.astype(float) * u.Unit(unit)
+    if unit is None or unit == u.dimensionless_unscaled:
+        return values
+    if values.dtype.kind == "i" and without_unit(values, f"the column {name!r}", unit):
+        return values
+    return values.astype(float) * u.Unit(unit)
 
 
 def _of_objects(values, missing, name):

@@ -8,7 +8,11 @@ import numpy as np
 
 from rfpsurvey.errors import warn
 
-__all__ = ["SurveyFormat", "find_format", "kinds_and_visits"]
+__all__ = ["COUNTS", "SurveyFormat", "find_format", "is_unusable", "kinds_and_visits"]
+
+# Columns of DESI with numbers of visits. In desitarget, -1 means that no number was set, because the target is only a
+# standard star or a sky position, or cannot be observed in the conditions of the file.
+COUNTS = ("numobs_init", "numobs_more")
 
 # Bits of DESI_TARGET (desitarget/data/targetmask.yaml). fiberassign assigns no science target, standard star or sky
 # position whose bit BAD_SKY, BRIGHT_OBJECT or IN_BRIGHT_OBJECT is set.
@@ -70,18 +74,23 @@ def _sdssv(lower: dict) -> SurveyFormat | None:
     return SurveyFormat("SDSS-V candidates", {"priority": f"-{lower['priority']}"}, marks=tuple(found))
 
 
+def is_unusable(bits: np.ndarray) -> np.ndarray:
+    """Return whether each position is unusable, because it is a bad sky position or close to a bright object."""
+    return (bits & UNUSABLE) != 0
+
+
 def kinds_and_visits(bits: np.ndarray, visits: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the kind and the requested number of visits of targets of DESI.
 
     A target that is both a science target with requested visits and a standard star is a science target. No visits of
-    unusable positions are requested. Numbers of visits below 0 mean that DESI requests no visits.
+    unusable positions are requested.
     """
-    visits = np.ones(len(bits)) if visits is None else np.maximum(visits, 0)
+    visits = np.ones(len(bits)) if visits is None else visits
     standard, wanted = (bits & STANDARD) != 0, ((bits & SCIENCE) != 0) & (visits > 0)
     if n := np.count_nonzero(standard & wanted):
         text = f"{n} of {len(bits)} targets are both science targets and standard stars; they are read as science"
         warn(f"{text} targets, and do not count as standard stars")
     kind = np.where(standard & ~wanted, "standard", np.where((bits & SKY) != 0, "sky", "science"))
-    unusable = (bits & UNUSABLE) != 0
+    unusable = is_unusable(bits)
     kind[unusable] = "science"
     return kind, np.where(unusable, 0, np.where(kind == "science", visits, 1))

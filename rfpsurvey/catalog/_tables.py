@@ -11,7 +11,7 @@ from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
 from rfpsurvey.catalog._frames import as_table
 from rfpsurvey.catalog._motion import moving
-from rfpsurvey.catalog._survey_formats import kinds_and_visits
+from rfpsurvey.catalog._survey_formats import COUNTS, is_unusable, kinds_and_visits
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
@@ -32,13 +32,18 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     find, roles = Finder(table, columns or {}, units or {}, fill=fill or {}), catalog_roles(frame)
     find.assume_units = assume_units or is_plain or not find.has_units(roles)
     category = find.labels("category")
-    kind, visits = find.labels("kind"), find.complete("visits")
+    kind, (visits, unset) = find.labels("kind"), _visits(find)
     if kind is not None:
         kind = np.char.lower(np.where(kind == "", "science", kind))
     elif find.format is not None and find.format.bits is not None:
-        kind, visits = kinds_and_visits(_bits(find), visits)
+        bits = _bits(find)
+        kind, visits = kinds_and_visits(bits, visits)
+        unset &= ~is_unusable(bits)
     elif category is not None:
         kind = _kind_of_category(category)
+    if (unset := unset if kind is None else unset & (kind == "science")).any():
+        text = f"column {find.name_of('visits')!r} (visits) is negative (not set) in {rows_of(unset)}"
+        warn(f"{text}, which are not standard stars or sky positions; no visits of these targets are requested")
     coord = _coordinates(find, frame)
     find.warn_of_doubt()
     meta = _plain_meta(table.meta)
@@ -74,6 +79,20 @@ def catalog_roles(frame: str) -> tuple[str, ...]:
         *(equatorial if str(frame).lower() in EQUATORIAL else ("lon", "lat")),
         "epoch",
     )
+
+
+def _visits(find: Finder) -> tuple[np.ndarray | None, np.ndarray]:
+    """Return the requested numbers of visits, and a mask of the rows in which DESI has not set this number.
+
+    No visits are requested in these rows.
+    """
+    visits = find.complete("visits")
+    if visits is None or find.name_of("visits").lower() not in COUNTS:
+        return visits, np.zeros(len(find.table), dtype=bool)
+    unset = visits < 0
+    if unset.any():
+        find.remarks["visits"] = f" (negative, no visits requested: {rows_of(unset)})"
+    return np.where(unset, 0, visits), unset
 
 
 def _bits(find: Finder) -> np.ndarray:

@@ -283,7 +283,7 @@ class SelectionProbabilities:
         if lacking or not all(isinstance(meta.get(name), dict) for name in ("summary", "provenance")):
             what = f"a table without {', '.join(lacking)}" if lacking else "a table without provenance"
             raise InputError(f"{path} must contain selection probabilities, got {what}")
-        realizations = _io.read_table(path, number=1)
+        realizations = _io.read_table(path, hdu=2)
         kinds = {name: np.asarray(table[name]).dtype.kind for name in ("BITWEIGHTS", "n_tiles")}
         if set(kinds.values()) - {*"iu"} or np.asarray(table["n_tiles"]).min(initial=0) < 0:
             raise InputError(f"{path} must store integers in BITWEIGHTS, and integers of at least 0 in n_tiles")

@@ -234,7 +234,7 @@ class Tile:
             raise InputError(f"{path} does not hold a tile: {error}") from None
         if not tile.provenance.get("outcomes") or _io.suffix_of(_io.to_path(path)) != ".fits":
             return tile
-        return cls(tile.table, describe(_plain(_io.read_table(path, number=1)), OUTCOMES_COLUMNS, KEPT_COLUMN))
+        return cls(tile.table, describe(_plain(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, KEPT_COLUMN))
 
     def write(
         self,

@@ -203,7 +203,13 @@ class Tiling:
         return cls(result)
 
     @classmethod
-    def read(cls, path: str | os.PathLike, columns: dict | None = None, units: dict | None = None) -> "Tiling":
+    def read(
+        cls,
+        path: str | os.PathLike,
+        columns: dict | None = None,
+        units: dict | None = None,
+        hdu: int | str | None = None,
+    ) -> "Tiling":
         """Read a tiling from a file that this package wrote, or from a file with another list of tiles.
 
         Parameters
@@ -213,6 +219,9 @@ class Tiling:
             degrees; no warning is issued.
         columns, units : dict, optional
             Names and units of the columns, as in `from_table`.
+        hdu : int or str, optional
+            Number or name (EXTNAME) of the header-data unit that contains the table, for FITS files with several
+            tables. By default, the first table is read.
 
         Returns
         -------
@@ -225,7 +234,7 @@ class Tiling:
             If the file does not exist, or is not a list of tiles.
         """
         path = _io.to_path(path)
-        table = _io.read_table(path)
+        table = _io.read_table(path, hdu, "; to read another table, give hdu= or --tiles-hdu")
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
             return cls._from_table(table, columns, units, assume_units=_io.suffix_of(path) in (".csv", ".tsv"))

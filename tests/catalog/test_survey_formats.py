@@ -83,6 +83,27 @@ def test_bits_of_desi_state_the_kinds_of_targets():
     assert rs.Catalog.from_table(desi(SV3_DESI_TARGET=bits)).visits.tolist() == [1, 1, 1, 0, 0, 1]
 
 
+@pytest.mark.parametrize("name", ["NUMOBS_INIT", "NUMOBS_MORE"])
+def test_numbers_of_visits_that_desi_has_not_set_are_counted(name):
+    """NUMOBS_INIT = -1 was refused in tables without DESI_TARGET, and was not reported in other tables."""
+    table = desi(4, **{name: [2, -1, 1, -1], "PRIORITY_INIT" if "INIT" in name else "PRIORITY": np.ones(4)})
+    text = rf"'{name}' \(visits\) is negative \(not set\) in 2 of 4 rows \(rows 2, 4\), which are not standard"
+    with pytest.warns(RfpsurveyWarning, match=text):
+        catalog = rs.Catalog.from_table(table)
+    assert catalog.visits.tolist() == [2, 0, 1, 0]
+    assert f"visits: {name} (negative, no visits requested: 2 of 4 rows (rows 2, 4))" in catalog.meta["columns"]
+    table["DESI_TARGET"] = [LRG, STD_FAINT, ELG, SKY]
+    catalog = rs.Catalog.from_table(table)  # without a warning, which would fail the test
+    assert catalog.visits.tolist() == [2, 1, 1, 1]
+    assert f"visits: {name} (negative, no visits requested: 2 of 4 rows (rows 2, 4))" in catalog.meta["columns"]
+    table["DESI_TARGET"] = [LRG, STD_FAINT, ELG, LRG]
+    with pytest.warns(RfpsurveyWarning, match=r"in 1 of 4 rows \(row 4\), which are not standard stars or sky"):
+        assert rs.Catalog.from_table(table).visits.tolist() == [2, 1, 1, 0]
+    table["visits"] = [-1, 1, 1, 1]
+    with pytest.raises(InputError, match="visits must be whole numbers from 0 to 255, got -1"):
+        rs.Catalog.from_table(table)
+
+
 def test_standard_stars_that_are_also_requested_science_targets_remain_science_targets():
     table = desi(2, DESI_TARGET=[MWS | STD_FAINT] * 2, PRIORITY=[1, 1], NUMOBS_MORE=[1, 0])
     with pytest.warns(RfpsurveyWarning, match="1 of 2 targets are both science targets and standard stars"):

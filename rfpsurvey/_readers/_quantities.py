@@ -1,0 +1,34 @@
+"""Convert columns with units to quantities, except integers that floating-point numbers cannot represent."""
+
+import numpy as np
+from astropy.table import Column, QTable, Table
+from astropy.units import dimensionless_unscaled
+
+from rfpsurvey.errors import warn
+
+__all__ = ["with_quantities", "without_unit"]
+
+MOST_EXACT = 2**53
+
+
+def with_quantities(table: Table, where: str = "") -> QTable:
+    """Return a table in which columns with a unit are quantities.
+
+    Columns of integers lose their unit if it is dimensionless, or if floating-point numbers cannot represent the
+    integers exactly; in the latter case, a warning that begins with ``where`` is issued.
+    """
+    for name, column in table.columns.items():
+        is_whole = isinstance(column, Column) and column.unit is not None and column.dtype.kind in "iu"
+        if is_whole and without_unit(np.ma.filled(column, 0), f"{where}the column {name!r}", column.unit):
+            column.unit = None
+    return QTable(table)
+
+
+def without_unit(integers: np.ndarray, what: str, unit: object) -> bool:
+    """Return whether integers cannot have a unit, because it is dimensionless, or because quantities are not exact."""
+    if unit == dimensionless_unscaled:
+        return True
+    wide = bool(((integers > MOST_EXACT) | (integers < -MOST_EXACT)).any())
+    if wide:
+        warn(f"{what} is read without its unit, {unit}, because quantities cannot represent its integers exactly")
+    return wide
