@@ -25,6 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
+from valid_plans import plan_samples
 
 OUTCOMES = (
     "read",
@@ -78,7 +79,7 @@ def main() -> int:
     table, bad, start, slowest = Counter(), [], time.perf_counter(), 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        made = [s for s in samples(folder) if options.format in (None, s.format)]
+        made = [s for s in samples(folder) + plan_samples(folder) if options.format in (None, s.format)]
         for sample in made:
             result = outcome(sample, sample.path)
             assert result == ("read", ""), (sample.path, result)
