@@ -13,7 +13,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from rfpsurvey._io import output_path
+from rfpsurvey._io import output_path, suffix_of
 from rfpsurvey._readers import content_of, is_number, sentence
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, listed
@@ -58,7 +58,7 @@ ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber
 
 def recognizes(path: Path) -> bool:
     """Return whether a file is a yanny file with the table FIBERMAP, or has a name that ends in ``.par``."""
-    if ".par" in path.suffixes[-2:]:
+    if suffix_of(path) == ".par":
         return True
     head = head_of(path, 2**14)
     return head.startswith(b"#%yanny") and b"FIBERMAP" in head
@@ -76,17 +76,8 @@ def read(path: Path) -> QTable:
     for name in ("holeId", "fiberType", "assigned"):
         if name not in rows:
             raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {listed(rows)}")
-    fibers = list(zip(rows["holeId"].tolist(), rows["fiberType"].tolist(), strict=True))
-    n = len(fibers)
-    if len(set(fibers)) < n:
-        twice = next(fiber for k, fiber in enumerate(fibers) if fiber in fibers[:k])
-        raise InputError(f"{path}: each fiber must have one row, got several for {twice[0]} {twice[1]}")
-    _, counts = np.unique(rows["holeId"], return_counts=True)
-    if (counts != counts[0]).any():
-        raise InputError(
-            f"{path}: every holeId must occur in the same number of rows, got {counts.min()} to {counts.max()}; "
-            "the file may be truncated"
-        )
+    n = len(rows["holeId"])
+    _check_fibers(rows["holeId"], rows["fiberType"], path)
     site = header.get("observatory", "")
     if site not in INSTRUMENTS:
         raise InputError(f"{path}: observatory must be APO or LCO, got {site!r}")
@@ -211,6 +202,20 @@ def _parse(path: Path):
     return columns, struct, header
 
 
+def _check_fibers(holes: np.ndarray, types: np.ndarray, path: Path) -> None:
+    """Raise an error if a fiber has several rows, or if robots have different numbers of rows."""
+    fibers, counts = np.unique(np.array([holes, types]).astype(str), axis=1, return_counts=True)
+    if (counts > 1).any():
+        twice = " ".join(fibers[:, counts > 1][:, 0])
+        raise InputError(f"{path}: each fiber must have one row, got several for {twice}")
+    _, counts = np.unique(holes, return_counts=True)
+    if (counts != counts[0]).any():
+        raise InputError(
+            f"{path}: every holeId must occur in the same number of rows, got {counts.min()} to {counts.max()}; "
+            "the file may be truncated"
+        )
+
+
 def _number(header: dict, name: str, path: Path) -> float | None:
     """Return the value of a header keyword as a number, or None if the keyword or its value is missing."""
     text = header.get(name, str(MISSING))
@@ -249,6 +254,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
         )
     struct, n, fields = _struct(plan), len(plan), []
     given = _given(plan, struct)
+    _check_fibers(given["holeId"], given["fiberType"], path)
     for name, kind in struct.items():
         base, _, size = kind.rstrip("]").partition("[")
         values = given.get(name)

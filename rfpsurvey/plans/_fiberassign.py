@@ -243,7 +243,7 @@ def _columns(plan, header, path) -> dict:
     The columns have the order of the file from which the plan was read or, for plans of other formats, of ``TYPES``.
     """
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
-    location = _locations(plan)
+    location = _locations(plan, path)
     bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
     words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
     common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
@@ -290,8 +290,10 @@ def _columns(plan, header, path) -> dict:
     return {name: found[name] for name in order if name in found}
 
 
-def _locations(plan) -> np.ndarray:
+def _locations(plan, path) -> np.ndarray:
     """Return the LOCATION in DESI of each positioner of a plan."""
+    if plan.meta["instrument"] != "desi":
+        raise InputError(f"{path}: the instrument of a fiberassign file must be desi, got {plan.meta['instrument']}")
     ids = np.asarray(plan["positioner"])
     wrong = np.ones(len(ids), dtype=bool)
     if ids.dtype.kind in "iu":
@@ -301,6 +303,7 @@ def _locations(plan) -> np.ndarray:
             f"positioner must be a LOCATION of DESI (1000 times the petal plus the device), got {ids[wrong][0]}; plan "
             "with Instrument.from_desi, whose ids are locations"
         )
+    _check_ids(ids, path)
     return ids.astype(np.int64)
 
 

@@ -19,6 +19,7 @@ from rfpsurvey.plans._pfsdesign_write import (
     FROM_TILE,
     NATIVE,
     PFI_ANGLE,
+    check_fibers,
     design_id,
     wrapped,
     write,
@@ -72,9 +73,7 @@ def read(path: Path) -> QTable:
             what = "whole numbers" if wanted == "iu" else "numbers"
             raise InputError(f"{path}: the column {name!r} of DESIGN must hold {what}, got {rows[name].dtype}")
     fiber = rows["fiberId"]
-    if len(np.unique(fiber)) < len(fiber):
-        names, counts = np.unique(fiber, return_counts=True)
-        raise InputError(f"{path}: fiberId must be unique, but {names[counts > 1][0]} occurs more than once")
+    check_fibers(fiber, path)
     header = _values(primary)
     for name in ("RA", "DEC"):
         if not isinstance(header.get(name), int | float):

@@ -13,7 +13,7 @@ from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
-__all__ = ["FLUXES", "FORMATS", "FROM_TILE", "NATIVE", "PFI_ANGLE", "design_id", "wrapped", "write"]
+__all__ = ["FLUXES", "FORMATS", "FROM_TILE", "NATIVE", "PFI_ANGLE", "check_fibers", "design_id", "wrapped", "write"]
 
 # Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
 # +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
@@ -77,6 +77,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     from astropy.io import fits
 
     rows, header = _rows(plan, path), without_keywords(_header(plan, path)) | to_keywords(plan.meta)
+    check_fibers(rows["fiberId"][0], path)
     number = _identifier(plan, rows)
     header["W_PFDSGN"] = number
     match = NAME.fullmatch(path.name)
@@ -109,6 +110,13 @@ def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
 
     texts = [f"{f:d} {rounded(a):0.6f} {rounded(d):0.6f}" for f, a, d in zip(fiber.tolist(), ra, dec, strict=True)]
     return int.from_bytes(hashlib.sha1(str(texts).encode(), usedforsecurity=False).digest()[-8:]) & (2**63 - 1)
+
+
+def check_fibers(fiber: np.ndarray, path: Path) -> None:
+    """Raise an error if a ``fiberId`` occurs more than once."""
+    names, counts = np.unique(fiber, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(f"{path}: fiberId must be unique, but {names[counts > 1][0]} occurs more than once")
 
 
 def wrapped(angle: float) -> float:

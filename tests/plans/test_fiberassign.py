@@ -273,8 +273,13 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
     plan = plans.read_plan(path)
     x, y = presets["lamost"].focal_plane.xy.T
     lamost = rs.score_tile(QTable({"positioner": np.arange(4000), "x": x, "y": y}), presets["lamost"])
-    with pytest.raises(rs.errors.InputError, match="positioner must be a LOCATION of DESI"):
+    with pytest.raises(rs.errors.InputError, match="the instrument of a fiberassign file must be desi, got lamost"):
         plans.write_plan(lamost, tmp_path / "no.fits", format="fiberassign")
+    nominal = QTable({"positioner": [4999], "x": [0.0] * u.mm, "y": [0.0] * u.mm})
+    with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
+        nominal = rs.score_tile(nominal, presets["desi"])
+    with pytest.raises(rs.errors.InputError, match="positioner must be a LOCATION of DESI"):
+        plans.write_plan(nominal, tmp_path / "no.fits", format="fiberassign")
     with pytest.raises(rs.errors.InputError, match=r"must end in .fits"):
         plans.write_plan(plan, tmp_path / "no.ecsv", format="fiberassign")
     with pytest.raises(rs.errors.InputError, match="exists"):
