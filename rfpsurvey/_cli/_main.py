@@ -45,6 +45,7 @@ OPTIONS = {
     "rotation": "--pa",
     "position_angle": "--pa",
     "standard_error": "--precision",
+    "rng": "--seed",
     "passes": "--pass",
     "targets_per_positioner": "--targets",
     "n_realizations": "--realizations",

@@ -10,7 +10,7 @@ from astropy.coordinates import EarthLocation
 from astropy.time import Time
 
 from rfpsurvey._io import to_path
-from rfpsurvey._readers import read_toml
+from rfpsurvey._readers import read_toml, sentence
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.observing._sites import as_site, location
@@ -320,7 +320,9 @@ def _from_text(name: str, value: object, path: object) -> object:
             return {kind: u.Quantity(text) for kind, text in value.items()}
         return u.Quantity(value)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {name} must be text such as '0.54 um', got {short(value)}: {error}") from None
+        raise InputError(
+            f"{path}: {name} must be text such as '0.54 um', got {short(value)}: {sentence(error)}"
+        ) from None
 
 
 def _check_wavelength(value, name: str) -> None:
