@@ -16,15 +16,15 @@ from filelock import FileLock, Timeout
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
-from rfpsurvey._readers import content_of, parse_json
+from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey.errors import InputError, warn
 
 __all__ = ["INDEX", "RequestFolder", "check_file", "locked", "read_index", "read_verified"]
 
 INDEX, LOCK = "index.csv", "lock"
 HEADER = "file,bytes,sha256\n"
-MOST_REQUEST = 10_000_000
-LINE = re.compile(r"([a-z0-9/-]+\.(?:fits|ecsv|npz)),(\d+),([0-9a-f]{64})\n")
+MOST_REQUEST, MOST_INDEX = 10_000_000, 2**28
+LINE = re.compile(r"([a-z0-9/-]+\.(?:fits|ecsv|npz)),(\d{1,18}),([0-9a-f]{64})\n")
 
 
 @contextmanager
@@ -195,7 +195,7 @@ class RequestFolder:
 
 def _entry_of(path: Path) -> tuple[int, str]:
     """Return the size and the checksum of a file."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         return path.stat().st_size, hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -208,18 +208,18 @@ def check_file(path: Path, name: str, known: dict[str, list[tuple[int, str]]]) -
 
 def read_verified(path: Path, name: str, known: dict[str, list[tuple[int, str]]]) -> bytes:
     """Return the content of a file; raise an error if it does not match its checksum in the index."""
-    with _readable(path / name):
-        content = (path / name).read_bytes()
+    with _readable(path / name), open_file(path / name) as file:
+        content = file.read()
     _check_entry(path / name, (len(content), hashlib.sha256(content).hexdigest()), known.get(name))
     return content
 
 
 @contextmanager
 def _readable(path: Path):
+    if not is_present(path):
+        raise InputError(f"{path} is missing")
     try:
         yield
-    except FileNotFoundError:
-        raise InputError(f"{path} is missing") from None
     except OSError as error:
         raise InputError(f"{path} is damaged ({error.strerror or error})") from None
 
@@ -241,10 +241,9 @@ def read_index(path: Path) -> dict[str, list[tuple[int, str]]]:
 
 def _read_index(path: Path):
     """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
-    try:
-        text = (path / INDEX).read_text(encoding="ascii", errors="replace")
-    except OSError:
+    if not is_present(path / INDEX):
         return {}, 0
+    text = content_of(path / INDEX, most=MOST_INDEX).decode("ascii", "replace")
     lines = text.splitlines(keepends=True)[1:]
     found = [LINE.fullmatch(line) for line in lines]
     known = {}

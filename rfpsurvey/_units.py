@@ -17,7 +17,7 @@ from astropy.utils.masked import Masked
 from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusal, short
 
-MOST_VISITS = 255
+MOST_VISITS, MOST_SEED = 255, 2**128
 
 __all__ = [
     "exact_text",
@@ -297,9 +297,11 @@ def to_generator(rng: object) -> np.random.Generator:
     try:
         if isinstance(rng, np.random.RandomState):
             raise TypeError
+        if isinstance(rng, Integral) and rng >= MOST_SEED:
+            raise ValueError
         return np.random.default_rng(rng)
     except (TypeError, ValueError):
-        raise refusal("rng must be a seed of at least 0, a numpy Generator or None", rng, Number) from None
+        raise refusal("rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None", rng, Number) from None
 
 
 def is_seed_given(rng) -> bool:

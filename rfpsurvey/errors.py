@@ -1,6 +1,7 @@
 """Exceptions and warnings of rfpsurvey."""
 
 import inspect
+import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -35,6 +36,9 @@ __all__ = [
 
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
+# Of a word that has more than three times this number of characters, a message contains the beginning and the end.
+WORD = 100
+LONG_WORD = re.compile(rf"\S{{{3 * WORD + 1},}}")
 MOST_CHOICES = 60
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
 # text that the error message suggests if the function has the present parameter.
@@ -63,8 +67,11 @@ class InputError(ValueError):
     """An input is not valid; the message states what the input must be and what was given.
 
     If the type is wrong, the error is also a `TypeError`. If the unit is wrong, the error is also an
-    `~astropy.units.UnitsError`.
+    `~astropy.units.UnitsError`. The message is one line: control characters and long words of files are not repeated.
     """
+
+    def __init__(self, text: object = ""):
+        super().__init__(one_line(str(text)))
 
 
 class InputTypeError(InputError, TypeError):
@@ -92,7 +99,15 @@ def warn(text: str) -> None:
     level, frame = 2, inspect.currentframe().f_back
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "rfpsurvey":
         level, frame = level + 1, frame.f_back
-    warnings.warn(text, RfpsurveyWarning, stacklevel=level)
+    warnings.warn(one_line(text), RfpsurveyWarning, stacklevel=level)
+
+
+def one_line(text: str) -> str:
+    """Return text without line breaks, control characters and very long words, which files could bring into it."""
+    if not text.isprintable():
+        text = re.sub(r"\s*\n\s*", " ", text.strip())
+        text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return LONG_WORD.sub(lambda match: f"{match[0][:WORD]}...{match[0][-WORD:]}", text)
 
 
 # Options that cause no warning in `warn_no_effect`, because the caller uses them; None stands for all options.
@@ -203,7 +218,10 @@ def short(value: object) -> str:
     name = type(value).__name__
     if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, possibly of another package
         return f"a {name} of {number_of(len(value), 'row')}"
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # Python does not print integers with thousands of digits
+        return f"{name} with too many digits"
     return text if len(text) < LONGEST else f"{name} {text[:40]}..."
 
 

@@ -88,3 +88,13 @@ def test_tables_are_never_pasted_into_errors():
     assert short("a") == "'a'"
     assert "\n" not in short("a\nb" * 50)
     assert len(short("a" * 500)) < 60
+
+
+def test_messages_have_one_line_without_control_characters():
+    """Text of a file could bring escape sequences, line breaks and thousands of characters into a message."""
+    assert str(rs.InputError("a\x1b[2J\r\n  b")) == "a\\x1b[2J b"
+    text = str(rs.InputError(f"/data/a.csv must hold numbers, got {'7' * 5000}, in row 1"))
+    assert text.startswith("/data/a.csv must hold numbers, got 777")
+    assert text.endswith("777, in row 1")
+    assert len(text) < 300
+    assert short(10**5000) == "int with too many digits"

@@ -205,7 +205,7 @@ def allocation_options(
         parked_obstacles=parked,
         required=required,
         keep_out=[_parse_circle(text) for text in keep_out or []],
-        subpriority=int(subpriority) if subpriority and subpriority.isdecimal() else subpriority,
+        subpriority=int(subpriority) if subpriority and re.fullmatch(r"\d{1,40}", subpriority) else subpriority,
     )
 
 

@@ -45,6 +45,7 @@ OPTIONS = {
     "rotation": "--pa",
     "position_angle": "--pa",
     "standard_error": "--precision",
+    "rng": "--seed",
     "passes": "--pass",
     "targets_per_positioner": "--targets",
     "n_realizations": "--realizations",
@@ -53,7 +54,6 @@ OPTIONS = {
     "iterations": "--joint-iterations",
     "time_limit": "--joint-time",
     "targets": "--n-targets",
-    "rng": "--seed",
     "parked_obstacles": "--no-parked",
     "lost_in_collision": "--kept",
 }

@@ -1,9 +1,10 @@
 """Read tables, and TOML and JSON documents, of limited size; error messages are single sentences."""
 
+from rfpsurvey._readers._archives import read_arrays
 from rfpsurvey._readers._documents import parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
-from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, is_present, sentence
+from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, head_of, is_present, open_file, sentence
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
 from rfpsurvey._readers._quantities import without_unit
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
@@ -14,10 +15,13 @@ __all__ = [
     "check_is_file",
     "content_of",
     "entries_of",
+    "head_of",
     "import_parquet",
     "is_number",
     "is_present",
+    "open_file",
     "parse_json",
+    "read_arrays",
     "read_fits_bytes",
     "read_fits_units",
     "read_parquet",

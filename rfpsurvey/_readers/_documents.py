@@ -5,12 +5,14 @@ import re
 from pathlib import Path
 
 from rfpsurvey._readers._limits import check_is_file, content_of, sentence
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, short
 
 __all__ = ["check_size", "parse_json", "read_toml"]
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
+# Integers in TOML have 64 bits. Larger integers in other documents can be seeds, but must be representable as floats.
+MOST_TOML_INTEGER, MOST_INTEGER = 2**63 - 1, 2**1000
 # Matches the beginning of a key that has more than `MOST_DEPTH` parts, which are separated by dots. A match can begin
 # only at the start of a word, so that the time of the search is proportional to the length of the text.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
@@ -31,9 +33,11 @@ def read_toml(path: Path) -> dict:
         found = tomllib.loads(text)
     except RecursionError:
         raise InputError(f"{path}: values must be nested at most {MOST_DEPTH} levels deep, got more") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except InputError:
+        raise
+    except ValueError as error:  # the text is not UTF-8 or not TOML, or a number has too many digits
         raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
-    check_size(found, path)
+    check_size(found, path, most=MOST_TOML_INTEGER)
     return found
 
 
@@ -55,8 +59,11 @@ def parse_json(text: object, what: object) -> dict:
     return found
 
 
-def check_size(found: object, what: object) -> None:
-    """Raise an error if a document has too many values or nested levels; a value that occurs twice counts twice."""
+def check_size(found: object, what: object, most: int = MOST_INTEGER) -> None:
+    """Raise an error if a document has too many values, nested levels, or an integer whose absolute value exceeds most.
+
+    A value that occurs twice counts twice.
+    """
     todo, n = [(found, 0)], 0
     while todo:
         value, depth = todo.pop()
@@ -66,4 +73,7 @@ def check_size(found: object, what: object) -> None:
             raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} levels deep, got more")
         if n > MOST_VALUES:
             raise InputError(f"{what}: there must be at most {MOST_VALUES} values, got more")
+        wide = next((child for child in inner if isinstance(child, int) and abs(child) > most), None)
+        if wide is not None:
+            raise InputError(f"{what}: integers must be from -{most:.4g} to {most:.4g}, got {short(wide)}")
         todo.extend((child, depth + 1) for child in inner if isinstance(child, dict | list | tuple))

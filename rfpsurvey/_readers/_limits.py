@@ -5,6 +5,7 @@ import gzip
 import io
 import lzma
 import zlib
+from contextlib import nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,9 +17,11 @@ __all__ = [
     "check_width",
     "content_of",
     "entries_of",
+    "head_of",
     "is_compressed",
     "is_present",
     "open_content",
+    "open_file",
     "sentence",
 ]
 
@@ -57,12 +60,16 @@ def is_present(path: Path) -> bool:
 
 
 def check_is_file(path: Path) -> None:
-    """Raise an error if a path is not the path of a file."""
+    """Raise an error if a path is not the path of a regular file; other files, such as pipes, may have no end."""
     try:
         if path.is_file():
             return
-        is_link = path.is_symlink()
-        reason = "this is a folder" if path.is_dir() else "the target of this link does not exist" if is_link else ""
+        if path.is_dir():
+            reason = "this is a folder"
+        elif path.exists():
+            reason = "this is a pipe or a device; write its content to a file, and give this file"
+        else:
+            reason = "the target of this link does not exist" if path.is_symlink() else ""
     except OSError as error:
         reason = error.strerror or str(error)
     except ValueError:  # the path contains a null character
@@ -78,8 +85,30 @@ def entries_of(folder: Path) -> list[Path]:
         raise InputError(f"{folder} cannot be read: {error.strerror or error}") from error
 
 
+def open_file(path: Path) -> BinaryIO:
+    """Return an open file; raise an error if the path is not the path of a regular file, or cannot be opened.
+
+    All files that users give are opened by this function, or after `check_is_file`.
+    """
+    check_is_file(path)
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def head_of(path: Path, n: int) -> bytes:
+    """Return the first bytes of a regular file, decompressed if necessary; empty if the file cannot be read."""
+    try:
+        opener = _opener(path)
+        with open_file(path) as file, nullcontext(file) if opener is None else opener(file) as content:
+            return content.read(n)
+    except (InputError, OSError, EOFError, zlib.error, lzma.LZMAError):
+        return b""
+
+
 def _opener(path: Path):
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(6)
     return next((opener for magic, opener in OPENERS.items() if head.startswith(magic)), None)
 
@@ -95,6 +124,7 @@ def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     If ``most`` is None, the size of uncompressed files is not limited, and the decompressed size of compressed files is
     limited by `MOST_RATIO` and `FREE`. ``kind`` is the name of the file format in error messages.
     """
+    check_is_file(path)
     try:
         size, opener = path.stat().st_size, _opener(path)
         limit = most if most is not None else None if opener is None else max(FREE, MOST_RATIO * size)
@@ -123,7 +153,7 @@ def _too_large(path, limit, opener) -> str:
 
 def open_content(path: Path) -> BinaryIO:
     """Return an open, seekable file: the file itself, or its decompressed content."""
-    return io.BytesIO(content_of(path)) if is_compressed(path) else path.open("rb")
+    return io.BytesIO(content_of(path)) if is_compressed(path) else open_file(path)
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:

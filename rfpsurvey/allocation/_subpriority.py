@@ -83,7 +83,7 @@ def check_seed(seed: object) -> int:
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer):
         raise InputTypeError(f"the seed of subpriorities must be an integer, got {short(seed)}")
     if not 0 <= seed < 2**63:
-        raise InputError(f"the seed of subpriorities must be from 0 to 2^63 - 1, got {seed}")
+        raise InputError(f"the seed of subpriorities must be from 0 to 2^63 - 1, got {short(seed)}")
     return int(seed)
 
 

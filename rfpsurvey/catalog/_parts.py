@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey import _healpix
-from rfpsurvey._readers import import_parquet, read_parquet, sentence
+from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, sentence
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
@@ -58,7 +58,8 @@ class Partitions:
         found = []
         for path in sorted(self.catalog.folder.rglob("*")):
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
-            if match and path.is_file() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
+            if match and not path.is_dir() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
+                check_is_file(path)
                 found.append((int(match[1]), int(match[2]), path))
         tops = sorted({path.as_posix().partition("/Norder=")[0] for *_, path in found})
         if len(tops) > 1:

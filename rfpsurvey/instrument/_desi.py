@@ -5,7 +5,6 @@ rotation of 0. In rfpsurvey, +x is east. The conversion reverses the sign of x; 
 handedness and the signs of the joint angles.
 """
 
-import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._io import to_path
-from rfpsurvey._readers import entries_of, read_table
+from rfpsurvey._readers import entries_of, head_of, read_table
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.focal_plane import FocalPlane
@@ -45,11 +44,7 @@ def recognizes(path: Path) -> bool:
     """Return whether a path is a file with DESI's metrology or focal plane, or a folder with such a file."""
     if path.is_dir():
         return any(file.name.startswith(("desi-focalplane_", "fp-metrology.csv")) for file in entries_of(path))
-    try:
-        with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
-            head = file.read(2**14).decode("utf-8", "replace")
-    except (OSError, EOFError):
-        return False
+    head = head_of(path, 2**14).decode("utf-8", "replace")
     return any(all(name in head for name in names) for names in (METROLOGY, MODEL))
 
 

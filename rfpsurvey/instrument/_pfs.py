@@ -3,8 +3,6 @@
 Cobras, the positioners of PFS, have the identifiers of the observatory, 1 to 2394.
 """
 
-import gzip
-import zlib
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,7 +10,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import entries_of, is_present, suffix_of, to_path
+from rfpsurvey._readers import entries_of, head_of, is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
@@ -55,15 +53,8 @@ def find_pfs_files(path: Path) -> dict | None:
 
 
 def _is_file_of_dots(path: Path) -> bool:
-    if suffix_of(path) != ".csv":
-        return False
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-        with (gzip.open if head == b"\x1f\x8b" else open)(path, "rb") as file:
-            return file.read(64).lstrip(b"\xef\xbb\xbf").startswith(b"spotId,x,y,r")
-    except (OSError, EOFError, zlib.error):
-        return False
+    head = head_of(path, 64) if suffix_of(path) == ".csv" else b""
+    return head.lstrip(b"\xef\xbb\xbf").startswith(b"spotId,x,y,r")
 
 
 def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):

@@ -7,6 +7,7 @@ from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 
 __all__ = ["SITES", "as_site", "location"]
 
+HIGHEST = 1e5  # m
 # Longitude (deg, east), latitude (deg), height (m). The values are taken from astropy's table of sites, which names as
 # its sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the
 # VLTI (Paranal), and the website of the Subaru telescope (Mauna Kea).
@@ -36,4 +37,8 @@ def as_site(site: object) -> EarthLocation:
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
     if not isinstance(site, EarthLocation) or not site.isscalar:
         raise InputTypeError(f"site must be one EarthLocation or the name of a site, got {short(site)}")
+    if not abs(site.height.to_value(u.m)) <= HIGHEST:
+        raise InputError(
+            f"site must have finite coordinates and a height from {-HIGHEST:g} to {HIGHEST:g} m, got {short(site)}"
+        )
     return site

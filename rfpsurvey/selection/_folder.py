@@ -1,12 +1,12 @@
 """The folder that stores the state of an unfinished computation of selection probabilities, and then its result."""
 
-import zipfile
 from pathlib import Path
 from time import monotonic
 
 import numpy as np
 
 from rfpsurvey._folder import RequestFolder, check_file
+from rfpsurvey._readers import open_file, read_arrays
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.selection._state import State
 
@@ -44,15 +44,18 @@ class SelectionFolder(RequestFolder):
             return None
         return path
 
-    def load(self, name: str) -> dict[str, np.ndarray] | None:
-        """Return the arrays of a file, or None if the file is missing or damaged."""
+    def load(self, name: str, **expected: tuple[str, tuple]) -> dict[str, np.ndarray] | None:
+        """Return the arrays of a file, or None if the file is missing or damaged.
+
+        ``expected`` contains the type and the shape of each array.
+        """
         path = self.verified(f"{name}.npz")
         if path is None:
             return None
         try:
-            with path.open("rb") as stream, np.load(stream) as file:
-                return {key: file[key] for key in file.files}
-        except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+            with open_file(path) as file:
+                return read_arrays(file, expected, "the archive")
+        except InputError as error:
             warn(f"{path} is damaged ({error}); its tiles are planned again")
             return None
 
@@ -67,13 +70,17 @@ class SelectionFolder(RequestFolder):
             self.save(_state(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
             self._last = monotonic()
 
-    def load_state(self, number: int, state: State) -> None:
-        """Restore ``state`` from the file of an unfinished block, if there is such a file."""
-        found = self.load(_state(number))
+    def load_state(self, number: int, state: State, n_rounds: int) -> None:
+        """Restore ``state`` from the file of an unfinished block of ``n_rounds`` rounds, if there is such a file."""
+        left, counts = ("u1", state.left.shape), ("i8", state.counts.shape)
+        found = self.load(_state(number), left=left, counts=counts, n_rounds=("i8", ()))
         if found is not None:
-            if found["left"].shape != state.left.shape or found["counts"].shape != state.counts.shape:
-                raise InputError(f"{self.path} is damaged: the state of block {number} has the wrong size")
-            state.restore(found["left"], found["counts"], int(found["n_rounds"]))
+            done = int(found["n_rounds"])
+            if not 0 <= done < n_rounds:
+                raise InputError(
+                    f"{self.path} is damaged: block {number} must have at most {n_rounds} rounds, got {done}"
+                )
+            state.restore(found["left"], found["counts"], done)
 
     def save_block(self, number: int, state: State) -> None:
         """Write a finished block, and remove its state."""
@@ -81,9 +88,9 @@ class SelectionFolder(RequestFolder):
         with self._told():
             (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
 
-    def load_block(self, number: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the masks of all targets and the counts of a block, or None if the block is not finished."""
-        found = self.load(_block(number))
+    def load_block(self, number: int, n_targets: int, n: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the masks of all targets and the counts of a block of n realizations; None if it is not finished."""
+        found = self.load(_block(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
         return None if found is None else (found["mask"], found["counts"])
 
     def finish(self) -> None:

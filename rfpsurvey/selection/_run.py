@@ -49,7 +49,7 @@ def run(
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for block in blocks:
                 own = seeds[block.first : block.last]
-                done = None if folder is None else folder.load_block(block.number)
+                done = None if folder is None else folder.load_block(block.number, len(book.wanted), len(block))
                 fresh = done is None
                 if fresh:
                     state = State(book.wanted, book.left, book.spends, len(block))
@@ -80,7 +80,8 @@ def run(
 
 def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
     """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
-    found = None if folder is None else folder.load("reach")
+    n = len(request.source)
+    found = None if folder is None else folder.load("reach", n_tiles=(count_type(len(request.tiling)), (n,)))
     if found is not None:
         tell(len(request.tiling), new=False)
         return found["n_tiles"]
@@ -109,7 +110,7 @@ def count_type(n: int) -> type:
 def _plan_block(request, block: Block, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
     """Plan all tiles for the realizations of a block."""
     if folder is not None:
-        folder.load_state(block.number, state)
+        folder.load_state(block.number, state, len(request.rounds))
     done = begin + len(block) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
     tell(done, new=False)
     plan = plan_together if together else plan_alone

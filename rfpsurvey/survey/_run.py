@@ -140,6 +140,7 @@ def _read(folder, tile, job) -> Done | None:
         lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"its file lacks {', '.join(lacking)}")
+        _check_part(visits, cards)
     except InputError as error:  # the checksum is correct; therefore, the index was also changed
         folder.distrust(tile, str(error))
         return None
@@ -151,3 +152,13 @@ def _read(folder, tile, job) -> Done | None:
         return None
     counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)
+
+
+def _check_part(visits: np.ndarray, cards: dict) -> None:
+    """Raise an error if the stored visits of a tile, or their numbers, have other types or are impossible."""
+    for name, kind, words in (("target_row", "i", "integers"), ("observed", "b", "booleans")):
+        if visits.dtype[name].kind != kind:
+            raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
+    wrong = [card for card in COUNTS if not 0 <= cards[card] < 2**53]
+    if wrong:
+        raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")

@@ -26,11 +26,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
-<<<<<<< HEAD
 from valid_inputs import inputs
-=======
 from valid_plans import plan_samples
->>>>>>> work-plans
 
 OUTCOMES = (
     "read",
@@ -84,11 +81,9 @@ def main() -> int:
     table, bad, start, slowest = Counter(), [], time.perf_counter(), 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-<<<<<<< HEAD
-        made = [s for s in samples(folder) + inputs(folder) + plan_samples(folder) if options.format in (None, s.format)]
-=======
-        made = [s for s in samples(folder) + plan_samples(folder) if options.format in (None, s.format)]
->>>>>>> work-plans
+        made = [
+            s for s in samples(folder) + inputs(folder) + plan_samples(folder) if options.format in (None, s.format)
+        ]
         for sample in made:
             result = outcome(sample, sample.path)
             assert result == ("read", ""), (sample.path, result)

@@ -3,8 +3,10 @@
 import bz2
 import gzip
 import lzma
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -134,3 +136,58 @@ def test_an_exception_without_a_message_is_named_by_its_type():
     assert _limits.sentence(MemoryError()) == "MemoryError"
     assert _limits.sentence(KeyError("a")) == "KeyError: 'a'"
     assert _limits.sentence(ValueError("a\nb")) == "a"
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_integers_of_hundreds_of_digits_in_descriptions_are_refused(tmp_path, digits):
+    """Such integers caused an OverflowError or a ValueError of Python."""
+    path = tmp_path / "mine.toml"
+    for text in (f'name = "a"\n[layout]\nrings = {{ value = {"9" * digits} }}\n', f"site = [{'9' * digits}, 0, 0]\n"):
+        path.write_text(text)
+        for read in (rs.Instrument.read, rs.ObservingConditions.read):
+            with pytest.raises(rs.InputError, match=r"integers must be from -9\.223e\+18|Exceeds the limit") as caught:
+                read(path)
+            assert str(caught.value).startswith(str(path))
+            assert len(str(caught.value)) < 300 + len(str(path))
+
+
+def not_regular(folder):
+    """Return paths that are not regular files."""
+    os.mkfifo(folder / "pipe.csv")
+    (folder / "zero.csv").symlink_to("/dev/zero")
+    (folder / "loop.csv").symlink_to("loop.csv")
+    (folder / "folder.csv").mkdir()
+    return {path.stem: path for path in folder.iterdir()}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("read", [rs.Catalog.read, rs.Tiling.read, rs.Instrument.read, rs.ObservingConditions.read])
+def test_files_without_an_end_are_refused(tmp_path, read):
+    """A named pipe or a device stopped the program, because it has no end."""
+    words = {"pipe": "a pipe or a device", "zero": "a pipe or a device", "loop": "link", "folder": "folder"}
+    for name, path in not_regular(tmp_path).items():
+        with pytest.raises(rs.InputError, match=words[name]):
+            read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_folders_with_files_without_an_end_are_refused(tmp_path):
+    for name in ("positionerTable.csv", "desi-focalplane_2020-01-01.ecsv", "black_dots_mm.csv"):
+        folder = tmp_path / name
+        folder.mkdir()
+        os.mkfifo(folder / name)
+        with pytest.raises(rs.InputError, match="a pipe or a device"):
+            rs.Instrument.read(folder)
+
+
+def test_files_that_must_not_be_read_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text("ra,dec\n1,2\n")
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    for read in (rs.Catalog.read, rs.Instrument.read, rs.ObservingConditions.read):
+        with pytest.raises(rs.InputError, match=r"a\.csv cannot be read: Permission denied"):
+            read(path)

@@ -232,7 +232,7 @@ def test_each_tile_draws_by_itself(sky, small):
         ({"passes": [1.5]}, "must be distinct passes"),
         ({"passes": "all"}, "must be distinct passes"),
         ({"passes": [np.nan]}, "must be distinct passes"),
-        ({"rng": -1}, "rng must be a seed of at least 0"),
+        ({"rng": -1}, "rng must be a seed from 0 to 2"),
         ({"visits": 256}, "whole numbers from 0 to 255"),
         ({"visits": [1, 2]}, "must be one number or have the shape"),
         ({"visits": "often"}, "visits must be"),

@@ -9,10 +9,11 @@ from astropy.table import QTable
 
 from rfpsurvey._progress import Progress
 from rfpsurvey.survey._joint._fixed import fixed_tiles
-from rfpsurvey.survey._joint._search import Search
+from rfpsurvey.survey._joint._search import Search, levels_of
 from rfpsurvey.survey._joint._start import (
     TilePlan,
     class_names,
+    class_of,
     first_plans,
     given_plan,
     list_all,
@@ -61,7 +62,9 @@ class Together:
     def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
         """Return a request with the plans of all tiles, and a table with a row for each iteration and priority."""
         n, most = len(request.tiling), request.joint.iterations
-        stored = None if folder is None else read_state(folder)
+        stored = (
+            None if folder is None else read_state(folder, n, len(request.instrument.focal_plane), _n_levels(request))
+        )
         fixed = fixed_tiles(request)
         tell, steps = self._progress, n + most + 1
         if callable(tell):  # the search and the writing of the tiles report the same total number of steps
@@ -91,6 +94,10 @@ class Together:
         columns = {f.name: getattr(request, f.name) for f in fields(request)}
         planned = PlannedRequest(**columns, plans=plans_of(network, search.chosen), fixed=fixed)
         return planned, table_of(search, class_names(request))
+
+
+def _n_levels(request) -> int:
+    return len(levels_of(int(class_of(request, request.first_left).max(initial=0)) + 1))
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:

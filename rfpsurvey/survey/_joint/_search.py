@@ -14,12 +14,13 @@ import numpy as np
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey.allocation import RowPrices, solve_weighted
+from rfpsurvey.errors import InputError
 from rfpsurvey.survey._joint._network import Network
 from rfpsurvey.survey._joint._options import JointOptions
 from rfpsurvey.survey._joint._patches import Patches, divide
 from rfpsurvey.survey._joint._paths import Paths
 
-__all__ = ["Search", "Step"]
+__all__ = ["Search", "Step", "levels_of"]
 
 # Stages of the computation of prices: width of the smooth maximum (see `RowPrices.improve`), and number of sweeps.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
@@ -44,6 +45,11 @@ STEEPEST = 1e6
 GROWTH, LITTLE, LARGEST = 1.5, 0.05, 10.0
 
 
+def levels_of(n_classes: int) -> np.ndarray:
+    """Return the lowest priority class of each level, in ascending order of the numbers of classes."""
+    return np.unique(np.linspace(0, n_classes - 1, min(n_classes, MOST_LEVELS)).astype(int))
+
+
 class Step(NamedTuple):
     """The state after an iteration."""
 
@@ -65,8 +71,7 @@ class Search:
     def __init__(self, network: Network, chosen: np.ndarray, directions: np.ndarray, options: JointOptions, seed: int):
         self.network, self.chosen, self.directions = network, chosen.copy(), directions
         self.options, self.seed = options, seed
-        n = network.n_classes
-        self.levels = np.unique(np.linspace(0, n - 1, min(n, MOST_LEVELS)).astype(int))
+        self.levels = levels_of(network.n_classes)
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
@@ -95,7 +100,13 @@ class Search:
             self.steps.append(Step(int(row[0]), np.nan, row[1 : 1 + n].astype(np.int64), row[1 + n :]))
         for k, price in enumerate(state.prices):
             if price is not None:
-                self._prices_of(k).price = price
+                prices = self._prices_of(k)
+                if price.shape != prices.price.shape:
+                    raise InputError(
+                        "the stored state of the search for a joint plan is damaged: it must have "
+                        f"{len(prices.price)} prices, got {len(price)}; start again in another folder"
+                    )
+                prices.price = price
 
     @property
     def visits(self) -> np.ndarray:

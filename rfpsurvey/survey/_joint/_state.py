@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey._readers import read_arrays
 from rfpsurvey.errors import InputError, warn
 
 __all__ = ["STATE", "State", "read_state", "write_state"]
@@ -49,22 +50,30 @@ def write_state(folder, plans: list, search) -> None:
     folder.put_file(STATE, content.getvalue())
 
 
-def read_state(folder) -> State | None:
+def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> State | None:
     """Return the stored state of a search; None if the folder contains no state, or if the state is damaged."""
-    content = folder.file(STATE)
+    content, n = folder.file(STATE), n_tiles * n_positioners
     if content is None:
         return None
+    one_per_level = ("f8", (n_levels,))
+    expected = {
+        "slot": ("i8", (n,)),
+        "side": ("i1", (n,)),
+        "numbers": ("f8", (3,)),
+        "bounds": one_per_level,
+        "next_size": one_per_level,
+        "steps": ("f8", (None, 1 + 2 * n_levels)),
+        **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
+    }
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as found:
-            found = dict(found)
+        found = read_arrays(io.BytesIO(content), expected, "the archive")
+        if not all(np.isfinite(found[name]).all() for name in ("numbers", "next_size")) or found["numbers"].min() < 0:
+            raise InputError("the archive must contain finite numbers of at least 0, got others")
         size, iteration, seconds = found["numbers"].tolist()
-        if found["steps"].shape[1:] != (1 + 2 * len(found["bounds"]),):
-            raise InputError("its steps have other columns")
-        ends = np.cumsum(found["size"])[:-1]
-        plans = list(zip(np.split(found["slot"], ends), np.split(found["side"], ends), strict=True))
-        prices = [found.get(f"price{k}") for k in range(len(found["bounds"]))]
+        plans = list(zip(*(found[name].reshape(n_tiles, n_positioners) for name in ("slot", "side")), strict=True))
+        prices = [found.get(f"price{k}") for k in range(n_levels)]
         return State(plans, found["bounds"], found["next_size"], size, int(iteration), seconds, found["steps"], prices)
-    except (InputError, ValueError, KeyError, OSError) as error:
+    except InputError as error:
         text = f"the search for a joint plan starts again, because its stored state cannot be read: {error}"
         warn(text)
         return None
