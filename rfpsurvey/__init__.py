@@ -5,11 +5,10 @@ From a catalog, the package computes the positions of the targets on the focal p
 positioner, the allocation, the poses of the arms, the collisions, and the score of a tile, in this order.
 """
 
-from typing import TYPE_CHECKING
-
 from rfpsurvey._lazy import importer
 
-# these imports are for type checkers and editors
+# these imports are for type checkers and editors, which replace False by True
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from rfpsurvey import (
         allocation,

@@ -3,13 +3,14 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputTypeError, short
 
-__all__ = ["end_with_parent", "map_in_order", "map_with_progress", "submit"]
+__all__ = ["end_with_parent", "map_in_order", "map_with_progress", "released", "submit"]
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
@@ -39,6 +40,19 @@ def map_with_progress(
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
     """Submit a function call to an executor, and return the future of its result."""
     return executor.submit(_for_workers(executor, function), *arguments)
+
+
+@contextmanager
+def released(executor: Executor) -> Iterator[Executor]:
+    """Shut down an executor at the end of the context; after an interrupt, do not wait for calls that still run."""
+    interrupted = False
+    try:
+        yield executor
+    except KeyboardInterrupt:
+        interrupted = True
+        raise
+    finally:
+        executor.shutdown(wait=not interrupted, cancel_futures=True)
 
 
 @cache

@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 import shutil
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -17,6 +17,7 @@ from filelock import FileLock, Timeout
 from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
 from rfpsurvey._readers import content_of, is_present, open_file, parse_json
+from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, warn
 
 __all__ = ["INDEX", "RequestFolder", "check_file", "locked", "read_index", "read_verified"]
@@ -47,11 +48,9 @@ def locked(path: Path, lock: Path | None = None):
             kind = "file" if lock is None else "folder"
             text = f"{path}: another run uses this {kind}; wait until it ends, or give another {kind}"
             raise InputError(text)
-        yield
+        with temporary(own) if lock is None else nullcontext():
+            yield
     finally:
-        if lock is None and not taken:
-            with suppress(OSError):
-                own.unlink()
         guard.release()
 
 
@@ -169,9 +168,9 @@ class RequestFolder:
     def writing(self, name: str):
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
         path = self.path / name
-        with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as temporary:
-            yield temporary
-            stack.enter_context(self._recorded(name, *_entry_of(temporary)))
+        with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as own:
+            yield own
+            stack.enter_context(self._recorded(name, *_entry_of(own)))
 
     @contextmanager
     def _recorded(self, name: str, *entry):

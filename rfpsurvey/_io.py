@@ -10,10 +10,8 @@ import io
 import json
 import os
 import secrets
-import shutil
-import tempfile
 from collections.abc import Iterable
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +20,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of, to_path
+from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, check_switch
 
 __all__ = [
@@ -67,17 +66,17 @@ def write_table(
     to their tables; an ECSV file can contain only one table.
     """
     path = to_path(path)
-    with output_path(path, WRITABLE, overwrite=overwrite) as temporary:
+    with output_path(path, WRITABLE, overwrite=overwrite) as own:
         if suffix_of(path) == ".fits":
             try:
-                _to_hdus(table, cards, name, others or {}).writeto(temporary)
+                _to_hdus(table, cards, name, others or {}).writeto(own)
             except UnicodeEncodeError as error:
                 raise InputError(
                     f"{path}: FITS files can contain only ASCII text ({error}); write .ecsv instead"
                 ) from error
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
-            with opener(temporary, "wt", encoding="utf-8", newline="\n") as file:
+            with opener(own, "wt", encoding="utf-8", newline="\n") as file:
                 table.write(file, format="ascii.ecsv")
 
 
@@ -127,20 +126,28 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     into it. Therefore, no other thread or process writes into this folder, and the temporary path cannot be a symbolic
     link that another user made.
     """
-    room = None
-    try:
-        room = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=path.parent))
-        temporary = room / path.name
-        yield temporary
-        if overwrite or temporary.is_dir():
-            os.replace(temporary, path)
+    with _written(path), temporary(_beside(path)) as room:
+        room.mkdir(mode=0o700)
+        own = room / path.name
+        yield own
+        if overwrite or own.is_dir():
+            os.replace(own, path)
         else:
-            _rename_to_new(temporary, path)
+            _rename_to_new(own, path)
+
+
+@contextmanager
+def _written(path: Path):
+    """Convert errors of the operating system to an InputError."""
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        if room is not None:
-            shutil.rmtree(room, ignore_errors=True)
+
+
+def _beside(path: Path) -> Path:
+    """Return a random path in the folder of ``path``."""
+    return path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
 
 
 def _rename_to_new(temporary: Path, path: Path) -> None:
@@ -161,8 +168,8 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
 def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
     """Provide a temporary path beside ``path`` that is renamed to ``path`` on success."""
     path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
-    with _in_place_of(path, overwrite=overwrite) as temporary:
-        yield temporary
+    with _in_place_of(path, overwrite=overwrite) as own:
+        yield own
 
 
 @contextmanager
@@ -173,9 +180,9 @@ def temporary_folder(path: str | os.PathLike):
         raise InputError(f"{path} exists; give the name of a new folder")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
-    with _in_place_of(path) as temporary:
-        temporary.mkdir()
-        yield temporary
+    with _in_place_of(path) as own:
+        own.mkdir()
+        yield own
 
 
 def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str | None = None) -> bytes:
@@ -221,23 +228,15 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a temporary file and rename it to ``path``; with ``sync``, the content is on disk before the renaming."""
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}")
-    try:
+    with _written(path), temporary(_beside(path)) as own:
         # The file is new and has a random name, so that no other process writes to it and no link is followed.
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        try:
-            with open(handle, "wb") as file:
-                file.write(content)
-                if sync:
-                    file.flush()
-                    os.fsync(handle)
-            os.replace(temporary, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(temporary)
-            raise
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+        handle = os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        with open(handle, "wb") as file:
+            file.write(content)
+            if sync:
+                file.flush()
+                os.fsync(handle)
+        os.replace(own, path)
 
 
 def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
@@ -268,7 +267,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
     Only one part of a table is in memory at a time.
     """
     counts = []
-    with output_path(path, (".fits",), overwrite=overwrite) as temporary, temporary.open("wb") as file:
+    with output_path(path, (".fits",), overwrite=overwrite) as own, own.open("wb") as file:
         for dtype, cards, parts in tables:
             fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
             disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0

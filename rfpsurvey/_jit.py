@@ -9,11 +9,15 @@ version before it reads the cached code. Numba therefore never reads old code th
 
 import hashlib
 import os
+import secrets
 from collections.abc import Callable
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import numba
+
+from rfpsurvey._temporary import temporary
 
 __all__ = ["inlined_kernel", "kernel"]
 
@@ -38,12 +42,35 @@ def kernel(function: Callable) -> Callable:
         try:
             dispatcher = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
             if hasattr(dispatcher, "_cache"):  # it is absent with NUMBA_DISABLE_JIT
-                file = dispatcher._cache._cache_file
-                file._version = (file._version, _source_digest())
+                _make_safe(dispatcher._cache._cache_file)
             return dispatcher
         except (RuntimeError, AttributeError):  # no folder is writable, or this version of numba has other internals
             pass
     return numba.njit(nogil=True, error_model="numpy")(function)
+
+
+def _make_safe(file) -> None:
+    """Let the cache of a kernel never contain incomplete or old code, even if numba is interrupted."""
+    file._version = (file._version, _source_digest())
+    file._open_for_write = _open_for_write
+    save = file._save_index
+
+    def save_index(names):
+        # numba writes the new names before the code; a file of old code could then have a new name
+        for name in {*names.values()} - {*file._load_index().values()}:
+            Path(file._data_path(name)).unlink(missing_ok=True)
+        save(names)
+
+    file._save_index = save_index
+
+
+@contextmanager
+def _open_for_write(path):
+    """Provide a file that is renamed to ``path`` at the end; in contrast to numba, an interrupt leaves no file."""
+    with temporary(Path(f"{path}.tmp.{secrets.token_hex(8)}")) as own:
+        with own.open("wb") as file:
+            yield file
+        os.replace(own, path)
 
 
 def inlined_kernel(function: Callable) -> Callable:

@@ -11,6 +11,7 @@ from hypothesis import settings
 import rfpsurvey as rs
 from packages import HERS
 from rfpsurvey import _cli, _plugins
+from rfpsurvey._cli import _process
 
 matplotlib.use("agg")
 # the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced
@@ -65,6 +66,8 @@ def run(monkeypatch, capsys):
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
+        for name in ("_prepare", "_on_signals"):  # pytest has its own standard streams and signals
+            monkeypatch.setattr(_process, name, lambda *_: None)
         try:
             _cli.main()
             code = 0

@@ -15,6 +15,7 @@ FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "_version.
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 # names of numba, Python and astropy, and methods of named tuples
 FOREIGN = {"_repr_html_", "_cache", "_cache_file", "_exit", "_construct_mixins_from_columns", "_replace", "_asdict"}
+FOREIGN |= {"_load_index", "_data_path"}
 MOST_LINES, MOST_PARAMETERS = 400, 14
 
 

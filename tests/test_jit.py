@@ -2,14 +2,18 @@
 
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 import rfpsurvey
+from rfpsurvey import _jit
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
@@ -127,3 +131,36 @@ def test_without_a_place_for_the_cache_it_still_runs(probe, copy, tmp_path):
     assert probe(copy, NUMBA_CACHE_DIR=str(blocked / "below"))[1] == 0
     assert probe(copy, NUMBA_CACHE_DIR=str(tmp_path / "there"))[1] == 0
     assert list((tmp_path / "there").rglob("*.nbi"))
+
+
+def test_an_interrupted_write_leaves_no_file(tmp_path):
+    """Regression: numba left a temporary file in its cache if an interrupt occurred while it wrote the file."""
+    path = tmp_path / "solve.nbi"
+    with suppress(KeyboardInterrupt), _jit._open_for_write(path) as file:
+        file.write(b"a part")
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    with _jit._open_for_write(path) as file:
+        file.write(b"all")
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"all"]
+
+
+def test_an_interrupt_between_the_index_and_the_code_leaves_no_old_code(tmp_path):
+    """Regression: the index then named a file with the code of an earlier version, which numba would run."""
+    file = IndexDataCacheFile(str(tmp_path), "solve", "stamp")
+    _jit._make_safe(file)
+    file.save("one signature", "code")
+    old = tmp_path / "solve.2.nbc"
+    old.write_bytes(pickle.dumps("old code"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(file, "_save_data", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            file.save("another signature", "new code")
+    assert file.load("one signature") == "code"
+    assert file.load("another signature") is None
+    file.save("another signature", "new code")
+    assert file.load("another signature") == "new code"
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt

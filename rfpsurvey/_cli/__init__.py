@@ -1,5 +1,8 @@
 """The subcommands of the program ``rfpsurvey``, which parse options, call the library, and write the results."""
 
-from rfpsurvey._cli._main import app, main
+from rfpsurvey._cli._process import main
+from rfpsurvey._lazy import importer
 
 __all__ = ["app", "main"]
+
+__getattr__ = importer(__name__, {"_main": ("app",)})  # an interrupt during these imports has a message

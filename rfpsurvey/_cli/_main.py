@@ -1,9 +1,9 @@
 """The command-line application, which imports the modules of a command only when the command is called."""
 
+import errno
 import gc
 import os
 import re
-import signal
 import sys
 import warnings
 from concurrent.futures import BrokenExecutor
@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 import rfpsurvey as rs
 
-__all__ = ["COMMANDS", "app", "main"]
+__all__ = ["COMMANDS", "app", "run"]
 
 # The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
@@ -118,11 +118,10 @@ def _options(
     pass
 
 
-def main() -> None:
-    """Run the command that the user typed; if the input is invalid, print one sentence and exit with the code 2."""
+def run() -> int:
+    """Run the command that the user typed, and return the exit code; for invalid input, print one sentence."""
     warnings.showwarning = _show_warning
     warnings.filterwarnings("ignore", module="astropy")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # exit handlers remove incomplete outputs
     code = 0
     try:
         app()
@@ -132,7 +131,7 @@ def main() -> None:
         code = READER_GONE
     except (rs.InputError, OSError, BrokenExecutor) as error:
         code = _complain(error)
-    sys.exit(_flush(code))
+    return _flush(code)
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:
@@ -142,8 +141,10 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
+    closed = isinstance(error, OSError) and error.errno == errno.EBADF
+    text = "standard output is closed" if closed else _with_options(" ".join(str(error).split()), sys.argv[1:])
     with suppress(BrokenPipeError):
-        print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
+        print(f"rfpsurvey: {text}", file=sys.stderr)
     return 2
 
 

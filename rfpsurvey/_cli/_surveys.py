@@ -4,13 +4,14 @@ import signal
 import sys
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
-from rfpsurvey._executors import end_with_parent
+from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
+from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 from rfpsurvey.tiling import warn_of_targets
@@ -62,16 +63,36 @@ def workers(number: int, scheduler: str | None, *, processes: bool):
     else:
         pool: Executor
         if processes:
-            pool = ProcessPoolExecutor(number, get_context("spawn"), initializer=_set_up_worker)
+            # multiprocessing would warn about resources that it removes after the process was interrupted
+            sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
+            pool = ProcessPoolExecutor(number, _Context(), initializer=_set_up_worker)
         else:
             pool = ThreadPoolExecutor(number)
-        with pool:
+        with released(pool):
             yield pool
 
 
+class _Worker(SpawnProcess):
+    """A worker process that does not receive Ctrl-C, not even while it starts."""
+
+    def start(self) -> None:
+        """Start the process, which inherits the blocked signal."""
+        if not hasattr(signal, "pthread_sigmask"):
+            super().start()
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Context(SpawnContext):
+    Process = _Worker
+
+
 def _set_up_worker() -> None:
-    """Ignore Ctrl-C in a worker process; if Ctrl-C ended the worker, the main process would wait for it forever."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    set_up_worker()
     end_with_parent()
 
 
@@ -111,16 +132,13 @@ def run(
 ) -> None:
     """Plan a survey and print its summary; write the plots and the report if requested."""
     begin = perf_counter()
-    try:
-        survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
-    except KeyboardInterrupt:
-        there = (
-            "the finished tiles are stored in the folder; continue with --resume"
-            if options["folder"]
-            else "no tiles were stored, because --folder was not given"
-        )
-        print(f"rfpsurvey: interrupted; {there}", file=sys.stderr)
-        raise
+    kept = (
+        "the finished tiles are stored in the folder; continue with --resume"
+        if options["folder"]
+        else "no tiles were stored, because --folder was not given"
+    )
+    tell_if_interrupted(kept)
+    survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
     seconds = perf_counter() - begin
     with _app.files(
         overwrite=overwrite,

@@ -12,6 +12,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import parts_of
 from rfpsurvey.plot import draw_instruments
@@ -82,7 +83,7 @@ def compare(
     options = _app.allocation_options(
         "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
     )
-    with ThreadPoolExecutor(workers) as pool:
+    with released(ThreadPoolExecutor(workers)) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill, hdu=hdu),
             models or None,

@@ -3,7 +3,7 @@
 import sys
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _designs, _examples, _main, _options, _states, _surveys
+from rfpsurvey._cli import _app, _designs, _examples, _main, _options, _process, _states, _surveys
 
 
 @_main.app.command(epilog=_examples.DESIGN_EXAMPLES)
@@ -46,6 +46,12 @@ def design(
     scan["objectives"] = _app.parse_pairs(objective, "--objective") or None
     scan |= {"n_designs": n_designs, "rng": seed, "progress": sys.stderr.isatty()}
     scan |= {"path": output, "resume": resume, "overwrite": overwrite}
+    kept = (
+        "no designs were stored, because --output was not given"
+        if output is None
+        else f"the finished designs are stored in {output}; continue with --resume"
+    )
+    _process.tell_if_interrupted(kept)
     with _surveys.workers(workers, None, processes=processes) as executor:
         if around:
             scan |= {} if spread is None else {"spread": spread}

@@ -3,6 +3,7 @@
 import sys
 
 import astropy.units as u
+import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _conditions, _examples, _main, _margins, _options, _states
@@ -93,3 +94,5 @@ def plan(
             file=sys.stderr,
         )
     _app.finish(tile, output, plot, report, overwrite=overwrite, targets=targets, quality=quality)
+    if ended_early:
+        raise typer.Exit(130)

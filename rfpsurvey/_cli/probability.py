@@ -8,6 +8,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey._executors import released
 from rfpsurvey.probability import Precision, RandomTargets
 
 
@@ -77,7 +78,7 @@ def probability(
     options["precision"] = Precision(precision, max_iterations)
     options["targets"] = _targets(targets, hdu, n_targets, target_radius, min_separation)
     options.update(dynamic=dynamic, rng=seed, progress=sys.stderr.isatty())
-    with ThreadPoolExecutor(workers) as executor:
+    with released(ThreadPoolExecutor(workers)) as executor:
         options["executor"] = executor
         estimate = rs.collision_probability(model, **options)
     _app.finish_estimate(estimate, model, output, plot, report, overwrite=overwrite)

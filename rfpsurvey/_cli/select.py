@@ -1,10 +1,9 @@
 """The command ``rfpsurvey select``."""
 
-import sys
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _main, _margins, _options, _selections, _states, _surveys, _tiles
+from rfpsurvey._cli import _app, _main, _margins, _options, _process, _selections, _states, _surveys, _tiles
 from rfpsurvey._io import check_output
 
 
@@ -71,19 +70,16 @@ def select(
     }
     tiling = _surveys.tiles_of(tiling, targets, model)
     begin = perf_counter()
+    kept = (
+        "the checkpoints are stored in the folder; continue with --resume"
+        if folder
+        else "no results were stored, because --folder was not given"
+    )
+    _process.tell_if_interrupted(kept)
     with _surveys.workers(workers, scheduler, processes=processes) as executor:
-        try:
-            found = rs.selection_probabilities(
-                targets, model, tiling, realizations, executor=executor, progress=True, **options
-            )
-        except KeyboardInterrupt:
-            kept = (
-                "the checkpoints are stored in the folder; continue with --resume"
-                if folder
-                else "no results were stored, because --folder was not given"
-            )
-            print(f"rfpsurvey: interrupted; {kept}", file=sys.stderr)
-            raise
+        found = rs.selection_probabilities(
+            targets, model, tiling, realizations, executor=executor, progress=True, **options
+        )
     if output is not None:
         found.write(output, overwrite=overwrite)
     _selections.print_selection(found, allocator, perf_counter() - begin)

@@ -78,12 +78,13 @@ def end_on_interrupt() -> Iterator[Event]:
         Event that is set when an interrupt ends a search early.
     """
 
-    def handle(*_):
+    def handle(*signal_and_frame):
         if stop.is_set() or not _active.is_set():
-            raise KeyboardInterrupt
+            before(*signal_and_frame)
         stop.set()
 
-    if current_thread() is not main_thread():  # only the main thread receives interrupts
+    # only the main thread receives interrupts; a process in the background can ignore them
+    if current_thread() is not main_thread() or not callable(signal.getsignal(signal.SIGINT)):
         yield Event()
         return
     before = signal.signal(signal.SIGINT, handle)

@@ -125,16 +125,15 @@ def _run(solver, deadline: float) -> bool:
     """Run the solver in a thread, and return whether it ended in time."""
     thread = threading.Thread(target=solver.run, daemon=True, name="HiGHS")
     solver.HandleUserInterrupt = True
-    thread.start()
     try:
+        thread.start()
         while thread.is_alive() and now() < deadline + GRACE and not stop.is_set():
             thread.join(min(max(deadline + GRACE - now(), 0.0), INTERVAL))
     finally:
         if thread.is_alive():
+            _abandoned[:] = [one for one in _abandoned if one.is_alive()] + [thread]
             solver.cancelSolve()
-    thread.join(GRACE)
-    if thread.is_alive():
-        _abandoned[:] = [one for one in _abandoned if one.is_alive()] + [thread]
+            thread.join(GRACE)
     return not thread.is_alive()
 
 

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._executors import released
 from rfpsurvey._units import to_generator
 from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import count_collisions
@@ -92,6 +93,6 @@ def _batch_seconds(plane, tips, device, workers):
     if workers == 1:
         count_collisions(plane, tips, method=method)
     else:
-        with ThreadPoolExecutor(workers) as executor:
+        with released(ThreadPoolExecutor(workers)) as executor:
             count_collisions(plane, tips, method=method, executor=executor)
     return perf_counter() - start

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from astropy.table import QTable
 
+from rfpsurvey._executors import released
 from rfpsurvey._folder import locked
 from rfpsurvey._io import check_output, output_path, to_path, write_table
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
@@ -120,7 +121,7 @@ def reproduce(
     folder.mkdir(parents=True, exist_ok=True)
     claims: list[Claim] = []
     made: dict[str, QTable] = {}
-    with locked(folder, folder / "lock"), ThreadPoolExecutor(workers) as executor:
+    with locked(folder, folder / "lock"), released(ThreadPoolExecutor(workers)) as executor:
         for name in ("claims", *(table for one in names for table in TABLES[one])):
             for ending in (".ecsv", ".rst" if name == "claims" else ".png"):
                 check_output(folder / f"{name}{ending}", (ending,), overwrite=overwrite)

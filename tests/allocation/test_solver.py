@@ -2,8 +2,12 @@
 
 import subprocess
 import sys
+from threading import Event
+from types import SimpleNamespace
 
 import pytest
+
+from rfpsurvey.allocation import _solver
 
 # The program is dense, so that its presolve takes longer than the time limit. A thread that is cancelled before the
 # presolve begins ends at once; longer time limits are therefore tried until a thread continues to run. The last object
@@ -57,3 +61,19 @@ def test_the_process_ends_normally_after_a_search_was_abandoned():
 def test_the_process_is_aborted_without_the_exit_handler():
     done = run("atexit._clear()", 60)
     assert done.returncode < 0, done.stderr
+
+
+def test_an_interrupted_search_waits_for_its_thread_at_the_end_of_the_process(monkeypatch):
+    """Regression: the thread of HiGHS was not recorded if an interrupt ended the search, and aborted the process."""
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    end, cancelled = Event(), []
+    monkeypatch.setattr(_solver, "_abandoned", [])
+    monkeypatch.setattr(_solver, "now", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        _solver._run(SimpleNamespace(run=end.wait, cancelSolve=lambda: cancelled.append(True)), 60.0)
+    assert [thread.is_alive() for thread in _solver._abandoned] == [True]
+    assert cancelled == [True]
+    end.set()
