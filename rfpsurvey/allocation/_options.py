@@ -94,8 +94,8 @@ class AllocationOptions:
         Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
         assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
         possible; ``repair`` assigns the required targets for which its local moves find a positioner; ``balanced``
-        does not use this option. Required targets without a fiber are reported. `allocate` has a parameter of the same name,
-        with rows in place of identifiers.
+        does not use this option. Required targets without a fiber are reported. `allocate` has a parameter of the same
+        name, with rows in place of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as circles around bright stars. In each
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
