@@ -127,11 +127,11 @@ def plan_survey(
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if required targets were never observed (``summary["unmet"]``), if identifiers occur
-        twice, if the catalog has no target of a kind or category that a requirement names, if an option has no effect,
-        if the tiles were placed for fields of another size, or if a table of tiles looks like a catalog of targets.
-        There are also warnings if a survey is continued with other versions of the software, or if its files are
-        damaged.
+        If no target was observed, if tiles do not meet requirements or required targets were never observed
+        (``summary["unmet"]``), if identifiers occur twice, if the catalog has no target of a kind or category that a
+        requirement names, if an option has no effect, if the tiles were placed for fields of another size, or if a
+        table of tiles looks like a catalog of targets. There are also warnings if a survey is continued with other
+        versions of the software, or if its files are damaged.
 
     See Also
     --------

@@ -6,6 +6,7 @@ from astropy.table import QTable
 from rfpsurvey.allocation import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
 
@@ -30,6 +31,7 @@ TILES = {
     "n_colliding_pairs": "number of pairs of arms in collision",
     "n_obstacle_collisions": "number of collisions with obstacles",
     "n_unmet": "number of requirements that are not met",
+    "unmet": "requirements that are not met, with the numbers of missing targets",
     "n_observed": "number of successful visits to science targets",
     "collision_rate": "n_colliding divided by n_counted",
     "fiber_use": "n_assigned divided by the number of usable positioners",
@@ -49,9 +51,12 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     when = None if request.conditions is None else when_of(request.tiling.table)
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     table["round"] = round_of
+    counts, lacking = without_shortfalls(counts)
     for name, values in counts.items():
         table[name] = values
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
+    if lacking:
+        table["unmet"] = texts_of(lacking)
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
     table["fiber_use"] = counts["n_assigned"] / max(n_usable, 1)
     centers, near = request.tiling.vectors, request.source.sum_near
@@ -59,13 +64,13 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
     table.meta = {
-        "summary": _summary(request, state, counts, outcome_counts, n_usable),
+        "summary": _summary(request, state, counts, outcome_counts, n_usable, lacking),
         "provenance": request.provenance,
     }
     return describe(table, TILES)
 
 
-def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
+def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
     required = np.flatnonzero([] if request.is_required is None else request.is_required)
@@ -95,13 +100,16 @@ def _summary(request, state, counts, outcome_counts, n_usable) -> dict:
         "n_unmet": total["n_unmet"],
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
-        "unmet": _unmet(request.source, missed, why),
+        "unmet": [
+            *sentences_of(lacking, np.asarray(request.tiling.table["tile"])),
+            *_never_observed(request.source, missed, why),
+        ],
         **({} if request.moved is None else {"epoch": request.moved}),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 
 
-def _unmet(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
+def _never_observed(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
     """Return sentences that name the required targets that were never observed, one sentence for each outcome."""
     if len(missed) == 0:
         return []

@@ -16,7 +16,7 @@ from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import COUNTS, N_FIELD, Done, in_reach, work
+from rfpsurvey.survey._work import N_FIELD, Done, cards_of, in_reach, work
 
 __all__ = ["IN_FLIGHT", "run", "told"]
 
@@ -42,7 +42,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         state = request.open_state()
         n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
-        counts = {name: np.zeros(n, dtype=np.int64) for name, _ in (*COUNTS.values(), ("n_observed", ""))}
+        names = [name for name, _ in cards_of(request.options).values()]
+        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}
         finished = 0
         with Progress(progress, n, "tiles") as tell:
             for k, tiles in enumerate(request.rounds):
@@ -137,7 +138,7 @@ def _read(folder, tile, job) -> Done | None:
     try:
         visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
         lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
-        lacking += [card for card in COUNTS if not isinstance(cards.get(card), int)]
+        lacking += [card for card in cards_of(job.model.options) if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"its file lacks {', '.join(lacking)}")
         _check_part(visits, cards)
@@ -150,7 +151,7 @@ def _read(folder, tile, job) -> Done | None:
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
         folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
         return None
-    counts = {name: cards[card] for card, (name, _) in COUNTS.items()}
+    counts = {name: cards[card] for card, (name, _) in cards_of(job.model.options).items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)
 
 

@@ -41,8 +41,9 @@ class Survey:
         (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
         ``n_colliding`` (positioners in collision), ``n_counted`` (positioners that have a target or are parked),
         ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
-        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement),
-        ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
+        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement), ``unmet``
+        (if there are requirements or required targets: the requirements that are not met, with the numbers of missing
+        targets), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
         ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness``
         (visits that all tiles together made to the targets of this field, divided by the requested visits of these
         targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and ``provenance``.
@@ -96,8 +97,9 @@ class Survey:
 
         ``model`` is a text that states how collisions and positions were computed. ``n_required`` is the number of
         required targets, and ``n_required_observed`` is the number of required targets that were observed at least
-        once. ``unmet`` is a list of sentences that name the required targets that were never observed, with one
-        sentence for each outcome.
+        once. ``unmet`` is a list of sentences: one for each requirement that tiles do not meet, with the number of
+        missing targets and the first of these tiles, and one for each outcome of required targets that were never
+        observed.
         """
         return self.tiles.meta["summary"]
 

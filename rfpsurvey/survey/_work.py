@@ -11,9 +11,10 @@ from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import BlankIds, Field, plan_field, project_field
+from rfpsurvey.survey._unmet import shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
-__all__ = ["COUNTS", "N_FIELD", "Done", "Job", "Model", "in_reach", "projection_of", "work"]
+__all__ = ["N_FIELD", "Done", "Job", "Model", "cards_of", "in_reach", "projection_of", "work"]
 
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
 N_FIELD = "NFIELD"
@@ -159,13 +160,19 @@ def work(job: Job) -> Done:
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "n_unmet": len(plan.allocation.unmet),
+        **shortfall_counts(plan.allocation.unmet, model.options),
     }
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
-    cards.update((card, (counts[name], words)) for card, (name, words) in COUNTS.items())
+    cards.update((card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items())
     part, visits = (fits_bytes(visits, cards, model.cards(tuple(columns))), None) if job.as_file else (None, visits)
     return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
+
+
+def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
+    """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
+    return {**COUNTS, **shortfall_cards(options)}
 
 
 def in_reach(job: Job) -> np.ndarray:

@@ -170,7 +170,13 @@ def test_standards_and_sky_are_never_used_up(small):
     assert survey.summary["n_unmet"] == 0
     assert survey.summary["n_targets"] == 30
     assert not survey.outcomes["observed"][:30].any()
-    lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements="sky=25"))
+    with pytest.warns(rs.RfpsurveyWarning, match=r"requirement sky=25: \d+ missing in 2 of 2 tiles \(0, 1\)"):
+        lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements="sky=25"))
+    missing = 25 - lacking.tiles["n_sky"]
+    assert lacking.tiles["unmet"].tolist() == [f"sky=25: {n} missing" for n in missing]
+    assert lacking.summary["unmet"] == [f"requirement sky=25: {missing.sum()} missing in 2 of 2 tiles (0, 1)"]
+    assert survey.tiles["unmet"].tolist() == ["", ""]
+    assert "unmet" not in rs.plan_survey(catalog, small, tiles).tiles.colnames
     assert lacking.tiles["n_unmet"].tolist() == [1, 1]
     assert lacking.summary["n_unmet"] == 2
     codes = survey.outcomes["outcome"][:30]
@@ -274,6 +280,7 @@ def test_what_is_told_is_told_once(sky, small):
     ):
         with pytest.warns(rs.RfpsurveyWarning, match=sentence) as told:
             flat.plan_survey(arguments[0], small, arguments[1], **options)
+        told = [text for text in (str(one.message) for one in told) if not text.startswith("requirement sky")]
         assert len(told) == 1
     rs.plan_survey(
         sky,

@@ -1,0 +1,70 @@
+"""Requirements that tiles of a survey do not meet: counts per tile, text of each tile, and sentences for the survey."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from rfpsurvey.allocation import AllocationOptions, Shortfall
+from rfpsurvey.errors import listed, number_of
+
+__all__ = ["sentences_of", "shortfall_cards", "shortfall_counts", "texts_of", "without_shortfalls"]
+
+MISSING, EXCESS = "missing ", "too many "
+REQUIRED = "required targets"
+MOST_TILES = 5
+"""Largest number of tiles that a sentence lists."""
+
+
+def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
+    """Return header cards of the file of a tile for the targets that requirements lack, as in ``COUNTS``.
+
+    Each requirement has a card for the number of missing targets and, if it has a maximum, a card for the number of
+    targets above the maximum.
+    """
+    cards = {}
+    for k, one in enumerate(options.requirements):
+        cards[f"MISS{k}"] = f"{MISSING}{one}", f"targets that requirement {k} lacks"
+        if one.maximum is not None:
+            cards[f"MORE{k}"] = f"{EXCESS}{one}", f"targets above the maximum of requirement {k}"
+    if options.required:
+        cards["MISSREQ"] = f"{MISSING}{REQUIRED}", "required targets of the field without a fiber"
+    return cards
+
+
+def shortfall_counts(unmet: Iterable[Shortfall], options: AllocationOptions) -> dict[str, int]:
+    """Return the numbers of missing targets in a plan, and of targets above maxima, for the cards of a tile."""
+    found = {name: 0 for name, _ in shortfall_cards(options).values()}
+    for one in unmet:
+        sign = MISSING if one.requested > one.found else EXCESS
+        found[f"{sign}{REQUIRED if one.requirement is None else one.requirement}"] += abs(one.requested - one.found)
+    return found
+
+
+def without_shortfalls(counts: dict[str, np.ndarray]) -> tuple[dict, dict]:
+    """Divide the counts of all tiles into the counts that become columns, and the numbers of missing targets."""
+    lacking = {name: values for name, values in counts.items() if name.startswith((MISSING, EXCESS))}
+    return {name: values for name, values in counts.items() if name not in lacking}, lacking
+
+
+def texts_of(lacking: dict[str, np.ndarray]) -> list[str]:
+    """Return, for each tile, text such as "sky=20: 3 missing, standard=5: 1 missing"; empty if nothing is missing."""
+    names = [_words(name) for name in lacking]
+    rows = zip(*(values.tolist() for values in lacking.values()), strict=True)
+    return [", ".join(f"{what}: {n} {word}" for (what, word), n in zip(names, row, strict=True) if n) for row in rows]
+
+
+def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]:
+    """Return a sentence for each requirement that tiles do not meet, which names the first of these tiles."""
+    found = []
+    for name, values in lacking.items():
+        rows = np.flatnonzero(values)
+        what, word = _words(name)
+        if len(rows) and what != REQUIRED:  # later tiles can observe required targets
+            where = f"{len(rows)} of {number_of(len(tiles), 'tile')} ({listed(tiles[rows].tolist(), MOST_TILES)})"
+            found.append(f"requirement {what}: {int(values.sum())} {word} in {where}")
+    return found
+
+
+def _words(name: str) -> tuple[str, str]:
+    word = MISSING if name.startswith(MISSING) else EXCESS
+    return name.removeprefix(word), word.strip()
