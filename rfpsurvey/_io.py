@@ -10,6 +10,7 @@ import io
 import json
 import os
 import secrets
+import warnings
 from collections.abc import Iterable
 from contextlib import contextmanager
 from functools import lru_cache
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, suffix_of, to_path
+from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, sentence, suffix_of, to_path
 from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, check_switch
 
@@ -73,6 +74,12 @@ def write_table(
             except UnicodeEncodeError as error:
                 raise InputError(
                     f"{path}: FITS files can contain only ASCII text ({error}); write .ecsv instead"
+                ) from error
+            except (InputError, OSError):
+                raise
+            except Exception as error:  # astropy can raise any exception for columns that FITS cannot represent
+                raise InputError(
+                    f"{path}: the table cannot be written as FITS: {sentence(error)}; write .ecsv instead"
                 ) from error
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
@@ -208,7 +215,9 @@ def _to_hdus(table, cards, name, others):
         about = {column.info.name: column.info.description for column in plain.itercols()}
         for column in plain.itercols():
             column.info.description = None  # the description is written to the header instead
-        hdu = fits.table_to_hdu(plain)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # ignore warnings about units and names that the FITS standard lacks
+            hdu = fits.table_to_hdu(plain)
         hdu.header.update(table_cards(title, list(about), about))
         hdu.header.update({**(cards or {}), **meta} if one is table else {})
         found.append(hdu)

@@ -17,7 +17,7 @@ from rfpsurvey._io import output_path, suffix_of
 from rfpsurvey._readers import content_of, is_number, sentence
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, listed
-from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
@@ -26,6 +26,7 @@ INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 MISSING = -999
 FIBERS = ("BOSS", "APOGEE", "METROLOGY", "NONE")
 TYPES = {"short": "i2", "int": "i4", "long": "i8", "float": "f4", "double": "f8"}
+FIRST_DAY, LAST_DAY = 2_341_973, 2_561_117  # the years 1700 and 2300
 MOST_BYTES = 2**30
 
 STRUCT = """short positionerId; char holeId[28]; FIBERTYPE fiberType; short assigned; short on_target; short valid;
@@ -103,7 +104,6 @@ def read(path: Path) -> QTable:
     ids = columns.get("target_id", np.full(n, -1))
     columns["target_id"] = np.where(ids == MISSING, -1, ids)
     rows = {**{name: columns.pop(name) for name in ("ra_fiber", "dec_fiber") if name in columns}, **rows}
-    epoch = _number(header, "epoch", path)
     return make_plan(
         columns,
         rows,
@@ -113,7 +113,7 @@ def read(path: Path) -> QTable:
         racen=_number(header, "raCen", path),
         deccen=_number(header, "decCen", path),
         position_angle=rotation,
-        epoch=None if epoch is None else f"J{Time(epoch, format='jd').jyear:.6f}",
+        epoch=_epoch(header, path),
         struct=[f"{kind} {name}" for name, kind in struct.items()],  # a list, because ECSV sorts the keys of a dict
         **from_keywords(header),
     )
@@ -134,7 +134,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
-    names = {*_struct(plan), *NATIVE, "kind", "assigned", "x", "y"}
+    names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
     if _is_nominal(plan):
         found.append("the joint angles computed from nominal arm lengths")
@@ -221,7 +221,23 @@ def _number(header: dict, name: str, path: Path) -> float | None:
     text = header.get(name, str(MISSING))
     if not is_number(text):
         raise InputError(f"{path}: {name} in the header must be a number, got {text!r}")
-    return None if float(text) == MISSING else float(text)
+    if not np.isfinite(value := float(text)):
+        raise InputError(f"{path}: {name} in the header must be a finite number, got {text!r}")
+    return None if value == MISSING else value
+
+
+def _epoch(header: dict, path: Path) -> str | None:
+    """Return the epoch of the observation, a Julian date in the header, as a Julian year; None if it is missing."""
+    text = header.get("epoch", str(MISSING))
+    if is_number(text):
+        day = _number(header, "epoch", path)
+        if day is not None and not FIRST_DAY < day < LAST_DAY:
+            limits = f"a Julian date from {FIRST_DAY} to {LAST_DAY}"
+            raise InputError(f"{path}: epoch in the header must be {limits}, got {text}")
+        time = None if day is None else Time(day, format="jd")
+    else:
+        time = to_time(text, f"{path}: epoch in the header")
+    return None if time is None else f"J{time.jyear:.6f}"
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
@@ -256,17 +272,17 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
     given = _given(plan, struct)
     _check_fibers(given["holeId"], given["fiberType"], path)
     for name, kind in struct.items():
-        base, _, size = kind.rstrip("]").partition("[")
+        base, sizes = kind.partition("[")[0], [int(size) for size in re.findall(r"\[(\d+)\]", kind)]
         values = given.get(name)
         if base in TYPES:
-            shape = (int(size),) if size else ()
+            shape = tuple(sizes)
             values = np.full((n, *shape), MISSING) if values is None else np.asarray(values)
             fields.append((name, TYPES[base], shape, to_type(values, TYPES[base], f"{path}: the column {name!r}")))
         else:
             values = np.full(n, "") if values is None else np.asarray(values).astype(str)
             _check_text(values, name, path)
-            width = max(int(size or 1), np.char.str_len(values).max(initial=1))
-            fields.append((name, f"S{width}", (), np.char.encode(values, "ascii")))
+            width = max(*sizes[-1:], 1, np.char.str_len(values).max(initial=1))
+            fields.append((name, f"S{width}", tuple(sizes[:-1]), np.char.encode(values, "ascii")))
     rows = np.empty(n, dtype=[(name, dtype, shape) if shape else (name, dtype) for name, dtype, shape, _ in fields])
     for name, *_, values in fields:
         rows[name] = values
@@ -277,7 +293,7 @@ def _given(plan: QTable, struct: dict) -> dict:
     """Return the columns of a plan with the names, the units and the code for missing values of a confSummary file."""
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     x, y = plain["x"], plain["y"]
-    given = {name: values for name, values in plain.items() if name in struct and name not in ("ra", "dec")}
+    given = {name: plain[own_name(name)] for name in struct if own_name(name) in plain}
     for name, native in NATIVE.items():
         if name in plain and not (name in ("theta", "phi") and _is_nominal(plan)):
             given[native] = np.nan_to_num(plain[name], nan=MISSING) if name in ANGLES else plain[name]
@@ -329,7 +345,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
         epoch = meta.get("epoch")
         header = {
             "instruments": "BOSS APOGEE",
-            "epoch": MISSING if epoch is None else to_time(epoch, "epoch").jd,
+            "epoch": MISSING if epoch is None else to_time(epoch, f"{path}: epoch").jd,
             "observatory": next(site for site, name in INSTRUMENTS.items() if name == meta["instrument"]),
             "raCen": meta.get("racen", MISSING),
             "decCen": meta.get("deccen", MISSING),

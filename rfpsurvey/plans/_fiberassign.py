@@ -14,10 +14,10 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._io import check_fits_text, output_path, suffix_of
-from rfpsurvey._readers import read_tables
+from rfpsurvey._readers import read_tables, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
-from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
@@ -97,7 +97,7 @@ def read(path: Path) -> QTable:
         "kind": _kinds(values),
         "assigned": _is_assigned(status, values["TARGETID"]),
         "x": -values["FIBERASSIGN_X"],
-        **({"priority": to_plain(table[EXACT])} if EXACT in table.colnames else {}),
+        **({"priority": _column(table, EXACT, path)} if EXACT in table.colnames else {}),
     }
     header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
     plan = make_plan(
@@ -132,11 +132,16 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
         primary = fits.PrimaryHDU()
         _add(primary.header, header, path)
-        units = [primary, _to_hdu("FIBERASSIGN", columns, shared, path)]
-        for table in plan.meta.get("extensions", ()):
-            own = {name: table[name] for name in table.colnames}
-            units.append(_to_hdu(table.meta.get("EXTNAME"), own, table.meta, path))
-        fits.HDUList(units).writeto(temporary)
+        try:
+            units = [primary, _to_hdu("FIBERASSIGN", columns, shared, path)]
+            for table in plan.meta.get("extensions", ()):
+                own = {name: table[name] for name in table.colnames}
+                units.append(_to_hdu(table.meta.get("EXTNAME"), own, table.meta, path))
+            fits.HDUList(units).writeto(temporary)
+        except InputError:
+            raise
+        except (ValueError, TypeError, fits.VerifyError) as error:
+            raise InputError(f"{path}: the plan cannot be written as FITS: {sentence(error)}") from error
     if EXACT in columns:
         warn(
             f"{path}: PRIORITY contains ranks, which are larger for more important targets, because 32-bit integers "
@@ -155,7 +160,7 @@ def _column(table, name, path) -> np.ndarray:
     """Return a column as text, or as numbers in the unit of the data model; raise an error for a wrong type or unit."""
     what, column = f"{path}: column {name!r}", table[name]
     values = to_plain(column, what)
-    expected = "U" if name == "OBJTYPE" else "f" if TYPES[name][0] == "f" else "iu"
+    expected = "U" if name == "OBJTYPE" else "f" if name == EXACT or TYPES[name][0] == "f" else "iu"
     fits = values.dtype.kind in ("iuf" if expected == "f" else expected)
     if values.ndim != 1 or not fits:
         kind = {"U": "text", "f": "numbers", "iu": "whole numbers"}[expected]
@@ -253,13 +258,15 @@ def _columns(plan, header, path) -> dict:
         if EXACT in common:
             header[RANKS] = f"PRIORITY: ranks of {EXACT}"
     if _is_own(plan):
-        found = {name: plan[name] for name in plan.colnames if name not in (*COMMON, "fiber_type", "kind", "assigned")}
+        names = {own_name(name): name for name in plan.meta.get("columns", ())}
+        known = (*COMMON, "fiber_type", "kind", "assigned")
+        found = {names.get(name, name): plan[name] for name in plan.colnames if name not in known}
         found |= common
-        status = np.array(found["FIBERSTATUS"])
+        status = np.array(found["FIBERSTATUS"]).astype("i8")
         edited = assigned != _is_assigned(status, np.asarray(common["TARGETID"]))
         status[edited & assigned] &= ~(UNASSIGNED | STUCK | BROKEN)
         status[edited & ~assigned] |= UNASSIGNED
-        found["FIBERSTATUS"] = status
+        found["FIBERSTATUS"] = status.astype(np.asarray(found["FIBERSTATUS"]).dtype)
         edited = kind != _kinds({name: np.asarray(column) for name, column in found.items()})
         for name, values in (("FA_TYPE", bits), ("OBJTYPE", words)):
             if name in found and edited.any():
@@ -355,7 +362,9 @@ def _to_hdu(name, columns, header, path):
     check_fits_text({f"values of {key} for {path}": np.asarray(plain[key]) for key in columns}, "write a table in ECSV")
     for column in plain.itercols():
         column.unit = None
-    hdu = fits.table_to_hdu(plain)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ignore warnings about names of columns
+        hdu = fits.table_to_hdu(plain)
     for k, column in enumerate(columns.values(), 1):
         if getattr(column, "unit", None) is not None:
             hdu.header[f"TUNIT{k}"] = str(column.unit)
@@ -371,4 +380,4 @@ def _add(header, keywords, path) -> None:
             try:
                 header[f"HIERARCH {name}" if "." in name else name] = value
             except ValueError as error:
-                raise InputError(f"{path}: the keyword {name} cannot be written: {error}") from None
+                raise InputError(f"{path}: the keyword {name} cannot be written: {sentence(error)}") from None

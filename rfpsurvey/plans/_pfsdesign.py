@@ -4,6 +4,7 @@ The data model is defined by https://github.com/Subaru-PFS/datamodel, versions 3
 """
 
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import astropy.units as u
@@ -11,9 +12,10 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import read_fits_units
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import (
+    COMMENTARY,
     FLUXES,
     FORMATS,
     FROM_TILE,
@@ -24,16 +26,24 @@ from rfpsurvey.plans._pfsdesign_write import (
     wrapped,
     write,
 )
-from rfpsurvey.plans._plan import make_plan, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, head_of
 
 __all__ = ["lost", "read", "recognizes", "write"]
 
+WHOLE, NUMBERS, TEXT = "iu", "iuf", "U"
+COLUMNS = {
+    "fiberId": WHOLE, "ra": NUMBERS, "dec": NUMBERS, "catId": WHOLE, "objId": WHOLE, "targetType": WHOLE,
+    "pfiNominal": NUMBERS, "cobraId": WHOLE, "epoch": TEXT + NUMBERS, "pmRa": NUMBERS, "pmDec": NUMBERS,
+}  # fmt: skip
+"""Columns of DESIGN that are interpreted, with their kinds of NumPy types."""
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kind of target for each ``targetType``; fibers with another ``targetType`` have no target."""
+NO_FILTER = "none"
 REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
 STRUCTURE = re.compile(
-    r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|TFIELDS|T[A-Z]+\d+|EXTNAME|CHECKSUM|DATASUM|COMMENT|HISTORY|"
+    r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|TFIELDS|THEAP|EXTNAME|CHECKSUM|DATASUM|"
+    r"T(TYPE|FORM|UNIT|NULL|SCAL|ZERO|DISP|DIM|BCOL)\d+|"
 )
 
 
@@ -59,25 +69,21 @@ def read(path: Path) -> QTable:
     for name in ("DESIGN", "PHOTOMETRY", *(("GUIDESTARS",) if has_stars else ())):
         if name not in tables:
             raise InputError(f"{path}: the file must have the extension {name}, got {listed(tables)}")
+    tables = {name: _without_ragged(rows, name, path) for name, rows in tables.items()}
     rows = tables["DESIGN"]
     for name in REQUIRED:
         if name not in rows.dtype.names:
             raise InputError(f"{path}: DESIGN must have the column {name!r}, got {listed(rows.dtype.names)}")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
-    if rows["pfiNominal"].shape != (len(rows), 2):
-        raise InputError(f"{path}: pfiNominal must have two numbers per row, got {rows['pfiNominal'].shape[1:]}")
-    for name in REQUIRED:
-        wanted = "iu" if name in ("fiberId", "catId", "objId", "targetType") else "f"
-        if rows[name].dtype.kind not in wanted:
-            what = "whole numbers" if wanted == "iu" else "numbers"
-            raise InputError(f"{path}: the column {name!r} of DESIGN must hold {what}, got {rows[name].dtype}")
+    for name, kinds in COLUMNS.items():
+        if name in rows.dtype.names:
+            _check_column(rows, "DESIGN", name, kinds, path)
     fiber = rows["fiberId"]
     check_fibers(fiber, path)
-    header = _values(primary)
-    for name in ("RA", "DEC"):
-        if not isinstance(header.get(name), int | float):
-            raise InputError(f"{path}: the header card {name} must be a number, got {header.get(name, 'no such card')}")
+    header = _values(primary, path)
+    center = [_number(header, name, path) for name in ("RA", "DEC")]
+    posang = _number(header, "POSANG", path) if "POSANG" in primary else 0.0
     kind = np.array([KINDS.get(t, "") for t in rows["targetType"].tolist()])
     columns = {"positioner": _cobras(rows), "fiber_type": np.full(len(rows), ""), "kind": kind, "assigned": kind != ""}
     columns["x"], columns["y"] = rows["pfiNominal"].astype(float).T
@@ -85,8 +91,8 @@ def read(path: Path) -> QTable:
         if native in rows.dtype.names:
             columns[name] = rows[native]
     native = {name: rows[name] for name in rows.dtype.names if name not in (*NATIVE.values(), "pfiNominal")}
-    native |= _photometry(tables["PHOTOMETRY"], fiber, path)
-    guides = units.get("GUIDESTARS")
+    native |= _photometry(units["PHOTOMETRY"][0], tables["PHOTOMETRY"], fiber, path)
+    guides = (units["GUIDESTARS"][0], tables["GUIDESTARS"]) if "GUIDESTARS" in tables else None
     meta = {
         "comments": _comments(primary),
         "formats": _forms(rows),
@@ -95,7 +101,7 @@ def read(path: Path) -> QTable:
     if guides is not None:
         stars = {name: guides[1][name].tolist() for name in guides[1].dtype.names}
         meta["guide_stars"] = {
-            "header": _values(guides[0]),
+            "header": _values(guides[0], path),
             "comments": _comments(guides[0]),
             "columns": stars,
             "formats": _forms(guides[1]),
@@ -107,9 +113,9 @@ def read(path: Path) -> QTable:
         format="pfsdesign",
         instrument="pfs",
         header=header,
-        racen=header["RA"],
-        deccen=header["DEC"],
-        position_angle=wrapped(float(header.get("POSANG", 0.0)) + PFI_ANGLE),
+        racen=center[0],
+        deccen=center[1],
+        position_angle=wrapped(posang + PFI_ANGLE),
         epoch=str(epochs[0]) if len(epochs) == 1 else None,
         **meta,
         **from_keywords(header),
@@ -120,7 +126,7 @@ def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE}
     if plan.meta["format"] == "pfsdesign":
-        names |= {*FORMATS, *FLUXES, "filterName", *dict(plan.meta.get("formats", ()))}
+        names |= {*FORMATS, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
     else:
         names |= {*FROM_TILE, "spectrograph"}
     found = text_of_lost([name for name in plan.colnames if name not in names])
@@ -143,11 +149,39 @@ def _cobras(rows: np.ndarray) -> np.ndarray:
     return np.where((own >= 1) & (own <= len(fiber)), own, -1)
 
 
-def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
-    """Return columns of fluxes and filter names, shape (fiber, filter); missing filters have empty names."""
-    for name in ("fiberId", "filterName"):
+def _number(header: dict, name: str, path: Path) -> float:
+    """Return the value of a header card; raise an error unless it is a finite number."""
+    value = header.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{path}: the header card {name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _check_column(rows: np.ndarray, table: str, name: str, kinds: str, path: Path) -> None:
+    """Raise an error unless a column has the expected type, and one value per row (``pfiNominal``: two values)."""
+    dtype, shape = rows[name].dtype, rows[name].shape[1:]
+    if dtype.kind not in kinds or (kinds == WHOLE and dtype.str[1:] == "u8" and (rows[name] >= 2**63).any()):
+        what = {WHOLE: "whole numbers", NUMBERS: "numbers", TEXT: "text"}.get(kinds, "text or numbers")
+        raise InputError(f"{path}: the column {name!r} of {table} must hold {what}, got {dtype}")
+    if shape != ((2,) if name == "pfiNominal" else ()):
+        expected = "two values" if name == "pfiNominal" else "one value"
+        raise InputError(f"{path}: the column {name!r} of {table} must have {expected} per row, got the shape {shape}")
+
+
+def _without_ragged(rows: np.ndarray, table: str, path: Path) -> np.ndarray:
+    """Return rows without the columns whose rows have different lengths, which plans cannot contain."""
+    ragged = [name for name in rows.dtype.names if rows[name].dtype.kind == "O"]
+    if ragged:
+        warn(f"{path}: the rows of these columns of {table} have different lengths; they are omitted: {listed(ragged)}")
+    return rows[[name for name in rows.dtype.names if name not in ragged]]
+
+
+def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
+    """Return columns of fluxes and filter names, shape (fiber, filter, ...); missing filters have empty names."""
+    for name, kinds in (("fiberId", WHOLE), ("filterName", TEXT)):
         if name not in rows.dtype.names:
             raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {listed(rows.dtype.names)}")
+        _check_column(rows, "PHOTOMETRY", name, kinds, path)
     if not np.isin(rows["fiberId"], fiber).all():
         strange = rows["fiberId"][~np.isin(rows["fiberId"], fiber)][0]
         raise InputError(f"{path}: PHOTOMETRY must have only fibers of DESIGN, got the fiberId {strange}")
@@ -157,13 +191,30 @@ def _photometry(rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
     size = np.bincount(row, minlength=len(fiber))
     place = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
     columns, shape = {}, (len(fiber), max(int(size.max(initial=0)), 1))
-    for name in (*FLUXES, "filterName"):
+    for name in FLUXES:
         if name not in rows.dtype.names:
             continue
-        values = np.full(shape, "" if name == "filterName" else np.nan, dtype=rows[name].dtype)
-        values[row[sort], place] = rows[name][sort]
-        columns[name] = values if name == "filterName" else values * u.nJy
+        given = rows[name].astype(float) if rows[name].dtype.kind in "iu" else rows[name]
+        if given.dtype.kind != "f":
+            raise InputError(f"{path}: the column {name!r} of PHOTOMETRY must hold numbers, got {given.dtype}")
+        values = np.full((*shape, *given.shape[1:]), np.nan, dtype=given.dtype)
+        values[row[sort], place] = given[sort]
+        columns[name] = values * _unit_of_flux(header, rows.dtype.names.index(name) + 1, path)
+    names = np.where(rows["filterName"] == "", NO_FILTER, rows["filterName"])
+    if n := np.count_nonzero(rows["filterName"] == ""):
+        warn(f"{path}: {n} of {len(rows)} rows of PHOTOMETRY have no filterName, and are named {NO_FILTER}")
+    columns["filterName"] = np.full(shape, "", dtype=names.dtype)
+    columns["filterName"][row[sort], place] = names[sort]
     return columns
+
+
+def _unit_of_flux(header, number: int, path: Path) -> u.UnitBase:
+    """Return the unit of a column of fluxes; the data model has nJy."""
+    text = header.get(f"TUNIT{number}", "nJy")
+    unit = u.Unit(text, parse_strict="silent")
+    if not unit.is_equivalent(u.nJy):
+        raise InputError(f"{path}: the fluxes of PHOTOMETRY must have a unit convertible to nJy, got {text}")
+    return unit
 
 
 def _cards(header) -> dict:
@@ -171,17 +222,32 @@ def _cards(header) -> dict:
     return {card.keyword: card for card in header.cards if not STRUCTURE.fullmatch(card.keyword)}
 
 
-def _values(header) -> dict:
-    return {name: card.value for name, card in _cards(header).items()}
+def _values(header, path: Path) -> dict:
+    """Return the value of each card, with None for undefined values; lines of commentary cards are joined."""
+    found, bad = {}, []
+    for name in _cards(header):
+        try:
+            value = header[name]
+            found[name] = "\n".join(map(str, value)) if name in COMMENTARY else value
+        except Exception:  # astropy can raise any exception
+            bad.append(name)
+    if bad:
+        warn(f"{path}: these header cards cannot be read and are omitted: {', '.join(bad)}")
+    return found
 
 
 def _comments(header) -> dict:
-    return {name: card.comment for name, card in _cards(header).items() if card.comment}
+    found = {}
+    for name, card in _cards(header).items():
+        with suppress(Exception):  # astropy can raise any exception
+            found[name] = card.comment
+    return {name: text for name, text in found.items() if text}
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:
     """Return a list with the name and the FITS format of each column; ECSV files do not preserve the order of dicts."""
-    letters = {"i1": "B", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "b1": "L"}
+    letters = {"i1": "B", "u1": "B", "i2": "I", "u2": "I", "i4": "J", "u4": "J", "i8": "K", "u8": "K"}
+    letters |= {"f4": "E", "f8": "D", "c8": "C", "c16": "M", "b1": "L"}
     forms = []
     for name in rows.dtype.names:
         dtype = rows[name].dtype

@@ -1,6 +1,7 @@
 """Write designs of PFS, and define the names and FITS formats of their columns."""
 
 import hashlib
+import math
 import re
 from pathlib import Path
 
@@ -9,11 +10,24 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._io import output_path
+from rfpsurvey._readers import sentence
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.plans._plan import own_name
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
-__all__ = ["FLUXES", "FORMATS", "FROM_TILE", "NATIVE", "PFI_ANGLE", "check_fibers", "design_id", "wrapped", "write"]
+__all__ = [
+    "COMMENTARY",
+    "FLUXES",
+    "FORMATS",
+    "FROM_TILE",
+    "NATIVE",
+    "PFI_ANGLE",
+    "check_fibers",
+    "design_id",
+    "wrapped",
+    "write",
+]
 
 # Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
 # +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
@@ -55,6 +69,7 @@ GUIDE_UNITS = {
     "ra": "degrees", "dec": "degrees", "pmRa": "mas/year", "pmDec": "mas/year", "parallax": "mas", "agX": "pixels",
     "agY": "pixels",
 }  # fmt: skip
+COMMENTARY = ("COMMENT", "HISTORY")
 GUIDE_COMMENTS = {"TEL_ELEV": "[degree] elevation of the telescope", "GS_CATID": "catalog of the guide stars"}
 COMMENTS = {
     "RA": "[degree] right ascension of the field center",
@@ -92,8 +107,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
             units.append(_table("PHOTOMETRY", _flux_rows(plan), _fits_header(header, comments), FLUX_UNITS))
             units.append(_guide_stars(plan))
             units.writeto(temporary)
-        except (ValueError, TypeError) as error:
-            raise InputError(f"{path}: the plan cannot be written as FITS: {error}") from error
+        except (ValueError, TypeError, fits.VerifyError) as error:
+            raise InputError(f"{path}: the plan cannot be written as FITS: {sentence(error)}") from error
 
 
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
@@ -106,7 +121,7 @@ def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
         return 0
 
     def rounded(value):
-        return value if np.isnan(value) else int(value * 3600 + 0.5) / 3600
+        return value if not np.isfinite(value) else int(value * 3600 + 0.5) / 3600
 
     texts = [f"{f:d} {rounded(a):0.6f} {rounded(d):0.6f}" for f, a, d in zip(fiber.tolist(), ra, dec, strict=True)]
     return int.from_bytes(hashlib.sha1(str(texts).encode(), usedforsecurity=False).digest()[-8:]) & (2**63 - 1)
@@ -133,7 +148,7 @@ def _rows(plan: QTable, path: Path) -> dict:
         return _new_rows(plan, plain, path)
     found = {}
     for native, form in plan.meta["formats"]:
-        name = next((n for n, other in NATIVE.items() if other == native), native)
+        name = next((n for n, other in NATIVE.items() if other == native), own_name(native))
         if native == "pfiNominal":
             values = np.column_stack([plain["x"], plain["y"]])
         elif name not in plain:
@@ -241,6 +256,10 @@ def _fits_header(values: dict, comments: dict):
 
     header = fits.Header()
     for name, value in values.items():
+        if name in COMMENTARY:
+            for line in value.split("\n"):
+                header[name] = line
+            continue
         key = name if len(name) <= 8 and re.fullmatch(r"[A-Z0-9_-]+", name) else f"HIERARCH {name}"
         header[key] = value, comments.get(name, "")
     return header
@@ -252,16 +271,26 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
 
     made = []
     for key, (values, form) in columns.items():
-        kind = DTYPES.get(form[-1])
-        array = values if kind is None else to_type(values, kind, f"column {key!r} of {name}")
-        made.append(fits.Column(name=key, format=form, array=array, unit=(units or {}).get(key)))
+        kind, more = DTYPES.get(form[-1]), {}
+        values = np.asarray(values)
+        if values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these integers with an offset
+            more["bzero"] = -128 if values.dtype.kind == "i" else 2 ** (8 * values.dtype.itemsize - 1)
+        elif kind is not None:
+            values = to_type(values, kind, f"column {key!r} of {name}")
+        shape = values.shape[:0:-1]
+        if form.endswith("A") and shape:
+            width = int(form[:-1])
+            form, more["dim"] = f"{width * math.prod(shape)}A", str((width, *shape))
+        elif len(shape) > 1:
+            more["dim"] = str(shape)
+        made.append(fits.Column(name=key, format=form, array=values, unit=(units or {}).get(key), **more))
     return fits.BinTableHDU.from_columns(made, header, name=name)
 
 
 def _flux_rows(plan: QTable) -> dict:
     """Return the columns of PHOTOMETRY, with one row for each fiber and filter."""
     names = [name for name in FLUXES if name in plan.colnames]
-    form = dict.fromkeys(names or FLUXES, "E")
+    form = dict.fromkeys(FLUXES, "E")
     if plan.meta["format"] != "pfsdesign" or "filterName" not in plan.colnames:
         none = {name: (np.empty(0, dtype=np.float32), "E") for name in form}
         return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
@@ -269,7 +298,10 @@ def _flux_rows(plan: QTable) -> dict:
     keep = filters != ""
     found = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
     for name in names:
-        found[name] = u.Quantity(plan[name]).to_value(u.nJy).reshape(keep.shape)[keep], "E"
+        values = u.Quantity(plan[name]).to_value(u.nJy)
+        values = values.reshape(*keep.shape, *values.shape[keep.ndim :])[keep]
+        n = math.prod(values.shape[1:])
+        found[name] = values, f"{n if n > 1 else ''}{'D' if values.dtype.itemsize > 4 else 'E'}"
     return {**found, "filterName": (filters[keep], _text_form(filters[keep]))}
 
 

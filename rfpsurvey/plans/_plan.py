@@ -26,6 +26,7 @@ __all__ = [
     "is_tile",
     "make_plan",
     "native_format",
+    "own_name",
     "plan_roles",
     "read_plan",
     "recognize_plan",
@@ -306,17 +307,22 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
 
     ``columns`` contains the common columns of all plans (`COLUMNS`) as quantities, or as arrays without units in the
     units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are
-    omitted.
+    omitted. A column of the file that has the name of a common column is renamed (`own_name`).
     """
     table = QTable()
     for name, unit in COLUMNS.items():
         if name in columns:
             table[name] = columns[name] if unit is None else u.Quantity(columns[name], unit, copy=True)
     for name, values in native.items():
-        table[name] = values
+        table[own_name(name)] = values
     found = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
     table.meta = {name: value for name, value in found.items() if value is not None}
     return table
+
+
+def own_name(name: str) -> str:
+    """Return the name in a plan of a column of a file; columns with the name of a common column are renamed."""
+    return f"{name}_in_file" if name in COLUMNS else name
 
 
 def text_of_lost(names: list[str]) -> list[str]:

@@ -174,6 +174,15 @@ BAD = {
     "angle": (lambda text: text.replace("pa 60.0", "pa north"), "pa in the header must be a number, got 'north'"),
     "twice": (lambda text: text.replace(" R-1C14 ", " R-1C13 "), "each fiber must have one row, got several"),
     "wide": (lambda text: text.replace("category[40]", "category[99999999]"), "rows of text must fit into memory"),
+    "epoch": (
+        lambda text: text.replace("epoch 2460427", "epoch soon"),
+        "epoch in the header must be .* 'soon'",
+    ),
+    "no epoch": (
+        lambda text: text.replace("epoch 2460427", "epoch nan"),
+        "epoch in the header must be a finite",
+    ),
+    "MJD": (lambda text: text.replace("epoch 2460427", "epoch 60427.5"), "must be a Julian date from .* got 60427.5"),
     "other text": (lambda text: "stars\n", "complete definition"),
     "empty": (lambda text: "", "the last line must end with a line break"),
 }
@@ -253,6 +262,30 @@ def test_commands_read_and_write_plans(run, tmp_path, path, built, monkeypatch):
     code, _, err = run("convert", "nothing.par", "a.par")
     assert code == 2
     assert "nothing.par: there is no such file" in err
+
+
+def test_an_epoch_can_be_a_date(tmp_path):
+    path = sdssv_files.configuration(
+        tmp_path / "a.par", change=lambda text: text.replace("epoch 2460427", "epoch 2024-04-26")
+    )
+    assert plans.read_plan(path).meta["epoch"] == "J2024.316222"
+
+
+def test_columns_of_several_texts_and_with_common_names_are_kept(tmp_path):
+    """Writing the first one ended with a traceback, and the second one replaced the kinds of the targets."""
+
+    def change(text):
+        return text.replace("float mag[2];", "char mag[2][9];").replace("float pmra;", "float kind;")
+
+    plan = plans.read_plan(sdssv_files.configuration(tmp_path / "a.par", change=change))
+    assert plan["mag"].shape == (21, 2)
+    assert "science" in plan["kind"].tolist()
+    assert plan["kind_in_file"].max() == 1.5
+    plans.write_plan(plan, tmp_path / "b.par")
+    assert_same(plan, plans.read_plan(tmp_path / "b.par"))
+    plans.write_plan(plan, tmp_path / "b.ecsv")
+    plans.write_plan(plans.read_plan(tmp_path / "b.ecsv"), tmp_path / "c.par")
+    assert_same(plan, plans.read_plan(tmp_path / "c.par"))
 
 
 REAL = ["sdssv_apo_2024/confSummary-test", "sdssv_apo_2021/confSummary-998", "sdssv_apo_2021/confSummaryF-998"]

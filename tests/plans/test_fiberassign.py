@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.table import QTable
+from astropy.table import Column, QTable
 from numpy.testing import assert_array_equal
 
 import rfpsurvey as rs
@@ -201,6 +201,49 @@ def test_the_format_is_recognized(path, tmp_path):
     assert plans.recognize_plan(tmp_path / "zipped.fits.gz") == "fiberassign"
     fits.HDUList([fits.PrimaryHDU()]).writeto(tmp_path / "empty.fits")
     assert plans.recognize_plan(tmp_path / "empty.fits") is None
+
+
+def test_columns_with_the_names_of_common_columns_are_kept(tmp_path):
+    """They replaced the common columns, so that text in a column ``assigned`` ended with a traceback."""
+
+    def edit(table):
+        for name in ("x", "kind", "assigned"):
+            table[name] = "text"
+        table.replace_column("FIBERSTATUS", Column(table["FIBERSTATUS"].astype("u1")))
+
+    desi_files.tile(tmp_path / "a.fits", per_petal=FEW, edit=edit)
+    plan = plans.read_plan(tmp_path / "a.fits")
+    assert plan["assigned"].dtype == bool
+    assert plan["assigned_in_file"][0] == "text"
+    plan["assigned"][plan["assigned"]] = False
+    plans.write_plan(plan, tmp_path / "b.fits")
+    again = plans.read_plan(tmp_path / "b.fits")
+    assert not again["assigned"].any()
+    with fits.open(tmp_path / "a.fits") as one, fits.open(tmp_path / "b.fits") as two:
+        assert one["FIBERASSIGN"].columns.names == two["FIBERASSIGN"].columns.names
+        assert one["FIBERASSIGN"].columns.formats == two["FIBERASSIGN"].columns.formats
+
+
+def test_rows_of_different_lengths_and_their_texts(path, tmp_path):
+    """Text with different lengths cannot be written to FITS; writing it ended with a traceback."""
+    numbers = np.array([np.arange(k % 3) for k in range(200)], dtype=object)
+    for form, values, message in (("PJ()", numbers, None), ("PA()", ["ab" * (k % 3) for k in range(200)], "vary")):
+        with fits.open(path) as units:
+            copies = fits.HDUList([unit.copy() for unit in units])
+            column = fits.Column("vary", form, array=np.array(values, dtype=object))
+            columns = [*copies[1].columns, column]
+            copies[1] = fits.BinTableHDU.from_columns(columns, copies[1].header, name="FIBERASSIGN")
+        copies.writeto(tmp_path / "a.fits", overwrite=True)
+        plan = plans.read_plan(tmp_path / "a.fits")
+        for name, kind in (("b.fits", "fiberassign"), ("c.fits", "table"), ("d.ecsv", "table")):
+            if message and name != "d.ecsv":
+                with pytest.raises(rs.InputError, match=f"{name}.* cannot be written as FITS: "):
+                    plans.write_plan(plan, tmp_path / name, format=kind, overwrite=True)
+                continue
+            plan.meta["extensions"] = plan.meta["extensions"] if kind == "fiberassign" else []
+            plans.write_plan(plan, tmp_path / name, format=kind, overwrite=True)
+            again = plans.read_plan(tmp_path / name)
+            assert [list(row) for row in again["vary"]] == [list(row) for row in plan["vary"]]
 
 
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):

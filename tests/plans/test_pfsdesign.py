@@ -233,11 +233,14 @@ DAMAGES = [
     ({"leave_out": ("GUIDESTARS",)}, "must have the extension GUIDESTARS, got DESIGN, PHOTOMETRY"),
     ({"leave_out": ("pfiNominal",)}, "DESIGN must have the column 'pfiNominal'"),
     ({"leave_out": ("filterName",)}, "PHOTOMETRY must have the column 'filterName'"),
-    ({"RA": None}, "the header card RA must be a number, got no such card"),
-    ({"RA": "east"}, "the header card RA must be a number, got east"),
+    ({"RA": None}, "the header card RA must be a finite number, got None"),
+    ({"RA": "east"}, "the header card RA must be a finite number, got 'east'"),
     ({"tables": design(ra=np.full(61, "12:00"))}, "the column 'ra' of DESIGN must hold numbers, got <U5"),
     ({"tables": design(objId=np.full(61, 1.5))}, "the column 'objId' of DESIGN must hold whole numbers, got float64"),
-    ({"tables": design(pfiNominal=np.zeros(61, "f4"))}, "pfiNominal must have two numbers per row"),
+    (
+        {"tables": design(pfiNominal=np.zeros(61, "f4"))},
+        "'pfiNominal' of DESIGN must have two values per row",
+    ),
     ({"tables": design(fiberId=np.full(61, 7, "i4"))}, "fiberId must be unique, but 7 occurs more than once"),
 ]
 
