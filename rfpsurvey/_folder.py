@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
+from rfpsurvey._outputs import check_parent
 from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey.errors import InputError, warn
 
@@ -79,14 +80,14 @@ class RequestFolder:
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
-        if self.path.exists() and not self.path.is_dir():
+        check_parent(self.path)
+        if is_present(self.path) and not self.path.is_dir():
             raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
-        if not self.path.parent.is_dir():
-            raise InputError(f"{self.path}: the folder {self.path.parent} does not exist")
         self._request, self._resume = json.loads(json.dumps(request)), resume
         self._known: dict[str, list[tuple[int, str]]] = {}
 
     def __enter__(self):
+        is_new = not self.path.exists()
         with self._told():
             self.path.mkdir(exist_ok=True)
             if not self._begun:
@@ -96,6 +97,10 @@ class RequestFolder:
         try:
             self._open()
         except BaseException:
+            if is_new and not self._begun:  # nothing could be written, for example, because the disk is full
+                with suppress(OSError):
+                    (self.path / LOCK).unlink()
+                    self.path.rmdir()
             self._lock.__exit__(None, None, None)
             raise
         return self
@@ -170,7 +175,10 @@ class RequestFolder:
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
         path = self.path / name
         with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as temporary:
-            yield temporary
+            try:
+                yield temporary
+            except InputError as error:
+                raise InputError(str(error).replace(str(temporary), str(path))) from error
             stack.enter_context(self._recorded(name, *_entry_of(temporary)))
 
     @contextmanager

@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import rfpsurvey as rs
+from rfpsurvey.errors import one_line
 
 __all__ = ["COMMANDS", "app", "main"]
 
@@ -135,7 +136,7 @@ def main() -> None:
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
     with suppress(BrokenPipeError):
-        print(f"rfpsurvey: {_with_options(' '.join(str(error).split()), sys.argv[1:])}", file=sys.stderr)
+        print(f"rfpsurvey: {_with_options(one_line(' '.join(str(error).split())), sys.argv[1:])}", file=sys.stderr)
     return 2
 
 

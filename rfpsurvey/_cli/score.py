@@ -61,7 +61,7 @@ def score(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Find the collisions in an assignment that was made by another program."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(assignment, instrument, broken))
     table = _app.read_assignment(assignment, select)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
     if center is None:

@@ -52,7 +52,9 @@ def survey(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
-    _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
+    _app.check_outputs(
+        None, plot, report, quality, overwrite=overwrite, inputs=(catalog, tiles, instrument, broken, conditions)
+    )
     seen = conditions, site, time, hour_angle, wavelength, exposure_time
     model = _app.model_of(
         instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiles, epoch, *seen), margins
