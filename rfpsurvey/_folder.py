@@ -9,13 +9,14 @@ import hashlib
 import json
 import re
 import shutil
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
 from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
+from rfpsurvey._outputs import check_parent
 from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, warn
@@ -78,14 +79,14 @@ class RequestFolder:
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
-        if self.path.exists() and not self.path.is_dir():
+        check_parent(self.path)
+        if is_present(self.path) and not self.path.is_dir():
             raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
-        if not self.path.parent.is_dir():
-            raise InputError(f"{self.path}: the folder {self.path.parent} does not exist")
         self._request, self._resume = json.loads(json.dumps(request)), resume
         self._known: dict[str, list[tuple[int, str]]] = {}
 
     def __enter__(self):
+        is_new = not self.path.exists()
         with self._told():
             self.path.mkdir(exist_ok=True)
             if not self._begun:
@@ -95,6 +96,10 @@ class RequestFolder:
         try:
             self._open()
         except BaseException:
+            if is_new and not self._begun:  # nothing could be written, for example, because the disk is full
+                with suppress(OSError):
+                    (self.path / LOCK).unlink()
+                    self.path.rmdir()
             self._lock.__exit__(None, None, None)
             raise
         return self
@@ -169,7 +174,10 @@ class RequestFolder:
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
         path = self.path / name
         with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as own:
-            yield own
+            try:
+                yield own
+            except InputError as error:
+                raise InputError(str(error).replace(str(own), str(path))) from error
             stack.enter_context(self._recorded(name, *_entry_of(own)))
 
     @contextmanager

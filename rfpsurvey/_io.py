@@ -20,9 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._outputs import WRITABLE, check_new_folder, check_output
 from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, sentence, suffix_of, to_path
 from rfpsurvey._temporary import temporary
-from rfpsurvey.errors import InputError, check_switch
+from rfpsurvey.errors import InputError
 
 __all__ = [
     "META_KEY",
@@ -44,8 +45,6 @@ __all__ = [
     "write_table",
 ]
 
-WRITABLE = (".fits", ".ecsv")
-ZIPPED = (".gz", ".bz2", ".xz")
 TEMPORARY_PREFIX = ".rfpsurvey-"
 # Number of bytes of a block of a FITS file, which is also the size of a primary header without data.
 BLOCK = PRIMARY = 2880
@@ -87,31 +86,6 @@ def write_table(
                 table.write(file, format="ascii.ecsv")
 
 
-def check_output(
-    path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False
-) -> Path:
-    """Return the path of an output file; raise an error if its ending is not valid or the file cannot be written.
-
-    The file name of a table may end in ``.gz``. The names of other files may end in ``.gz`` only if ``gzipped`` is
-    True.
-    """
-    path = to_path(path)
-    zipped = path.suffix.lower() in ZIPPED
-    if suffix_of(path) not in endings or (
-        zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
-    ):
-        raise InputError(f"{path}: the name of this output file must end in {' or '.join(endings)}")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; an output must be a file")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: the folder {path.parent} cannot be written to")
-    if not check_switch(overwrite, "overwrite") and path.exists():
-        raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)")
-    return path
-
-
 def check_fits_text(columns: dict, remedy: str) -> None:
     """Raise an error for text that FITS files cannot contain; ``columns`` maps descriptions to arrays of text."""
     for what, values in columns.items():
@@ -149,7 +123,11 @@ def _written(path: Path):
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error
+        few = "requested and" in str(error)  # NumPy states only the numbers of bytes
+        reason = error.strerror or ("some bytes cannot be stored; the disk may be full" if few else error)
+        raise InputError(f"{path} cannot be written: {reason}") from error
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path} cannot be written: text must be valid Unicode, got {error.object[:40]!a}") from None
 
 
 def _beside(path: Path) -> Path:
@@ -182,11 +160,7 @@ def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite:
 @contextmanager
 def temporary_folder(path: str | os.PathLike):
     """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
-    path = to_path(path)
-    if path.exists():
-        raise InputError(f"{path} exists; give the name of a new folder")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    path = check_new_folder(path)
     with _in_place_of(path) as own:
         own.mkdir()
         yield own

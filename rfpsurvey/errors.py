@@ -26,6 +26,7 @@ __all__ = [
     "close_to",
     "listed",
     "number_of",
+    "one_line",
     "refusal",
     "short",
     "used_elsewhere",
@@ -40,6 +41,7 @@ LONGEST = 60
 WORD = 100
 LONG_WORD = re.compile(rf"\S{{{3 * WORD + 1},}}")
 MOST_CHOICES = 60
+MOST_WHOLE = 2**53
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
 # text that the error message suggests if the function has the present parameter.
 RENAMED = (
@@ -89,8 +91,9 @@ class RfpsurveyWarning(UserWarning):
 def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
     """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are not accepted."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (whole and low <= value and (high is None or value <= high)):
-        limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+    if not (whole and low <= value <= (MOST_WHOLE if high is None else high)):
+        wide = high is None and whole and value > MOST_WHOLE
+        limits = f"from {low} to 2^53" if wide else f"of at least {low}" if high is None else f"from {low} to {high}"
         raise refusal(f"{name} must be a whole number {limits}", value, Number)
 
 

@@ -1,7 +1,7 @@
 """Functions that several commands share: they parse options, read input files, and check output files."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,8 @@ from rfpsurvey._cli._print import (
     finish_tiling,
     print_table,
 )
-from rfpsurvey._io import WRITABLE, check_fits_text, check_output, read_table, suffix_of
+from rfpsurvey._io import check_fits_text, read_table, suffix_of
+from rfpsurvey._outputs import WRITABLE, check_output, check_separate
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, is_example, to_time
 from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
@@ -249,8 +250,13 @@ def check_outputs(
     quality: Path | None = None,
     *,
     overwrite: bool,
+    inputs: Iterable = (),
 ) -> None:
-    """Raise an error if an output file cannot be written; commands call this function before they compute anything."""
+    """Raise an error if an output file cannot be written; commands call this function before they compute anything.
+
+    ``inputs`` contains the paths of inputs, which outputs must not replace; values that are not paths are ignored.
+    """
+    check_separate((output, plot, report, quality), inputs)
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     for path in (plot, quality):
@@ -288,5 +294,6 @@ def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, outpu
 
 def check_chart(plot: Path, report: Path | None, *, overwrite: bool) -> Path:
     """Return the path of the .ecsv file that is written beside a plot; raise an error if a file cannot be written."""
-    check_outputs(None, plot, report, overwrite=overwrite)
-    return check_output(plot.with_suffix(".ecsv"), WRITABLE, overwrite=overwrite)
+    output = plot.with_suffix(".ecsv")
+    check_outputs(output, plot, report, overwrite=overwrite)
+    return output

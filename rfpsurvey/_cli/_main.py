@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import rfpsurvey as rs
+from rfpsurvey.errors import one_line
 
 __all__ = ["COMMANDS", "app", "run"]
 
@@ -142,9 +143,9 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
     closed = isinstance(error, OSError) and error.errno == errno.EBADF
-    text = "standard output is closed" if closed else _with_options(" ".join(str(error).split()), sys.argv[1:])
+    text = "standard output is closed" if closed else _with_options(one_line(str(error)), sys.argv[1:])
     with suppress(BrokenPipeError):
-        print(f"rfpsurvey: {text}", file=sys.stderr)
+        print(f"rfpsurvey: {_with_options(text, sys.argv[1:])}", file=sys.stderr)
     return 2
 
 

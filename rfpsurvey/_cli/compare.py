@@ -68,7 +68,7 @@ def compare(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(*(instruments or ()), catalog, broken))
     if broken is not None and len(instruments or ()) != 1:
         raise rs.InputError(
             "--broken must be used with one instrument, because instruments have different identifiers; to compare "

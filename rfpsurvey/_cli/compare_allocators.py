@@ -47,7 +47,7 @@ def compare_allocators(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Compare allocators on the same field."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(catalog, instrument, broken))
     model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, hdu=hdu)
     options = _app.allocation_options(

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from rfpsurvey._cli import _examples, _main, _options
+from rfpsurvey._outputs import check_parent, check_separate
 from rfpsurvey.plans import read_plan, write_plan
 
 
@@ -25,6 +26,8 @@ def convert(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Convert a plan to the format of another program."""
+    check_separate([target], [source])
+    check_parent(target)
     plan = read_plan(source)
     write_plan(plan, target, format=format, overwrite=overwrite)
     n_assigned, n = int(plan["assigned"].sum()), len(plan)

@@ -33,7 +33,7 @@ def design(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Scan designs of positioners, optionally around the design of an instrument, and find the best designs."""
-    _app.check_outputs(None, plot, report, overwrite=overwrite)
+    _app.check_outputs(None, plot, report, overwrite=overwrite, inputs=[instrument])
     around = instrument is not None
     if spread is not None and not around:
         raise rs.InputError(

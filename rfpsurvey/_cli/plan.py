@@ -54,7 +54,9 @@ def plan(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Assign the targets of a field to fibers, and find the arms that collide."""
-    _app.check_outputs(output, plot, report, quality, overwrite=overwrite)
+    _app.check_outputs(
+        output, plot, report, quality, overwrite=overwrite, inputs=(catalog, instrument, broken, conditions)
+    )
     _app.check_targets(targets, plot)
     seen = _conditions.conditions_of(conditions, site, time, hour_angle, wavelength, exposure_time)
     model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(seen, epoch), margins)

@@ -72,7 +72,7 @@ def probability(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Estimate the probability that arms collide, with a confidence interval."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(targets, instrument, broken))
     model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
     options = {"method": method, "estimand": estimand, "allocator": allocator, "density": density}
     options["precision"] = Precision(precision, max_iterations)

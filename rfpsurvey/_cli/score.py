@@ -65,7 +65,7 @@ def score(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Find the collisions in an assignment that was made by another program."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(assignment, instrument, broken))
     table = _app.read_assignment(assignment, select, hdu)
     options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
     options["missing"] = "skip" if skip_missing else "refuse"

@@ -4,7 +4,7 @@ from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _main, _margins, _options, _process, _selections, _states, _surveys, _tiles
-from rfpsurvey._io import check_output
+from rfpsurvey._outputs import check_output, check_separate
 
 
 @_main.app.command(epilog=_selections.SELECT_EXAMPLES)
@@ -48,6 +48,7 @@ def select(
 ) -> None:
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     if output is not None:
+        check_separate([output, folder and folder / "selection.fits"], (catalog, tiles, instrument, broken))
         check_output(output, (".fits",), overwrite=overwrite)
     tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
     model = _app.model_of(

@@ -56,7 +56,9 @@ def survey(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
-    _app.check_outputs(None, plot, report, quality, overwrite=overwrite)
+    _app.check_outputs(
+        None, plot, report, quality, overwrite=overwrite, inputs=(catalog, tiles, instrument, broken, conditions)
+    )
     seen = conditions, site, time, hour_angle, wavelength, exposure_time
     tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
     model = _app.model_of(

@@ -50,7 +50,7 @@ def tile(
     overwrite: _options.OverwriteOption = False,
 ) -> None:
     """Place the tiles of a survey."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite)
+    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(catalog, centers, instrument, broken))
     model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
     inside = None if region is None else rs.Region.parse(region)
     field = inside

@@ -11,6 +11,7 @@ from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
+from rfpsurvey._outputs import check_new_folder
 from rfpsurvey._readers import import_parquet
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
@@ -196,7 +197,7 @@ def partition_catalog(
     ...     print(len(parts), len(parts.read()))
     1000 1000
     """
-    parquet, catalog = import_parquet(), as_catalog(catalog)
+    folder, parquet, catalog = check_new_folder(folder), import_parquet(), as_catalog(catalog)
     import pyarrow as pa
 
     if len(catalog) == 0:

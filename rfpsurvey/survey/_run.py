@@ -138,10 +138,11 @@ def _read(folder, tile, job) -> Done | None:
     try:
         visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
         lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
-        lacking += [card for card in cards_of(job.model.options) if not isinstance(cards.get(card), int)]
+        counted = cards_of(job.model.options)
+        lacking += [card for card in counted if not isinstance(cards.get(card), int)]
         if lacking:
             raise InputError(f"its file lacks {', '.join(lacking)}")
-        _check_part(visits, cards)
+        _check_part(visits, {card: cards[card] for card in counted})
     except InputError as error:  # the checksum is correct; therefore, the index was also changed
         folder.distrust(tile, str(error))
         return None
@@ -151,7 +152,7 @@ def _read(folder, tile, job) -> Done | None:
     if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
         folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
         return None
-    counts = {name: cards[card] for card, (name, _) in cards_of(job.model.options).items()}
+    counts = {name: cards[card] for card, (name, _) in counted.items()}
     return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)
 
 
@@ -160,6 +161,6 @@ def _check_part(visits: np.ndarray, cards: dict) -> None:
     for name, kind, words in (("target_row", "i", "integers"), ("observed", "b", "booleans")):
         if visits.dtype[name].kind != kind:
             raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
-    wrong = [card for card in COUNTS if not 0 <= cards[card] < 2**53]
+    wrong = [card for card, number in cards.items() if not 0 <= number < 2**53]
     if wrong:
         raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")

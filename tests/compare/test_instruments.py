@@ -277,7 +277,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"allocators": ["best"]}, "unknown allocator 'best'"),
         ({"allocator": "lamost"}, "must be given as allocators=, got the argument allocator"),
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
-        ({"n_realizations": 0}, "n_realizations must be a whole number of at least 1, got 0"),
+        ({"n_realizations": 0}, "n_realizations must be a whole number from 1 to 1000000, got 0"),
         ({"density": 5}, "density must be a Quantity"),
         ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "must be None if a catalog is given"),
         ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "must be None if a catalog is given"),
