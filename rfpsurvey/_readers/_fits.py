@@ -10,6 +10,7 @@ import numpy as np
 from astropy.table import Column, Table
 
 from rfpsurvey._readers._limits import open_content, sentence
+from rfpsurvey._readers._plain_fits import read_plain
 from rfpsurvey.errors import InputError, listed, refusal, short, warn
 
 __all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
@@ -109,6 +110,9 @@ def _table_of(unit) -> tuple[Table, int]:
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
     """Return the rows and header cards of a FITS file with one table; error messages begin with ``name``."""
+    plain = read_plain(content)
+    if plain is not None:
+        return plain
     from astropy.io import fits
 
     try:

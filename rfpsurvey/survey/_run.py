@@ -12,6 +12,7 @@ from rfpsurvey._executors import submit
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES
+from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
@@ -36,11 +37,16 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         request.check_text()
         where = Folder(path, request.identity(), len(request.tiling), resume=resume)
     with where as folder:
+        n = len(request.tiling)
+        found = None if folder is None else read_finished(folder.path, n, joint=together is not None)
+        if found is not None:
+            with Progress(progress, n, "tiles") as tell:
+                tell(n, new=False)
+            return found
         if together is not None:
             request, joint = together(request, folder)
             progress = together.rest
         state = request.open_state()
-        n = len(request.tiling)
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]
         counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}

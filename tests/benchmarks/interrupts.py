@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic, sleep
@@ -143,7 +144,8 @@ def _processes(group: int) -> list[str]:
         except ProcessLookupError:
             return []
         sleep(0.05)
-    os.killpg(group, signal.SIGKILL)
+    with suppress(ProcessLookupError):
+        os.killpg(group, signal.SIGKILL)
     return ["processes are left"]
 
 
@@ -209,10 +211,10 @@ def main() -> int:
             words = COMMANDS[name]
             if name not in expected:
                 (room / name).mkdir()
-                run(words, room / name)  # compiles
-                shutil.rmtree(room / name)
-                (room / name).mkdir()
-                seconds[name] = run(words, room / name).seconds
+                whole = run(words, room / name)
+                if whole.code:
+                    sys.exit(f"{name}: exit code {whole.code}: {whole.errors}")
+                seconds[name] = whole.seconds
                 expected[name] = content(room / name)
             folder = room / f"{name} {k}"
             folder.mkdir()

@@ -14,7 +14,9 @@ from astropy.table import MaskedColumn, QTable, Table
 
 import rfpsurvey as rs
 from refusals import refusal, sentence
+from rfpsurvey import _io
 from rfpsurvey._readers import read_fits_bytes, read_table, read_tables
+from rfpsurvey._readers._plain_fits import read_plain
 
 DEG = u.deg
 GOOD = [f"s{k},{10 + 0.01 * k},20.0" for k in range(100)]
@@ -404,3 +406,32 @@ def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
     assert "there is no such file" in refusal(tmp_path / "b.fits", read_tables)
     (tmp_path / "b.fits").write_text("id,ra,dec")
     assert "cannot be read as fits: it must begin with SIMPLE" in refusal(tmp_path / "b.fits", read_tables)
+
+
+def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
+    rng = np.random.default_rng(1)
+    columns = {
+        "name": np.array(["a", " b ", "", "long name"]),
+        "flag": np.array([True, False, True, True]),
+        "byte": np.arange(4, dtype="u1"),
+        **{kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")},
+    }
+    rows = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    cards = {"TILE": "it is", "RA": 12.5, "SMALL": 1e-300, "N": (-3, "a comment / with a slash"), "YES": True}
+    content = _io.fits_bytes(rows, cards)
+    plain = read_plain(content)
+    monkeypatch.setattr("rfpsurvey._readers._fits.read_plain", lambda _: None)
+    slow = read_fits_bytes(content)
+    assert plain[0].dtype == slow[0].dtype
+    assert plain[0].tolist() == slow[0].tolist()
+    assert plain[0]["f8"].tolist() == columns["f8"].tolist()
+    assert plain[1] == slow[1]
+    for other in (
+        content[:-1],
+        content + bytes(2880),
+        _io.fits_bytes(rows, {"TILE": "it's"}),
+        _io.fits_bytes(rows, {"COMMENT": "a text"}),
+        content.replace(b"TTYPE2  = 'flag    '", b"TTYPE2  = 'name    '"),
+        content.replace(b"TFORM3  = 'B       '", b"TFORM3  = 'X       '"),
+    ):
+        assert read_plain(other) is None

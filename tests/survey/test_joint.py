@@ -233,3 +233,20 @@ def test_subpriorities_of_a_catalog_do_not_change_a_joint_plan(case, survey):
     with pytest.warns(rs.RfpsurveyWarning, match="subpriorities of the catalog have no effect on a joint plan"):
         again = plan((ranked, *others))
     assert rows_of(again) == rows_of(survey)
+
+
+@pytest.mark.parametrize(
+    ("allocator", "order"), [("lamost", "color"), ("repair", "color"), ("optimal", "color"), ("optimal", "joint")]
+)
+def test_a_tile_without_targets_whose_idle_arms_touch(allocator, order):
+    """Regression: the step that separates idle arms failed with an IndexError if a tile had no targets."""
+    arms = rs.Positioner(5 * u.mm, 5 * u.mm, 1 * u.mm, home=[0, 120] * u.deg)
+    plane = rs.FocalPlane([[0, 0], [1, 0], [40, 0]] * u.mm, arms)
+    instrument = rs.Instrument("touching", plane, plate_scale=100 * u.mm / u.deg)
+    sky = rs.synthetic_catalog("uniform", SkyCoord(10, 40, unit="deg"), 0.5 * u.deg, n_targets=200, rng=1)
+    tiles = SkyCoord([10, 50] * u.deg, [40, 40] * u.deg)
+    survey = rs.plan_survey(sky, instrument, tiles, allocator=allocator, order=order)
+    assert survey.tiles["n_in_field"].tolist()[1] == survey.tiles["n_assigned"].tolist()[1] == 0
+    assert survey.tiles["n_assigned"][0] > 0
+    nothing = rs.Catalog(sky.coord, visits=np.zeros(len(sky), dtype=int))
+    assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator, order=order).summary["n_assigned"] == 0

@@ -10,6 +10,7 @@ import shutil
 import signal
 import sys
 import time
+import warnings
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -288,6 +289,29 @@ def test_an_error_names_its_tile(case, monkeypatch):
     with pytest.raises(ZeroDivisionError) as error:
         plan(case, None)
     assert error.value.__notes__[0].startswith("while tile ")
+
+
+def test_a_finished_survey_is_read_without_the_targets_of_its_tiles(case, folder, undisturbed, monkeypatch):
+    """Regression: resuming a finished survey took longer than planning it."""
+    first, done = rs.Survey.read(folder), []
+    monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
+    again = plan(case, folder, resume=True, progress=lambda k, n: done.append((k, n)))
+    assert content(folder) == undisturbed
+    assert again.summary == first.summary
+    assert len(again.targets) == len(first.targets)
+    assert done == [(50, 50)]
+
+
+@pytest.mark.parametrize("name", ["tiles.fits", "outcomes.fits", "completeness.ecsv", "tiles/000/000003.fits"])
+def test_a_finished_survey_with_a_damaged_file_is_repaired(case, folder, undisturbed, name):
+    damaged = bytearray((folder / name).read_bytes())
+    damaged[-1] ^= 1
+    (folder / name).write_bytes(damaged)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        plan(case, folder, resume=True)
+    assert len(told) == name.startswith("tiles/")
+    assert content(folder) == undisturbed
 
 
 def test_a_finished_survey_is_verified_only(case, folder, undisturbed):

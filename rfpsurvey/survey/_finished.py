@@ -1,0 +1,49 @@
+"""Surveys that are already finished, which are read instead of planned."""
+
+from pathlib import Path
+
+import numpy as np
+
+from rfpsurvey import _io
+from rfpsurvey._folder import check_file, read_index, read_verified
+from rfpsurvey.errors import InputError
+from rfpsurvey.survey._folder import JOINT, TABLES, part_name
+from rfpsurvey.survey._survey import Survey
+
+__all__ = ["read_finished"]
+
+
+def read_finished(folder: Path, n_tiles: int, *, joint: bool) -> Survey | None:
+    """Return the survey in a folder; None if it is not finished, or if its files do not agree with each other.
+
+    All files must match their checksums, and the visits of all tiles must give the numbers of observations in the table
+    of outcomes.
+    """
+    known, tables = read_index(folder), [*TABLES, *([JOINT] if joint else [])]
+    parts = [part_name(tile) for tile in range(n_tiles)]
+    # the index of a finished survey is sorted; later runs that plan a tile again add lines at the end
+    if not {*tables, *parts} <= {*known} or list(known) != sorted(known) or any(len(one) > 1 for one in known.values()):
+        return None
+    try:
+        for name in {*known} - {*parts}:
+            check_file(folder, name, known)
+        rows = [_observed(folder, name, known) for name in parts]
+        survey = Survey.read(folder)
+    except InputError:
+        return None
+    outcomes = survey.outcomes
+    times = np.bincount(np.concatenate(rows), minlength=len(outcomes))
+    is_requested = np.asarray(outcomes["requested"]) > 0  # standards and sky positions have no requested visits
+    if len(times) > len(outcomes) or (times != np.asarray(outcomes["observed"]))[is_requested].any():
+        return None
+    if survey.joint is not None:
+        survey.joint["seconds"] = np.nan
+    return survey
+
+
+def _observed(folder: Path, name: str, known: dict) -> np.ndarray:
+    """Return the rows of the targets that a tile observed; raise an error if the file does not match its checksum."""
+    visits = _io.read_fits_bytes(read_verified(folder, name, known), name)[0]
+    if not {"target_row", "observed"} <= set(visits.dtype.names):
+        raise InputError(f"{name} must have the columns of a survey")
+    return visits["target_row"][visits["observed"].astype(bool) & (visits["target_row"] >= 0)]
