@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable, Table, vstack
+from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -128,6 +129,22 @@ def test_epoch_zero_of_targets_without_proper_motion_is_accepted():
     table["REF_EPOCH"] = 0.0
     with pytest.raises(InputError, match="1 of these targets have other values"):
         rs.Catalog.from_table(table)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_targets_without_proper_motion_need_no_epoch(presets, masked):
+    """A warning stated that targets with proper motions of 0 and no epoch cannot be moved to the time of a tile."""
+    zero = np.ma.array(np.zeros(6), mask=masked) if masked else np.zeros(6)
+    table = Table(desi(PMRA=zero, PMDEC=zero, REF_EPOCH=zero))
+    table["PMRA"].unit = table["PMDEC"].unit = "mas / yr"
+    conditions = rs.ObservingConditions("kitt peak", time=Time("2026-04-01T06:30:00"))
+    catalog = rs.Catalog.from_table(table)
+    tile = rs.plan_tile(catalog, presets["desi"], conditions=conditions)  # without a warning
+    assert tile.summary["epoch"] is None
+    tiles = rs.Tiling.from_table(table[:1]["RA", "DEC"]).with_conditions(conditions)
+    assert rs.plan_survey(catalog, presets["desi"], tiles).summary["n_targets"] == 6
+    with pytest.warns(RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
+        rs.plan_tile(catalog, presets["desi"], epoch=2026.5)
 
 
 @pytest.mark.parametrize("table", [ledger(), sdssv()])
