@@ -78,8 +78,8 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
 def _last_entries(table: Table) -> tuple[Table, str]:
     """Return the last row of each target in a DESI ledger, and text that states the number of other rows.
 
-    Each change of a target adds a row at the end of a DESI ledger, so the last row states the current priority and number of
-    visits. Other tables are returned unchanged, with empty text.
+    Each change of a target adds a row at the end of a DESI ledger, so the last row states the current priority and
+    number of visits. Other tables are returned unchanged, with empty text.
     """
     name, format_ = next((c for c in table.colnames if c.lower() == "targetid"), None), find_format(table.colnames)
     if name is None or format_ is None or format_.name != "DESI ledger":
