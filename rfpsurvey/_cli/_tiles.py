@@ -38,7 +38,6 @@ TilesUnitOption = Annotated[
 TilesHduOption = Annotated[
     str | None,
     typer.Option(
-        metavar="HDU",
         help="Number or name (EXTNAME) of the table of tiles or centers in a FITS file with several tables.",
     ),
 ]
