@@ -118,7 +118,6 @@ UnitOption = Annotated[
 HduOption = Annotated[
     str | None,
     typer.Option(
-        metavar="HDU",
         help="Number or name (EXTNAME) of the table to read from a FITS file with several tables. By default, the "
         "first table is read.",
     ),

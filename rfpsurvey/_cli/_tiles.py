@@ -20,8 +20,8 @@ CentersOption = Annotated[
 TilesOption = Annotated[
     Path | None,
     typer.Option(
-        help="Table of tiles, with at least the columns ra and dec. By default, two hexagonal coverings of the "
-        "catalog are used."
+        help="Table of tiles, with at least the columns ra and dec, or other usual names such as racen and deccen. By "
+        "default, two hexagonal coverings of the catalog are used."
     ),
 ]
 TilesColumnOption = Annotated[
@@ -38,7 +38,6 @@ TilesUnitOption = Annotated[
 TilesHduOption = Annotated[
     str | None,
     typer.Option(
-        metavar="HDU",
         help="Number or name (EXTNAME) of the table of tiles or centers in a FITS file with several tables.",
     ),
 ]

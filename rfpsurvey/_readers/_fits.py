@@ -11,7 +11,7 @@ from astropy.table import Column, Table
 
 from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey._readers._plain_fits import read_plain
-from rfpsurvey.errors import InputError, listed, refusal, short, warn
+from rfpsurvey.errors import InputError, listed, short, warn
 
 __all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
@@ -43,8 +43,6 @@ def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "") -> Tab
 
 def _choose(found: dict[int, str], hdu: int | str, path: Path) -> int:
     """Return the number of the header-data unit that has the number or the name ``hdu``."""
-    if isinstance(hdu, bool) or not isinstance(hdu, int | np.integer | str):
-        raise refusal(f"{path}: hdu must be the number or the name of a table", hdu)
     named = [number for number, name in found.items() if name and name.lower() == str(hdu).strip().lower()]
     if isinstance(hdu, str) and len(named) == 1:
         return named[0]

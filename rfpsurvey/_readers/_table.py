@@ -78,6 +78,8 @@ def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: st
     suffix = suffix_of(path)
     if suffix not in FORMATS:
         raise InputError(f"{path}: the name of a table must end in one of {', '.join(FORMATS)} (.gz may follow)")
+    if hdu is not None and (isinstance(hdu, bool) or not isinstance(hdu, int | np.integer | str)):
+        raise refusal("hdu must be the number or the name of a table", hdu)
     check_is_file(path)
     try:
         options = (hdu, remedy) if FORMATS[suffix] == "fits" else ()

@@ -256,9 +256,7 @@ class Catalog:
 
     @classmethod
     def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
-        extra = _tables.kept_columns(table, keep, columns, frame)
-        found = _tables.read_columns(table, columns, units, frame, fill, keep, assume_units=assume_units)
-        return cls(**found, extra=extra)
+        return cls(**_tables.read_columns(table, columns, units, frame, fill, keep, assume_units=assume_units))
 
     @classmethod
     @check_keywords

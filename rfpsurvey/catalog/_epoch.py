@@ -5,6 +5,7 @@ import numpy as np
 from astropy.time import Time
 
 from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._motion import moving
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import warn
 
@@ -32,10 +33,10 @@ def choose_epoch(
     Time, str, float or None
         The epoch; for several times, their midpoint; None if the targets are not moved.
     str or None
-        The sentence; None if the targets have no proper motions.
+        The sentence; None if the targets have no proper motions, or only proper motions of 0.
     """
     asked = None if epoch is None else to_time(epoch, "epoch", one=True)
-    if not catalog.has_proper_motion:
+    if not catalog.has_proper_motion or (whole and not moving(catalog.coord).any()):
         if epoch is not None:
             warn("the epoch has no effect, because the targets have no proper motions")
         return epoch, None

@@ -151,6 +151,8 @@ class Partitions:
         path = self.files[k][2]
         catalog = self.to_catalog(self.table(k, self.names), path)
         n = int(self.rows[k + 1] - self.rows[k])
+        if "ledger" in catalog.meta:
+            raise InputError(f"{path}: each target must have a single row, but {catalog.meta['ledger']}")
         if len(catalog) < n:
             raise InputError(
                 f"{path}: all coordinates must be finite, got {n - len(catalog)} of {n} rows without finite "

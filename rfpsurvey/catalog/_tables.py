@@ -11,11 +11,11 @@ from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
 from rfpsurvey.catalog._frames import as_table
 from rfpsurvey.catalog._motion import moving
-from rfpsurvey.catalog._survey_formats import COUNTS, is_unusable, kinds_and_visits
+from rfpsurvey.catalog._survey_formats import COUNTS, find_format, is_unusable, kinds_and_visits
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["EQUATORIAL", "PER_TARGET", "catalog_roles", "catalog_table", "has_units", "kept_columns", "read_columns"]
+__all__ = ["EQUATORIAL", "PER_TARGET", "catalog_roles", "catalog_table", "has_units", "read_columns"]
 
 PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "subpriority")
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
@@ -29,8 +29,11 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     issued, except for tables that cannot have units, such as DataFrames, and for tables of surveys.
     """
     table, is_plain = as_table(table, columns)
+    table, ledger = _last_entries(table)
+    assume_units = assume_units or is_plain
+    extra = None if keep is None else pick_columns(table, keep, _names_in_results(table, columns, frame))
     find, roles = Finder(table, columns or {}, units or {}, fill=fill or {}), catalog_roles(frame)
-    find.assume_units = assume_units or is_plain or not find.has_units(roles)
+    find.assume_units = assume_units or not find.has_units(roles)
     category = find.labels("category")
     kind, (visits, unset) = find.labels("kind"), _visits(find)
     if kind is not None:
@@ -52,7 +55,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed)
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
-        if not (assume_units or is_plain or find.format):
+        if not (assume_units or find.format):
             warn(
                 f"the positions and proper motions have no units: the assumed units are {meta['assumed_units']}; to "
                 "use other units, give units= or --unit"
@@ -67,8 +70,27 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
         "fiber_type": find.labels("fiber_type"),
         "visits": visits,
         "epoch": _epoch(find, coord),
-        "meta": meta,
+        "meta": meta | ({"ledger": ledger} if ledger else {}),
+        "extra": extra,
     }
+
+
+def _last_entries(table: Table) -> tuple[Table, str]:
+    """Return the last row of each target in a DESI ledger, and text that states the number of other rows.
+
+    Each change of a target adds a row at the end of a DESI ledger, so the last row states the current priority and
+    number of visits. Other tables are returned unchanged, with empty text.
+    """
+    name, format_ = next((c for c in table.colnames if c.lower() == "targetid"), None), find_format(table.colnames)
+    if name is None or format_ is None or format_.name != "DESI ledger":
+        return table, ""
+    ids = to_labels(table[name], f"column {name!r}")
+    last = len(ids) - 1 - np.unique(ids[::-1], return_index=True)[1]
+    if len(last) == len(ids):
+        return table, ""
+    said = f"{len(ids) - len(last)} of {len(ids)} rows of the DESI ledger are earlier entries of the same targets"
+    warn(f"{said}; only the last entry of each target was read")
+    return table[np.sort(last)], said
 
 
 def catalog_roles(frame: str) -> tuple[str, ...]:
@@ -113,14 +135,6 @@ def _ids(find: Finder) -> np.ndarray | None:
             "columns={'id': ...} or --column id=..."
         )
     return ids
-
-
-def kept_columns(table: Table, keep: object, columns: dict | None, frame: str) -> QTable | None:
-    """Return the columns in ``keep`` except columns that results always contain; None if no column remains."""
-    if keep is None:
-        return None
-    table, _ = as_table(table, columns)
-    return pick_columns(table, keep, _names_in_results(table, columns, frame))
 
 
 def _names_in_results(table, columns, frame):

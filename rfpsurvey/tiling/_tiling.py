@@ -215,8 +215,8 @@ class Tiling:
         Parameters
         ----------
         path : str or path-like
-            FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. Angles in CSV files without units are in
-            degrees; no warning is issued.
+            FITS, ECSV, CSV, VOTable or Parquet file, optionally with ``.gz``. Angles without units in CSV and Parquet
+            files are in degrees; no warning is issued.
         columns, units : dict, optional
             Names and units of the columns, as in `from_table`.
         hdu : int or str, optional
@@ -237,7 +237,9 @@ class Tiling:
         table = _io.read_table(path, hdu, "; to read another table, give hdu= or --tiles-hdu")
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
-            return cls._from_table(table, columns, units, assume_units=_io.suffix_of(path) in (".csv", ".tsv"))
+            return cls._from_table(
+                table, columns, units, assume_units=_io.suffix_of(path) in (".csv", ".tsv", ".parquet")
+            )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 

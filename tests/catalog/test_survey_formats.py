@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable, Table, vstack
+from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -83,6 +84,25 @@ def test_bits_of_desi_state_the_kinds_of_targets():
     assert rs.Catalog.from_table(desi(SV3_DESI_TARGET=bits)).visits.tolist() == [1, 1, 1, 0, 0, 1]
 
 
+def test_only_the_last_entry_of_each_target_in_a_ledger_is_read(tmp_path):
+    """Each change of a target adds a row to a DESI ledger; targets were planned once for each row."""
+    table = ledger()
+    later = table[[4, 1]]
+    later["NUMOBS_MORE"], later["PRIORITY"] = [0, 3], [2, 3100]
+    table = vstack([table, later])
+    text = "2 of 8 rows of the DESI ledger are earlier entries of the same targets"
+    for given in (table, table.to_pandas()):
+        with pytest.warns(RfpsurveyWarning, match=f"^{text}; only the last entry of each target was read"):
+            catalog = rs.Catalog.from_table(given, keep="NUMOBS")
+        assert catalog.id.tolist() == [FIRST_ID + k for k in (0, 2, 3, 5, 4, 1)]
+        assert catalog.visits.tolist() == [0, 0, 1, 1, 0, 3]
+        assert catalog.priority.tolist() == [2, 2, 2000, 3400, 2, 3100]
+        assert catalog.extra["NUMOBS"].tolist() == [1, 1, 0, 0, 0, 1]
+        assert catalog.meta["ledger"] == text
+    targets = table["TARGETID", "RA", "DEC", "PRIORITY_INIT", "NUMOBS_INIT"]
+    assert len(rs.Catalog.from_table(targets)) == 8  # target files have one row for each target
+
+
 @pytest.mark.parametrize("name", ["NUMOBS_INIT", "NUMOBS_MORE"])
 def test_numbers_of_visits_that_desi_has_not_set_are_counted(name):
     """NUMOBS_INIT = -1 was refused in tables without DESI_TARGET, and was not reported in other tables."""
@@ -128,6 +148,22 @@ def test_epoch_zero_of_targets_without_proper_motion_is_accepted():
     table["REF_EPOCH"] = 0.0
     with pytest.raises(InputError, match="1 of these targets have other values"):
         rs.Catalog.from_table(table)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_targets_without_proper_motion_need_no_epoch(presets, masked):
+    """A warning stated that targets with proper motions of 0 and no epoch cannot be moved to the time of a tile."""
+    zero = np.ma.array(np.zeros(6), mask=masked) if masked else np.zeros(6)
+    table = Table(desi(PMRA=zero, PMDEC=zero, REF_EPOCH=zero))
+    table["PMRA"].unit = table["PMDEC"].unit = "mas / yr"
+    conditions = rs.ObservingConditions("kitt peak", time=Time("2026-04-01T06:30:00"))
+    catalog = rs.Catalog.from_table(table)
+    tile = rs.plan_tile(catalog, presets["desi"], conditions=conditions)  # without a warning
+    assert tile.summary["epoch"] is None
+    tiles = rs.Tiling.from_table(table[:1]["RA", "DEC"]).with_conditions(conditions)
+    assert rs.plan_survey(catalog, presets["desi"], tiles).summary["n_targets"] == 6
+    with pytest.warns(RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
+        rs.plan_tile(catalog, presets["desi"], epoch=2026.5)
 
 
 @pytest.mark.parametrize("table", [ledger(), sdssv()])

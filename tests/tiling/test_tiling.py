@@ -75,6 +75,17 @@ def test_centers_without_units_are_in_degrees(others):
     assert tiling.coord.ra.deg == pytest.approx(150)
 
 
+@pytest.mark.parametrize("suffix", ["csv", "tsv", "parquet"])
+def test_files_that_cannot_have_units_are_in_degrees(tmp_path, suffix):
+    path, given = tmp_path / f"t.{suffix}", Table({"field": ["a", "b"], "ra": [10.0, 11.0], "dec": [20.0, 20.0]})
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+        given.to_pandas().to_parquet(path)
+    else:
+        given.write(path, format="ascii.csv" if suffix == "csv" else "ascii.tab")
+    assert rs.Tiling.read(path).coord.ra.deg.tolist() == [10, 11]  # without a warning, which would fail the test
+
+
 @pytest.mark.parametrize("kind", [bool, np.uint8, str])
 def test_tiles_that_are_not_part_of_desi_are_omitted_with_a_warning(kind):
     """Tiles outside the footprint of DESI, which DESI's lists contain, were planned."""
