@@ -273,7 +273,7 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     for key, (values, form) in columns.items():
         kind, more = DTYPES.get(form[-1]), {}
         values = np.asarray(values)
-        if values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these integers with an offset
+        if key not in FORMATS and values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these with an offset
             more["bzero"] = -128 if values.dtype.kind == "i" else 2 ** (8 * values.dtype.itemsize - 1)
         elif kind is not None:
             values = to_type(values, kind, f"column {key!r} of {name}")
