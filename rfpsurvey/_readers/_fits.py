@@ -163,6 +163,8 @@ def read_fits_units(path: Path) -> dict:
 
 
 def _native(values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind == "S":  # astropy does not decode text that is not ASCII
+        values = np.char.decode(values, "utf-8")
     if values.dtype.kind == "U":
         return np.char.rstrip(values).astype(str)
     return values.astype(values.dtype.newbyteorder("="))

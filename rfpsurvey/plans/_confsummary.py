@@ -150,7 +150,8 @@ def to_wok(x, y, position_angle: float) -> tuple:
     position angle.
     """
     c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
-    return c * x - s * y, s * x + c * y
+    with np.errstate(invalid="ignore"):  # infinite coordinates become NaN
+        return c * x - s * y, s * x + c * y
 
 
 @contextmanager
@@ -245,6 +246,11 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return np.where(values == MISSING, np.nan, values.astype(float))
 
 
+def _coded(values: np.ndarray) -> np.ndarray:
+    """Return numbers with the code for missing values in place of NaN and infinity."""
+    return np.where(np.isfinite(values), values, MISSING)
+
+
 def _is_nominal(plan: QTable) -> bool:
     return plan.meta["format"] == "tile" and plan.meta["header"].get("layout") != "as built"
 
@@ -292,11 +298,11 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
 def _given(plan: QTable, struct: dict) -> dict:
     """Return the columns of a plan with the names, the units and the code for missing values of a confSummary file."""
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
-    x, y = plain["x"], plain["y"]
+    x, y = (np.where(np.isfinite(plain[name]), plain[name], np.nan) for name in ("x", "y"))
     given = {name: plain[own_name(name)] for name in struct if own_name(name) in plain}
     for name, native in NATIVE.items():
         if name in plain and not (name in ("theta", "phi") and _is_nominal(plan)):
-            given[native] = np.nan_to_num(plain[name], nan=MISSING) if name in ANGLES else plain[name]
+            given[native] = _coded(plain[name]) if name in ANGLES else plain[name]
     ids = plain["target_id"]
     if ids.dtype.kind == "U":
         none = np.isin(ids, ("", "-1"))
@@ -314,13 +320,13 @@ def _given(plan: QTable, struct: dict) -> dict:
     given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
     category = plain.get("category", plain["kind"]).astype(str)
     given["category"] = np.where(np.isin(category, ("sky", "standard")), _joined(category, first), category)
-    given["xwok"], given["ywok"] = np.nan_to_num(x, nan=MISSING), np.nan_to_num(y, nan=MISSING)
+    given["xwok"], given["ywok"] = _coded(x), _coded(y)
     angle = plan.meta.get("position_angle")
     focal = (np.full(len(plan), np.nan),) * 2 if angle is None else to_wok(x, y, -angle)
     for name, values in zip(("xFocal", "yFocal"), focal, strict=True):
         own = given.get(name, np.full(len(plan), np.nan))
         given[name] = np.where(np.isnan(values) | (np.abs(own - values) < 1e-9), own, values)
-        given[name] = np.nan_to_num(given[name], nan=MISSING)
+        given[name] = _coded(given[name])
     return given
 
 

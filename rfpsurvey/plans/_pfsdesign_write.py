@@ -3,6 +3,7 @@
 import hashlib
 import math
 import re
+import warnings
 from pathlib import Path
 
 import astropy.units as u
@@ -99,7 +100,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     if match and int(match[1], 16) != number:
         raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
     comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
-    with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
+    with (
+        output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary,
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")  # ignore warnings about names of columns and keywords
         try:
             units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
             # tables repeat the cards of the primary header
@@ -273,7 +278,7 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     for key, (values, form) in columns.items():
         kind, more = DTYPES.get(form[-1]), {}
         values = np.asarray(values)
-        if values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these integers with an offset
+        if key not in FORMATS and values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these with an offset
             more["bzero"] = -128 if values.dtype.kind == "i" else 2 ** (8 * values.dtype.itemsize - 1)
         elif kind is not None:
             values = to_type(values, kind, f"column {key!r} of {name}")

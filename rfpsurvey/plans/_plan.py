@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
-from rfpsurvey._readers import check_is_file
+from rfpsurvey._readers import check_is_file, sentence
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
@@ -156,8 +156,13 @@ def write_plan(
     """
     path, plan = to_path(path), as_plan(plan)
     module = _module(_format_for(plan, path) if format is None else format)
-    lost = module.lost(plan)
-    module.write(plan, path, overwrite=overwrite)
+    try:
+        lost = module.lost(plan)
+        module.write(plan, path, overwrite=overwrite)
+    except InputError:
+        raise
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:  # the plan was edited
+        raise InputError(f"{path}: the plan cannot be written, because it is damaged: {sentence(error)}") from error
     if lost:
         warn(f"{path} was written without {', '.join(lost)}, which this format cannot hold")
 

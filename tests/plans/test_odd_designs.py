@@ -60,6 +60,23 @@ def test_columns_of_all_kinds_are_kept(tmp_path):
         assert first["DESIGN"].columns.formats == last["DESIGN"].columns.formats
 
 
+def test_text_in_a_column_that_is_not_ascii(tmp_path):
+    """Text in UTF-8 ended with a traceback; it is read, and only FITS files cannot contain it."""
+    columns, *others = design(patch=np.full(N, "1,1"))
+    path = write_design(tmp_path / "d.fits", (columns, *others))
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"1,1", "\xe91".encode(), 1))
+    plan = plans.read_plan(path)
+    assert plan["patch"][0] == "\xe91"
+    plans.write_plan(plan, tmp_path / "e.ecsv")
+    same(plan, plans.read_plan(tmp_path / "e.ecsv"))
+    with pytest.raises(rs.InputError, match="cannot be written as FITS: 'ascii' codec can't encode"):
+        plans.write_plan(plan, tmp_path / "e.fits")
+    path.write_bytes(content.replace(b"1,1", b"\xe911", 1))
+    with pytest.raises(rs.InputError, match="cannot be read as fits: 'utf-8' codec can't decode"):
+        plans.read_plan(path)
+
+
 def test_wide_fluxes_are_kept(tmp_path):
     flux = np.arange(360, dtype="f8").reshape(120, 3)
     wide = fits.Column("psfFlux", "3D", unit="uJy", array=flux)
