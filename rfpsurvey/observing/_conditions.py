@@ -12,7 +12,7 @@ from astropy.time import Time
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_toml, sentence
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
 from rfpsurvey.observing._sites import as_site, location
 
 __all__ = ["RATE", "ObservingConditions", "as_hour_angle", "check_conditions"]
@@ -167,6 +167,8 @@ class ObservingConditions:
         given = {name: _from_text(name, value, path) for name, value in read_toml(path).items()}
         if {"time", "hour_angle"} & set(changes):
             given = {name: value for name, value in given.items() if name not in ("time", "hour_angle")}
+        if "site" not in {**given, **changes}:
+            raise InputError(f"{path}: the conditions must include the key site, got {listed(given)}")
         try:
             return cls(**{**given, **changes})
         except InputError as error:
