@@ -15,7 +15,6 @@ import typer
 from typer.core import TyperGroup
 
 import rfpsurvey as rs
-from rfpsurvey.errors import one_line
 
 __all__ = ["COMMANDS", "app", "main"]
 
@@ -135,6 +134,8 @@ def main() -> None:
 
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
+    from rfpsurvey.errors import one_line  # imported on first use, because the list of commands needs no errors
+
     with suppress(BrokenPipeError):
         print(f"rfpsurvey: {_with_options(one_line(' '.join(str(error).split())), sys.argv[1:])}", file=sys.stderr)
     return 2
