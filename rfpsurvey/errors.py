@@ -39,6 +39,7 @@ T = TypeVar("T", bound=Callable)
 LONGEST = 60
 # Of a word that has more than three times this number of characters, a message contains the beginning and the end.
 WORD = 100
+LONG_GAP = re.compile(r"\s{9,}")
 LONG_WORD = re.compile(rf"\S{{{3 * WORD + 1},}}")
 MOST_CHOICES = 60
 MOST_WHOLE = 2**53
@@ -106,10 +107,11 @@ def warn(text: str) -> None:
 
 
 def one_line(text: str) -> str:
-    """Return text without line breaks, control characters and very long words, which files could bring into it."""
+    """Return text without line breaks, control characters and very long words or gaps, which files could contain."""
     if not text.isprintable():
         text = re.sub(r"\s*\n\s*", " ", text.strip())
         text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    text = LONG_GAP.sub(" ", text)
     return LONG_WORD.sub(lambda match: f"{match[0][:WORD]}...{match[0][-WORD:]}", text)
 
 

@@ -92,7 +92,7 @@ def test_tables_are_never_pasted_into_errors():
 
 def test_messages_have_one_line_without_control_characters():
     """Text of a file could bring escape sequences, line breaks and thousands of characters into a message."""
-    assert str(rs.InputError("a\x1b[2J\r\n  b")) == "a\\x1b[2J b"
+    assert str(rs.InputError("a\x1b[2J\r\n  b" + 99 * " " + "c")) == "a\\x1b[2J b c"
     text = str(rs.InputError(f"/data/a.csv must hold numbers, got {'7' * 5000}, in row 1"))
     assert text.startswith("/data/a.csv must hold numbers, got 777")
     assert text.endswith("777, in row 1")

@@ -15,7 +15,6 @@ import typer
 from typer.core import TyperGroup
 
 import rfpsurvey as rs
-from rfpsurvey.errors import one_line
 
 __all__ = ["COMMANDS", "app", "run"]
 
@@ -142,8 +141,10 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 
 def _complain(error: Exception) -> int:
     """Print the message of an error as one line, and return the exit code for invalid input."""
+    from rfpsurvey.errors import one_line  # imported on first use, because the list of commands needs no errors
+
     closed = isinstance(error, OSError) and error.errno == errno.EBADF
-    text = "standard output is closed" if closed else _with_options(one_line(str(error)), sys.argv[1:])
+    text = "standard output is closed" if closed else one_line(" ".join(str(error).split()))
     with suppress(BrokenPipeError):
         print(f"rfpsurvey: {_with_options(text, sys.argv[1:])}", file=sys.stderr)
     return 2

@@ -1,7 +1,7 @@
 """Read tables, and TOML and JSON documents, of limited size; error messages are single sentences."""
 
 from rfpsurvey._readers._archives import read_arrays
-from rfpsurvey._readers._documents import parse_json, read_toml
+from rfpsurvey._readers._documents import check_size, parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
 from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, head_of, is_present, open_file, sentence
@@ -13,6 +13,7 @@ __all__ = [
     "FORMATS",
     "META_KEY",
     "check_is_file",
+    "check_size",
     "content_of",
     "entries_of",
     "head_of",

@@ -37,7 +37,7 @@ def read_toml(path: Path) -> dict:
         raise
     except ValueError as error:  # the text is not UTF-8 or not TOML, or a number has too many digits
         raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
-    check_size(found, path, most=MOST_TOML_INTEGER)
+    check_size(found, path, most_integer=MOST_TOML_INTEGER)
     return found
 
 
@@ -59,8 +59,10 @@ def parse_json(text: object, what: object) -> dict:
     return found
 
 
-def check_size(found: object, what: object, most: int = MOST_INTEGER) -> None:
-    """Raise an error if a document has too many values, nested levels, or an integer whose absolute value exceeds most.
+def check_size(
+    found: object, what: object, *, most_values: int = MOST_VALUES, most_integer: int = MOST_INTEGER
+) -> None:
+    """Raise an error if a document has too many values or nested levels, or an integer that is too large.
 
     A value that occurs twice counts twice.
     """
@@ -71,9 +73,11 @@ def check_size(found: object, what: object, most: int = MOST_INTEGER) -> None:
         n += len(inner)
         if depth > MOST_DEPTH:
             raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} levels deep, got more")
-        if n > MOST_VALUES:
-            raise InputError(f"{what}: there must be at most {MOST_VALUES} values, got more")
-        wide = next((child for child in inner if isinstance(child, int) and abs(child) > most), None)
+        if n > most_values:
+            raise InputError(f"{what}: there must be at most {most_values} values, got more")
+        wide = next((child for child in inner if isinstance(child, int) and abs(child) > most_integer), None)
         if wide is not None:
-            raise InputError(f"{what}: integers must be from -{most:.4g} to {most:.4g}, got {short(wide)}")
+            raise InputError(
+                f"{what}: integers must be from {-most_integer:.4g} to {most_integer:.4g}, got {short(wide)}"
+            )
         todo.extend((child, depth + 1) for child in inner if isinstance(child, dict | list | tuple))

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._readers import check_is_file, content_of, entries_of, read_table, sentence
+from rfpsurvey._readers import check_is_file, check_size, content_of, entries_of, read_table, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
@@ -24,7 +24,9 @@ POSE = ("POS_T", "POS_P")
 LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
 STUCK, BROKEN, RESTRICTED = 2, 4, 8
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
-MOST_BYTES = 2**28
+MOST_YAML, MOST_JSON = 2**22, 2**26
+"""Largest number of bytes of a file; YAML is slow to read, and only small files are in this format."""
+MOST_VALUES = 5_000_000
 MOST_WIDTH = 10
 MOST_ANGLE = 400.0
 
@@ -167,9 +169,10 @@ def _half_width(polygon: object, what: str) -> float:
 def _load(path: Path) -> dict:
     """Return the content of a file in JSON or YAML, which may be compressed."""
     check_is_file(path)
-    content = content_of(path, most=MOST_BYTES)
+    is_yaml = ".yaml" in path.name
+    content = content_of(path, most=MOST_YAML if is_yaml else MOST_JSON)
     try:
-        if ".yaml" in path.name:
+        if is_yaml:
             import yaml  # a dependency of astropy
 
             found = yaml.load(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
@@ -181,4 +184,5 @@ def _load(path: Path) -> dict:
         raise InputError(f"{path} cannot be read: {sentence(error)}") from None
     if not isinstance(found, dict):
         raise InputError(f"{path}: the file must contain a dict of polygons, got {type(found).__name__}")
+    check_size(found, path, most_values=MOST_VALUES)
     return found

@@ -16,6 +16,7 @@ N_FIDUCIALS = 96
 # Largest distance (mm) of a dot from the nominal center of its cobra; adjacent centers are 8 mm apart.
 FARTHEST_DOT = 4.0
 FARTHEST_CENTER = 3.0
+MOST_XML = 2**25  # bytes
 GOOD = 1  # status of a cobra without a defect
 FARTHEST_FIDUCIAL = 300.0
 # Limits of the values of cobras (angles in deg, lengths in mm); cobras with other values are parked.
@@ -144,7 +145,7 @@ def _containers(path: Path):
     from xml.etree import ElementTree
 
     check_is_file(path)
-    content = content_of(path)
+    content = content_of(path, most=MOST_XML)
     if b"<!DOCTYPE" in content[:4096] or b"<!ENTITY" in content:
         raise InputError(f"{path}: the XML must have no document type and no entities, got one")
     try:

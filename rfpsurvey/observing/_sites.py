@@ -1,6 +1,7 @@
 """Geodetic coordinates of a few sites, which are available without network access."""
 
 import astropy.units as u
+import numpy as np
 from astropy.coordinates import EarthLocation
 
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
@@ -25,9 +26,13 @@ def location(values: list, what: str = "site") -> EarthLocation:
     """Return the location for longitude and latitude (deg) and height (m)."""
     try:
         lon, lat, height = map(float, values)
+        if not (abs(lon) <= 360 and abs(lat) <= 90 and abs(height) <= HIGHEST):
+            raise ValueError
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be longitude, latitude (deg) and height (m), got {short(values)}") from None
+        raise InputError(
+            f"{what} must be longitude, latitude (deg) and height (m, at most {HIGHEST:g}), got {short(values)}"
+        ) from None
 
 
 def as_site(site: object) -> EarthLocation:
@@ -37,7 +42,7 @@ def as_site(site: object) -> EarthLocation:
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
     if not isinstance(site, EarthLocation) or not site.isscalar:
         raise InputTypeError(f"site must be one EarthLocation or the name of a site, got {short(site)}")
-    if not abs(site.height.to_value(u.m)) <= HIGHEST:
+    if not np.isfinite(site.x) or abs(site.height.to_value(u.m)) > HIGHEST:
         raise InputError(
             f"site must have finite coordinates and a height from {-HIGHEST:g} to {HIGHEST:g} m, got {short(site)}"
         )

@@ -490,3 +490,16 @@ def test_the_command_probability_states_the_arm_model(run):
     code, _, err = run("probability", "desi", "--method", "closed_form")
     assert code != 0
     assert "got 'outline'" in err
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+@pytest.mark.parametrize(
+    "options", ["--seed={}", "--subpriority={}", "--site={},0,0 --hour-angle=1", "--require=sky={}", "--pa={}"]
+)
+def test_numbers_of_hundreds_of_digits_are_refused(tmp_path, run, digits, options):
+    """A site with an infinite longitude was accepted, and a subpriority of 5000 digits caused a traceback."""
+    words = options.format("9" * digits).split()
+    code, _, error = run("plan", "example:anticenter", "--instrument", "moons", *words)
+    assert code == 2
+    assert len(error) < 1200
+    assert "Traceback" not in error

@@ -357,6 +357,16 @@ def test_unknown_states_are_reported(folder):
 
 
 @partial
+def test_exclusions_that_expand_in_memory_are_refused(folder):
+    """A list of YAML that refers to another list many times took minutes and all of the memory."""
+    path = folder / "bad.yaml"
+    path.write_text(f"segment: &a [[1, 1], [2, 2]]\nmany: &b [{'*a,' * 9000}]\ndefault: [{'*b,' * 9000}]\n")
+    plane = folder / "desi-focalplane_2020-01-01T00:00:00.ecsv"
+    with pytest.raises(rs.InputError, match=r"bad\.yaml: there must be at most 5000000 values, got more"):
+        rs.Instrument.from_desi(plane, exclusions=path)
+
+
+@partial
 def test_exclusions_that_are_not_polygons_are_refused(folder):
     plane = next(folder.glob("desi-focalplane*"))
     for content, sentence in (

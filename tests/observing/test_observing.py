@@ -459,3 +459,27 @@ def test_conditions_at_other_times():
     assert {**still.record, "exposure_time_s": 600.0} == at_angle.record
     green = at_time.at_guide_wavelength
     assert green.wavelength == at_time.guide_wavelength != at_time.wavelength
+
+
+def test_files_without_a_site_are_refused(tmp_path):
+    """An empty file caused a TypeError."""
+    path = tmp_path / "conditions.toml"
+    for text, got in (("", "none"), ("humidity = 0.2\n", "humidity")):
+        path.write_text(text)
+        with pytest.raises(
+            rs.InputError, match=rf"conditions\.toml: the conditions must include the key site, got {got}"
+        ):
+            rs.ObservingConditions.read(path)
+    assert rs.ObservingConditions.read(path, site="paranal", hour_angle=0 * u.deg).humidity == 0.2
+
+
+@pytest.mark.parametrize("site", [("9" * 400, 0, 0), (0, "nan", 0), (0, 0, 1e300), (0, 0, "inf")])
+def test_impossible_sites_are_refused(site):
+    """The command plan accepted a site with an infinite longitude."""
+    record = rs.ObservingConditions("paranal", hour_angle=0 * u.deg).record
+    names = ("longitude_deg", "latitude_deg", "height_m")
+    with pytest.raises(rs.InputError, match="site must be longitude, latitude"):
+        rs.ObservingConditions.from_record({**record, **dict(zip(names, site, strict=True))})
+    place = EarthLocation.from_geocentric(np.inf, 0, 0, unit="m")
+    with pytest.raises(rs.InputError, match="site must have finite coordinates and a height from"):
+        rs.ObservingConditions(place, hour_angle=0 * u.deg)

@@ -5,13 +5,15 @@ import pytest
 
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
+from valid_inputs import inputs
 
 N_EACH = 10
 
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory):
-    return samples(tmp_path_factory.mktemp("valid"))
+    folder = tmp_path_factory.mktemp("valid")
+    return samples(folder) + inputs(folder)
 
 
 def test_valid_files_are_read(valid):

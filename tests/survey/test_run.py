@@ -421,12 +421,12 @@ def test_a_folder_of_version_0_1_is_not_continued(case, folder):
 
 
 def test_what_cannot_be_read_or_is_left_over_in_a_folder(case, folder, undisturbed):
-    """A folder in the place of a file causes an error of the operating system."""
+    """A folder can be in the place of a file."""
     (folder / "tiles" / ".rfpsurvey-5x").write_bytes(b"half of a part")
     part = folder / "tiles" / "000" / "000007.fits"
     part.unlink()
     part.mkdir()
-    with pytest.raises(rs.InputError, match=r"000007\.fits is damaged \(Is a directory\)"):
+    with pytest.raises(rs.InputError, match=r"000007\.fits: this is a folder"):
         rs.Survey.read(folder).visits(7)
     part.rmdir()
     (folder / "index.csv").unlink()  # without it, no file is trusted
