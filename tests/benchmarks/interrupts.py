@@ -94,27 +94,25 @@ def make_input(folder: Path) -> None:
     run(("plan", "--instrument", "moons", "--output", "tile.fits"), folder)
 
 
-def environment(cache: Path | None) -> dict:
-    """Return the environment of a command, with another folder for the cache of compiled functions if it is given."""
-    return os.environ if cache is None else {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-
-
-def run(words, folder: Path, cache: Path | None = None) -> Ended:
+def run(words, folder: Path) -> Ended:
     """Run a command to its end."""
     begin = monotonic()
     command = [sys.executable, "-m", "rfpsurvey", *words]
-    done = subprocess.run(command, cwd=folder, env=environment(cache), capture_output=True, text=True)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     return Ended(done.returncode, done.stderr, monotonic() - begin)
 
 
 def interrupt(words, folder: Path, ready: Callable[[], bool], *, group=True, cache: Path | None = None) -> Ended:
-    """Run a command, send the signal of Ctrl-C when ``ready`` is true, and return how it ended, with all faults."""
+    """Run a command, send the signal of Ctrl-C when ``ready`` is true, and return how it ended, with all faults.
+
+    ``cache`` is another folder for the cache of compiled functions.
+    """
     command = [sys.executable, "-m", "rfpsurvey", *words]
     with tempfile.TemporaryFile("w+") as errors:
         process = subprocess.Popen(
             command,
             cwd=folder,
-            env=environment(cache),
+            env=os.environ if cache is None else {**os.environ, "NUMBA_CACHE_DIR": str(cache)},
             stdout=subprocess.DEVNULL,
             stderr=errors,
             start_new_session=True,
