@@ -6,11 +6,13 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from threading import Event
 
 import pytest
 
 import rfpsurvey
-from rfpsurvey._executors import map_in_order, submit
+from rfpsurvey._executors import map_in_order, released, submit
 
 SECONDS = 5.0
 
@@ -87,3 +89,22 @@ def test_results_come_in_the_order_of_the_arguments():
         for executor in (None, pool):
             assert list(map_in_order(executor, pow, numbers, [2] * 20)) == [n * n for n in numbers]
         assert submit(pool, pow, 2, 3).result() == 8
+
+
+def test_an_interrupt_does_not_wait_for_calls_that_still_run():
+    end, begun = Event(), Event()
+
+    def call():
+        begun.set()
+        end.wait(60)
+
+    with suppress(KeyboardInterrupt), released(ThreadPoolExecutor(1)) as executor:
+        running, waiting = (executor.submit(call) for _ in range(2))
+        begun.wait(60)
+        raise KeyboardInterrupt
+    assert running.running()
+    assert waiting.cancelled()
+    end.set()
+    with released(ThreadPoolExecutor(1)) as executor:
+        done = executor.submit(sum, [1, 2])
+    assert done.result(0) == 3

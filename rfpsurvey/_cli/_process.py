@@ -52,11 +52,11 @@ def set_up_worker() -> None:
 
 def _prepare() -> None:
     """Open closed standard streams, and catch signals."""
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             # Without this, a file of data could become the standard stream. Standard output is opened only for reading,
             # so that the lost text is an error.
-            os.open(os.devnull, os.O_WRONLY if name == "stderr" else os.O_RDONLY)
+            number = os.open(os.devnull, os.O_WRONLY if name == "stderr" else os.O_RDONLY)
             stream = os.fdopen(number, "r" if name == "stdin" else "w", closefd=False)
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)

@@ -103,6 +103,18 @@ def test_an_interrupted_search_continues(case, survey, tmp_path, last):
     assert whole.summary == found.summary
 
 
+def test_a_finished_joint_plan_is_read(case, survey, tmp_path, monkeypatch):
+    plan(case, folder=tmp_path / "survey")
+    before = files(tmp_path / "survey")
+    monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
+    found = plan(case, folder=tmp_path / "survey", resume=True)
+    assert rows_of(found) == rows_of(survey)
+    assert found.summary == survey.summary
+    assert found.joint.colnames == survey.joint.colnames
+    assert np.isnan(found.joint["seconds"]).all()
+    assert files(tmp_path / "survey") == before
+
+
 def test_a_damaged_state_is_not_used(case, survey, tmp_path):
     folder = tmp_path / "survey"
     plan(case, folder=folder)
