@@ -305,8 +305,8 @@ def to_generator(rng: object) -> np.random.Generator:
 
 
 def is_seed_given(rng) -> bool:
-    """Return whether ``rng`` is not the default seed 0."""
-    return not (isinstance(rng, Integral) and rng == 0)
+    """Return whether ``rng`` is a valid value other than the default seed 0."""
+    return rng is None or isinstance(rng, np.random.Generator) or (isinstance(rng, Integral) and rng > 0)
 
 
 def to_seed(rng: object) -> int:

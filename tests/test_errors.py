@@ -3,12 +3,14 @@
 import inspect
 import pickle
 import warnings
+from importlib import import_module
 
 import astropy.units as u
 import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey import errors
 from rfpsurvey.errors import short, warn
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
@@ -98,3 +100,41 @@ def test_messages_have_one_line_without_control_characters():
     assert text.endswith("777, in row 1")
     assert len(text) < 300
     assert short(10**5000) == "int with too many digits"
+
+
+@pytest.mark.parametrize(
+    ("methods", "uses"),
+    [
+        ("rfpsurvey.allocation._methods", "rfpsurvey.allocation._uses"),
+        ("rfpsurvey.probability._methods", "rfpsurvey.probability._methods"),
+        ("rfpsurvey.tiling._methods", "rfpsurvey.tiling._methods"),
+        ("rfpsurvey.design._losses", "rfpsurvey.design._losses"),
+    ],
+)
+def test_the_options_of_every_method_are_listed(methods, uses):
+    assert import_module(methods).METHODS.keys() == import_module(uses).USES.keys()
+
+
+USES = {"slow": ("effort", "seed"), "exact": ("effort",), "fast": ()}
+
+
+@pytest.mark.parametrize(
+    ("given", "chosen", "expected"),
+    [
+        (["effort"], ["fast"], ["effort has no effect with the method 'fast'; only slow and exact use it"]),
+        (["seed"], ["exact", "fast"], ["seed has no effect with the methods 'exact' and 'fast'; only slow uses it"]),
+        (["effort", "seed"], ["exact", "slow"], []),
+        (["effort"], ["of a plugin", "fast"], []),
+        (["effort"], [len], []),
+        ([], ["fast"], []),
+    ],
+)
+def test_each_option_that_no_method_uses_causes_a_warning(given, chosen, expected):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        errors.warn_of_unused(given, chosen, USES, "method")
+        with errors.used_elsewhere():
+            errors.warn_of_unused(given, chosen, USES, "method")
+        with errors.used_elsewhere("effort", "seed"):
+            errors.warn_of_unused(given, chosen, USES, "method")
+    assert [str(one.message) for one in told] == expected

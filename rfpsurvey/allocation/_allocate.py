@@ -124,10 +124,6 @@ def allocate(
     asked = as_options(allocator)
     options = asked.for_instrument(None)
     check_plane(focal_plane)
-    arrays = {"required": required, "subpriority": subpriority}
-    warn_of_unused_options([asked], focal_plane, rng, [name for name, values in arrays.items() if values is not None])
-    if avoid is not None and options.sky_separation is None:
-        warn_no_effect("avoid", "without sky_separation, the distance between sky positions and other objects")
     points = to_points_mm(xy, "xy")
     n = len(points)
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
@@ -154,6 +150,10 @@ def allocate(
     elif options.breaks_ties:
         order = tie_order(points)
     others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
+    arrays = {"required": required, "subpriority": subpriority}
+    warn_of_unused_options([asked], focal_plane, rng, [name for name, values in arrays.items() if values is not None])
+    if avoid is not None and options.sky_separation is None:
+        warn_no_effect("avoid", "without sky_separation, the distance between sky positions and other objects")
     rng = to_generator(rng)
     points = points.copy()  # the allocation must not change if the caller changes the positions
     return assign(focal_plane, points, columns, options, rng, forbidden=forbidden, avoid=others, order=order)

@@ -364,7 +364,7 @@ class Catalog:
         InputError
             If the catalog has proper motions but no epoch.
         """
-        time = to_time(time, "time", one=True)
+        time = to_time(time, "time")
         still = self.epoch is None and not moving(self.coord).any()
         if still or not self.has_proper_motion or len(self) == 0:
             return self

@@ -207,5 +207,6 @@ def draw_field(ax, sky_map: SkyMap, targets, region):
         size = float(np.clip(60 / np.sqrt(len(targets)), 0.5, 2.5))
         style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": "black"}
         ax.plot(*sky_map.to_xy(targets).T, markersize=size, alpha=0.6, zorder=2.5, **style)
-        ax.set(xlim=limits[0], ylim=limits[1])
+        if sky_map.kind != "whole":  # maps of the whole sky have fixed limits
+            ax.set(xlim=limits[0], ylim=limits[1])
         yield legend_line(markersize=3, label=number_of(len(targets), "target"), **style)

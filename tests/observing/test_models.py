@@ -331,7 +331,7 @@ def test_the_command_plans_under_conditions(run, tmp_path):
     [
         (["--hour-angle", "3"], "--site must be given"),
         (["--site", "paranal"], "either a time or an hour_angle"),
-        (["--site", "paranal", "--time", "now"], "--time must be a UTC time such as"),
+        (["--site", "paranal", "--time", "now"], "--time must be a date and time (UTC) such as"),
         (["--site", "paranal", "--hour-angle", "1", "--wavelength", "BOSS"], "--wavelength must be"),
         (["--site", "1,2", "--hour-angle", "1"], "site must be longitude"),
         (["--projection", "full"], "must have conditions"),

@@ -143,9 +143,9 @@ def test_tiles_below_the_horizon_are_named(sky, presets):
         ({"hour_angle": [1, 2, 24.5]}, "hour_angle must be .* below 360 deg .* got 367.5 deg for tile 2"),
         ({"hour_angle": MaskedColumn([1.0, 2, 3], mask=[1, 0, 0])}, "got nan deg for tile 0"),
         ({"hour_angle": [1, 2, 3] * u.mm}, "hour_angle must be an angle"),
-        ({"time": [*TEXTS[:2], "then"]}, "time must be a date and time .* got 'then' for tile 2"),
-        ({"time": MaskedColumn(TEXTS, mask=[0, 1, 0])}, "time must be a date and time .* got '' for tile 1"),
-        ({"time": [2460427.0] * 3}, "time must be a date and time .* got '2460427.0' for tile 0"),
+        ({"time": [*TEXTS[:2], "then"]}, "time of tile 2 must be a date and time .* got 'then'"),
+        ({"time": MaskedColumn(TEXTS, mask=[0, 1, 0])}, "time of tile 1 must be a date and time .* got ''"),
+        ({"time": [2460427.0] * 3}, "time of tile 0 must be a date and time .* got 2460427.0"),
         ({"time": Time(["2025-12-10"] * 3), "hour_angle": [1, 2, 3]}, "at most one of the columns .* got both"),
     ],
 )

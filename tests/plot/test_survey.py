@@ -45,6 +45,18 @@ def outlines(ax):
     return [path.vertices[:-1] for path in drawn.get_paths()], drawn.get_array()
 
 
+@pytest.mark.parametrize("method", ["spiral", "max_density"])
+def test_targets_can_be_drawn_on_a_map_of_the_whole_sky(method):
+    """The map raised an error of matplotlib, because its limits cannot be set."""
+    z, lon = np.random.default_rng(1).uniform((-1, 0), (1, 360), (300, 2)).T
+    sky = SkyCoord(lon * u.deg, np.rad2deg(np.arcsin(z)) * u.deg)
+    tiling = rs.place_tiles(sky, radius=25 * u.deg, fibers=30, method=method)
+    for axes in ([rs.plot.plot_tiling(tiling, targets=sky)], rs.plot.draw_tiling(tiling, targets=sky).axes):
+        shown = [ax for ax in axes if ax.name == "aitoff"]
+        assert shown
+        assert any(len(line.get_xdata()) == 300 for line in shown[0].lines)
+
+
 def test_wide_tilings_show_the_whole_sky():
     """The outlines of fields in the center of the map, across its edge, and over a pole are correct."""
     tiling = rs.Tiling.from_table(QTable({"ra": [180, 0.5, 77, 300] * u.deg, "dec": [0, 30, 89, -30] * u.deg}))

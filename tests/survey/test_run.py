@@ -245,6 +245,7 @@ def test_a_part_from_other_circumstances_is_planned_again(case, folder, tmp_path
     assert (times <= survey.outcomes["requested"]).all()
 
 
+@pytest.mark.filterwarnings("ignore:requirement sky")
 def test_blank_sky_is_resumed(case, tmp_path):
     options = {"requirements": "sky=2", "sky_separation": 30 * u.arcsec}
     plan(case, tmp_path / "survey", **options)

@@ -263,6 +263,7 @@ def test_nothing_to_plan(sky, small):
     assert set(nobody.summary["outcomes"]) == {"not requested"}
 
 
+@pytest.mark.filterwarnings("ignore:requirement sky")
 def test_what_is_told_is_told_once(sky, small):
     twins = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 2)
     region = rs.Region.cap(CENTER, 1 * u.deg)
