@@ -19,6 +19,7 @@ from rfpsurvey.errors import (
     check_choice,
     check_keywords,
     check_switch,
+    check_whole,
     refusal,
     short,
     warn,
@@ -395,6 +396,5 @@ def _finish(table, summary, columns) -> Tiling:
 
 
 def _whole(value, name):
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise refusal(f"{name} must be a whole number of at least 1", value, Number)
+    check_whole(value, name)
     return int(value)
