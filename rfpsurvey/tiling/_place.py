@@ -210,7 +210,7 @@ def place_tiles(
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    number = usable if fibers.number is None else int(fibers.number)
+    number = usable if fibers.number is None else _whole(fibers.number, "fibers")
     index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
     if fibers.min_separation is not None:
