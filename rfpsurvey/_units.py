@@ -256,7 +256,7 @@ def to_numbers(value: object, name: str, *, unitless: bool = False) -> np.ndarra
     values = to_dimensionless(value, name) if unitless else to_plain(value, name)
     try:
         numbers = values.astype(float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:  # integers of Python can exceed the range of floats
         raise InputError(f"{name} must be numbers: {error}") from None
     if values.dtype.kind in "iu" and values.size and (wide := (values > 2**53) | (values < -(2**53))).any():
         raise InputError(
@@ -282,7 +282,7 @@ def to_visits(visits: object, n: int) -> np.ndarray:
         values = to_dimensionless(visits, "visits").astype(float)
     except InputError:
         raise
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"visits must be whole numbers, got {short(visits)}") from None
     if values.shape not in ((), (n,)):
         raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")

@@ -19,6 +19,7 @@ from rfpsurvey.errors import (
     check_choice,
     check_keywords,
     check_switch,
+    check_whole,
     refusal,
     short,
     warn,
@@ -209,7 +210,7 @@ def place_tiles(
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    number = usable if fibers.number is None else int(fibers.number)
+    number = usable if fibers.number is None else _whole(fibers.number, "fibers")
     index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
     if fibers.min_separation is not None:
@@ -393,6 +394,5 @@ def _finish(table, summary, columns) -> Tiling:
 
 
 def _whole(value, name):
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise refusal(f"{name} must be a whole number of at least 1", value, Number)
+    check_whole(value, name)
     return int(value)

@@ -5,6 +5,7 @@ import sys
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
@@ -503,3 +504,9 @@ def test_numbers_of_hundreds_of_digits_are_refused(tmp_path, run, digits, option
     assert code == 2
     assert len(error) < 1200
     assert "Traceback" not in error
+
+
+def test_visits_of_hundreds_of_digits_are_refused():
+    """Such a number caused an OverflowError."""
+    with pytest.raises(rs.InputError, match=r"visits must be"):
+        rs.Catalog(SkyCoord([0], [0], unit="deg"), visits=[10**400])
