@@ -21,6 +21,7 @@ from rfpsurvey.plans._pfsdesign_write import (
     FROM_TILE,
     NATIVE,
     PFI_ANGLE,
+    REQUIRED,
     check_fibers,
     design_id,
     wrapped,
@@ -40,7 +41,6 @@ COLUMNS = {
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kind of target for each ``targetType``; fibers with another ``targetType`` have no target."""
 NO_FILTER = "none"
-REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
 STRUCTURE = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|TFIELDS|THEAP|EXTNAME|CHECKSUM|DATASUM|"
     r"T(TYPE|FORM|UNIT|NULL|SCAL|ZERO|DISP|DIM|BCOL)\d+|"

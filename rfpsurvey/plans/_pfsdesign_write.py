@@ -24,6 +24,7 @@ __all__ = [
     "FROM_TILE",
     "NATIVE",
     "PFI_ANGLE",
+    "REQUIRED",
     "check_fibers",
     "design_id",
     "wrapped",
@@ -37,6 +38,7 @@ PFI_ANGLE = -89.898
 TYPES = {"science": 1, "sky": 2, "standard": 3}
 UNASSIGNED, ENGINEERING, GOOD, NO_COBRA = 4, 5, 1, 65533
 NATIVE = {"target_id": "objId", "ra": "ra", "dec": "dec", "pm_ra": "pmRa", "pm_dec": "pmDec"}
+REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
 FORMATS = {
     "fiberId": "J",
     "cobraId": "J",
@@ -161,6 +163,9 @@ def _rows(plan: QTable, path: Path) -> dict:
         else:
             values = plain[name]
         found[native] = values, _text_form(values) if form.endswith("A") else form
+    for name in REQUIRED:
+        if name not in found:
+            raise InputError(f"{path}: formats in the meta of the plan must have {name!r}, got {listed(found)}")
     return found
 
 

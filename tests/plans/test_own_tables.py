@@ -109,6 +109,10 @@ def test_other_units_types_and_masks_are_converted(tmp_path, tile):
 
 def test_private_entries_of_a_plan_that_are_damaged_are_refused_when_it_is_written(tmp_path):
     plan = plans.read_plan(write_design(tmp_path / "d.fits"))
+    formats = plan.meta["formats"]
+    plan.meta["formats"] = formats[1:]
+    with pytest.raises(rs.InputError, match="formats in the meta of the plan must have 'fiberId', got tract"):
+        plans.write_plan(plan, tmp_path / "e.fits", format="pfsdesign")
     plan.meta["formats"] = [1, 2]
     with pytest.raises(rs.InputError, match="e.fits: the plan cannot be written, because it is damaged: "):
         plans.write_plan(plan, tmp_path / "e.fits", format="pfsdesign")
