@@ -107,7 +107,7 @@ def test_probabilities_with_margins(run):
     values, shape = [], ("desi", "--arm-model", "elbow_to_tip")
     for extra in ((), ("--margins", "outer=1.5")):
         code, out, err = run("probability", *shape, "--method", "close_pair", *extra)
-        assert code == 0, err
+        assert (code, err) == (0, "")
         assert ("margins: outer 1.5 mm" in out) == bool(extra)
         values.append(float(out.split("collision probability")[1].split()[0]))
     assert values[0] != values[1]
