@@ -200,7 +200,8 @@ def collision_probability(
             name = cheapest("allocated", options.allocator, source)
             answer, _ = find_method(name)
         warn_of_unused_options([options], plane)
-    given = {"density": density, "variant": variant, "targets": targets, "center": center}
+    usual = isinstance(targets, RandomTargets) and targets == RandomTargets()
+    given = {"density": density, "variant": variant, "targets": "uniform" if usual else targets, "center": center}
     given["most_entries"] = most_entries
     _warn_of_unused(name if method == "auto" else method, options, precision, rng, given)
     precision = precision.for_method(name)
