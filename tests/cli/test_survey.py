@@ -237,7 +237,7 @@ def test_columns_and_units_of_tiles_can_be_given(call, files, tmp_path, words):
     assert "columns of tiles: tile: who, ra: alpha, dec: delta\n" in out
     assert "2" in next(line for line in out.splitlines() if line.startswith("tiles ")).split()
     assert "no target was observed" not in err  # the centers are where the targets are
-    options = "--tiles-column and --tiles-unit must be used with a table of tiles"
+    options = "--tiles-column, --tiles-unit and --tiles-hdu must be used with a table of tiles"
     assert options in call(words[0], "--tiles-unit", "ra=deg", code=2)[1]
 
 
