@@ -1,5 +1,7 @@
 """Convert columns with units to quantities, except integers that floating-point numbers cannot represent."""
 
+import warnings
+
 import numpy as np
 from astropy.table import Column, QTable, Table
 from astropy.units import dimensionless_unscaled
@@ -21,7 +23,9 @@ def with_quantities(table: Table, where: str = "") -> QTable:
         is_whole = isinstance(column, Column) and column.unit is not None and column.dtype.kind in "iu"
         if is_whole and without_unit(np.ma.filled(column, 0), f"{where}the column {name!r}", column.unit):
             column.unit = None
-    return QTable(table)
+    with warnings.catch_warnings():  # text can have a unit, such as h:m:s of sexagesimal text
+        warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
+        return QTable(table)
 
 
 def without_unit(integers: np.ndarray, what: str, unit: object) -> bool:

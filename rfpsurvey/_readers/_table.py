@@ -1,7 +1,6 @@
 """Read tables in all supported formats."""
 
 import os
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +84,7 @@ def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: st
         options = (hdu, remedy) if FORMATS[suffix] == "fits" else ()
         if hdu is not None and not options:
             raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
-        with warnings.catch_warnings():  # sexagesimal text can have a unit, such as h:m:s
-            warnings.filterwarnings("ignore", message="column .* has a unit but is kept as a")
-            table = with_quantities(READERS[FORMATS[suffix]](path, *options), f"{path}: ")
+        table = with_quantities(READERS[FORMATS[suffix]](path, *options), f"{path}: ")
         for name in table.colnames:
             _make_text(table, name, path)
         check_size(table.meta, path)
