@@ -195,6 +195,10 @@ def print_summary(tile: "rs.Tile") -> None:
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_objectives(tile)
+    kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
+    if kinds and not values["requirements"]:
+        example = " ".join(f"--require {kind}=20" for kind in sorted(kinds))
+        print(f"standard stars and sky positions are assigned only if numbers of them are required, such as {example}")
     if tile.completeness is not None and len(tile.completeness) > 1:
         print(
             "number of targets of the field by kind, category and priority; a target is observed if it is assigned "

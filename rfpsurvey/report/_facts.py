@@ -18,7 +18,7 @@ TILE = {
     "n_targets": "targets in the catalog",
     "n_dropped": "  removed (coordinates not finite)",
     "n_in_field": "  in the field",
-    "n_set_aside": "  not requested (sky, standards)",
+    "n_set_aside": "  sky, standards or 0 visits",
     "n_reachable": "  in reach of a positioner",
     "n_rows_ignored": "table rows without an assignment",
     "n_skipped": "assigned rows without a position",

@@ -51,11 +51,7 @@ def test_targets_of_desi_are_planned(call, real_data, presets, name, priority, v
     inside = coord.separation(PLEIADES) < presets["desi"].field_radius
     assert abs(int(lines["in the field"][0]) - inside.sum()) <= 1  # a target at the edge of the field
     assert (
-        abs(
-            int(lines["in the field"][0])
-            - int(lines["not requested (sky, standards)"][0])
-            - (inside & (wanted > 0)).sum()
-        )
+        abs(int(lines["in the field"][0]) - int(lines["sky, standards or 0 visits"][0]) - (inside & (wanted > 0)).sum())
         <= 1
     )
     rows = [line.split() for line in out.splitlines() if line.split()[:2] == ["science", "all"]]
@@ -108,7 +104,10 @@ def test_candidates_of_sdssv_are_planned(call, real_data, presets):
     path = real_data("sdssv_robostrategy_field_a.ecsv")
     table = Table.read(path)
     words = (path, "--instrument", "sdss_apo", "--center", "269.59 66.55", "--pa", 40)
+    hint = "standard stars and sky positions are assigned only if numbers of them are required"
+    assert hint in call("plan", *words)[0]
     out, lines, warnings = call("plan", *words, "--require", "sky_boss=20", "--require", "standard_boss=5")
+    assert hint not in out
     assert warnings == []
     assert "SDSS-V candidates: priority: priority (reversed sign), visits: none, category: category" in out
     assert lines["targets in the catalog"] == [str(len(table))]
