@@ -14,11 +14,11 @@ from astropy.time import Time
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from rfpsurvey._io import output_path, suffix_of
-from rfpsurvey._readers import content_of, is_number, sentence
+from rfpsurvey._readers import content_of, head_of, is_number, sentence
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
-from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 

@@ -14,11 +14,11 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._io import check_fits_text, output_path, suffix_of
-from rfpsurvey._readers import read_tables, sentence
+from rfpsurvey._readers import head_of, read_tables, sentence
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
-from rfpsurvey.plans._values import from_keywords, head_of, to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 

@@ -11,7 +11,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._readers import read_fits_units
+from rfpsurvey._readers import head_of, read_fits_units
 from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import (
@@ -28,7 +28,7 @@ from rfpsurvey.plans._pfsdesign_write import (
     write,
 )
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
-from rfpsurvey.plans._values import from_keywords, head_of
+from rfpsurvey.plans._values import from_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
 

@@ -1,30 +1,15 @@
-"""Parts of plan files: first bytes, columns of narrower types, and keywords that describe the projection."""
-
-import gzip
-import zlib
-from pathlib import Path
+"""Parts of plan files: columns of narrower types, and keywords that describe the projection."""
 
 import numpy as np
 
 from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError
 
-__all__ = ["ENTRIES", "from_keywords", "head_of", "to_keywords", "to_type", "without_keywords"]
+__all__ = ["ENTRIES", "from_keywords", "to_keywords", "to_type", "without_keywords"]
 
 PREFIX = "rfpsurvey."
 ENTRIES = ("north_of", "projection", "conditions")
 """Entries of the ``meta`` of a plan that describe how its sky positions were projected."""
-
-
-def head_of(path: Path, n: int) -> bytes:
-    """Return the first bytes of a file, after decompression with gzip if necessary; empty if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            opener = gzip.open if file.read(2) == b"\x1f\x8b" else open
-        with opener(path, "rb") as file:
-            return file.read(n)
-    except (OSError, EOFError, zlib.error):
-        return b""
 
 
 def to_type(values: np.ndarray, dtype: str, what: str) -> np.ndarray:
