@@ -142,6 +142,8 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
         return center
     words = center.replace(",", " ").split()
     try:
+        if len(words) < 2:
+            raise ValueError("the declination is missing")
         if len(words) == 2 and all(is_number(word) for word in words):
             if not abs(float(words[0])) <= 360:
                 raise ValueError("the right ascension must lie between -360 and 360 deg")

@@ -40,7 +40,7 @@ LONGEST = 60
 # Of a word that has more than three times this number of characters, a message contains the beginning and the end.
 WORD = 100
 LONG_GAP = re.compile(r"\s{9,}")
-LONG_WORD = re.compile(rf"\S{{{3 * WORD + 1},}}")
+LONG_WORD = re.compile(rf"[^\s/\\]{{{3 * WORD + 1},}}")  # paths are divided into the names of folders
 MOST_CHOICES = 60
 MOST_WHOLE = 2**53
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the

@@ -100,6 +100,8 @@ def test_messages_have_one_line_without_control_characters():
     assert text.endswith("777, in row 1")
     assert len(text) < 300
     assert short(10**5000) == "int with too many digits"
+    path = "/data" + "/folder_with_a_name" * 30
+    assert path in str(rs.InputError(f"{path}: there is no such file"))
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,8 @@ def test_epochs_matter_only_where_something_moves():
     deg, pm = u.deg, u.mas / u.yr
     base = {"ra": [1, 2] * deg, "dec": [1, 2] * deg}
     assert rs.Catalog.from_table(QTable({**base, "ref_epoch": [0.0, np.nan]})).epoch is None
-    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["J2000", "?"]})).epoch is None
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["J2000", "?"]})).epoch.jyear == 2000
+    assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["?", "x"]})).epoch is None
     moving = {**base, "pmra": [5, np.nan] * pm, "pmdec": [5, np.nan] * pm, "ref_epoch": [2015.5, 0.0]}
     assert rs.Catalog.from_table(QTable(moving)).epoch.jyear == pytest.approx(2015.5)
     assert rs.Catalog.from_table(QTable(base, meta={"ref_epoch": ""})).epoch is None

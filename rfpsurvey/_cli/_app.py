@@ -107,6 +107,8 @@ def model_of(
     model = model if broken is None else model.with_states(broken, time=time)
     if states := describe_states(model):
         print(states)
+    elif asked is not None:
+        warn_no_effect("--state-time", "because no states of positioners are given")
     return with_margins(model if arm_model is None else model.with_arm_model(arm_model), margins)
 
 

@@ -38,7 +38,9 @@ SiteOption = Annotated[
         "LONGITUDE,LATITUDE,HEIGHT (deg, deg, m). Without a site, refraction is neglected."
     ),
 ]
-TimeOption = Annotated[str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00.")]
+TimeOption = Annotated[
+    str | None, typer.Option(help="Midpoint of the exposure (UTC), such as 2026-07-01T06:30:00. Also give --site.")
+]
 HourAngleOption = Annotated[
     float | None, typer.Option(help="Hour angle of the field center (hours, positive in the west), in place of --time.")
 ]

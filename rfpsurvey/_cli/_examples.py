@@ -31,7 +31,8 @@ CONVERT_EXAMPLES = """\b
 Examples:
   rfpsurvey convert confSummary-26.par plan.ecsv
   rfpsurvey convert tile.fits confSummary-26.par.gz
-  rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign --overwrite
+  rfpsurvey plan targets.fits --instrument fp-metrology.csv --output tile.fits
+  rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign
 """
 
 SCORE_EXAMPLES = """\b

@@ -7,7 +7,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey.errors import warn_of_unused
+from rfpsurvey.errors import warn_no_effect
 
 __all__ = ["FixedOption", "GapOption", "IterationsOption", "JointTimeOption", "joint_order"]
 
@@ -44,7 +44,9 @@ def joint_order(order: str, gap: float | None, iterations: int | None, seconds: 
     given = {name: value for name, value in given.items() if value is not None}
     if order == "joint":
         return rs.JointOptions(**given, inform=_print_gain)
-    warn_of_unused(given, [order], {"joint": given, "color": (), "given": ()}, "order")
+    names = {"gap": "--joint-gap", "iterations": "--joint-iterations", "fixed": "--fixed", "time_limit": "--joint-time"}
+    for name in given:
+        warn_no_effect(names[name], "without --order joint")
     return order
 
 

@@ -151,15 +151,19 @@ def _complain(error: Exception) -> int:
 
 
 def _with_options(text: str, words: list[str]) -> str:
-    """Replace the names of parameters in a message by the command-line options that the user typed."""
+    """Replace the names of parameters in a message by the command-line options that the user typed.
+
+    Of two forms of a remedy, such as "overwrite=True (or --overwrite)", only the option remains.
+    """
     typed = {word.partition("=")[0] for word in words if word.startswith("--")}
 
     def option(match: re.Match) -> str:
         names = "--" + match[0].replace("_", "-"), OPTIONS.get(match[0])
         return next((name for name in names if name in typed), match[0])
 
+    text = re.sub(r"[a-z_]+=\S* \(or (--[a-z-]+(?: \w+)?)\)", r"\1", text)
     text = re.sub(r"^[a-z_]+(?= (must|has no effect) )", option, text)
-    return re.sub(r"(?<![\w'=-])[a-z]+(_[a-z]+)+(?![\w'=(])", option, text)
+    return re.sub(r"(?<![\w'=-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
 
 
 def _flush(code: int) -> int:

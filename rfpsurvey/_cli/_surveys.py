@@ -132,8 +132,9 @@ def run(
 ) -> None:
     """Plan a survey and print its summary; write the plots and the report if requested."""
     begin = perf_counter()
+    stored = "finished tiles" if isinstance(options["order"], str) else "state of the search and the finished tiles"
     kept = (
-        "the finished tiles are stored in the folder; continue with --resume"
+        f"the {stored} are stored in the folder; continue with --resume"
         if options["folder"]
         else "no tiles were stored, because --folder was not given"
     )

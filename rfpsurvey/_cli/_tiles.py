@@ -7,6 +7,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
+from rfpsurvey.errors import warn_no_effect
 
 __all__ = ["CentersOption", "TilesColumnOption", "TilesHduOption", "TilesOption", "TilesUnitOption", "read_tiles"]
 
@@ -49,8 +50,9 @@ def read_tiles(
     """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
     columns, units = _app.parse_pairs(column, "--tiles-column"), _app.parse_pairs(unit, "--tiles-unit")
     if path is None:
-        if columns or units or hdu:
-            raise rs.InputError("--tiles-column, --tiles-unit and --tiles-hdu must be used with a table of tiles")
+        for name, value in {"column": columns, "unit": units, "hdu": hdu}.items():
+            if value:
+                warn_no_effect(f"--tiles-{name}", "without a table of tiles")
         return None
     tiling = rs.Tiling.read(path, columns, units, hdu)
     meta = tiling.table.meta

@@ -179,7 +179,7 @@ def _applies(row: Row, moments: list[datetime], what: str) -> bool:
     if not moments:
         raise InputError(
             f"{what}: the time of the observation must be given, because rows have dates (columns from and to), got no "
-            "time; give time= in Python, or --state-time on the command line"
+            "time; give time= (or --state-time)"
         )
     n = bisect_left(moments, row.end) - bisect_left(moments, row.first)
     if 0 < n < len(moments):

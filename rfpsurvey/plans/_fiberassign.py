@@ -307,8 +307,9 @@ def _locations(plan, path) -> np.ndarray:
         wrong = (ids < 0) | (ids // 1000 >= N_PETALS) | (ids % 1000 > MOST_DEVICE)
     if wrong.any():
         raise InputError(
-            f"positioner must be a LOCATION of DESI (1000 times the petal plus the device), got {ids[wrong][0]}; plan "
-            "with Instrument.from_desi, whose ids are locations"
+            f"{path}: positioner must be a LOCATION of DESI (1000 times the petal plus the device), got "
+            f"{ids[wrong][0]}; plan with DESI as built (Instrument.from_desi, or --instrument with the path of a file "
+            "such as fp-metrology.csv), whose identifiers are locations, instead of the preset"
         )
     _check_ids(ids, path)
     return ids.astype(np.int64)

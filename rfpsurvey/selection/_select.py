@@ -134,7 +134,9 @@ def selection_probabilities(
     begin = perf_counter()
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume requires the folder of an unfinished computation, got no folder")
+        raise InputError(
+            "the folder of the computation to resume must be given with folder= (or --folder), got no folder"
+        )
     check_choice(order, ("color", "given"), "order")
     if getattr(allocator, "subpriority", None) is not None:
         raise InputError(

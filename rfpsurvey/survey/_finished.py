@@ -32,9 +32,12 @@ def read_finished(folder: Path, n_tiles: int, *, joint: bool) -> Survey | None:
     except InputError:
         return None
     outcomes = survey.outcomes
-    times = np.bincount(np.concatenate(rows), minlength=len(outcomes))
+    rows = np.concatenate(rows)
+    if (rows >= len(outcomes)).any():
+        return None
+    times = np.bincount(rows, minlength=len(outcomes))
     is_requested = np.asarray(outcomes["requested"]) > 0  # standards and sky positions have no requested visits
-    if len(times) > len(outcomes) or (times != np.asarray(outcomes["observed"]))[is_requested].any():
+    if (times != np.asarray(outcomes["observed"]))[is_requested].any():
         return None
     if survey.joint is not None:
         survey.joint["seconds"] = np.nan

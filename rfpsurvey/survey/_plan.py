@@ -29,7 +29,7 @@ from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_targets
+from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_programs, warn_of_targets
 
 __all__ = ["plan_survey", "prepare_request"]
 
@@ -151,7 +151,7 @@ def plan_survey(
     """
     begin = perf_counter()
     if check_switch(resume, "resume") and folder is None:
-        raise InputError("resume requires the folder of an unfinished survey, got no folder")
+        raise InputError("the folder of the survey to resume must be given with folder= (or --folder), got no folder")
     request = prepare_request(
         catalog,
         instrument,
@@ -189,8 +189,9 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
-    warn_of_unused_options([asked], instrument.focal_plane, rng)
     tiles, joint = as_tiling(tiling), as_joint(order)
+    warn_of_unused_options([asked], instrument.focal_plane, rng if joint is None else 0)  # a joint search uses rng
+    warn_of_programs(tiles)
     times = times_of_tiles(tiles) if len(tiles) else None
     if isinstance(catalog, PartitionedCatalog):
         used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)

@@ -6,7 +6,7 @@ from astropy.coordinates import FK5, SkyCoord
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_time
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 
 __all__ = [
     "field_center",
@@ -14,6 +14,7 @@ __all__ = [
     "north_of_date",
     "recorded_equinox",
     "recorded_projection",
+    "warn_of_north",
     "where",
 ]
 
@@ -33,6 +34,15 @@ def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
     If ``equinox`` is None, the center is returned unchanged.
     """
     return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox", one=True)))
+
+
+def warn_of_north(form: str, *, is_given: bool) -> None:
+    """Warn that SDSS-V measures position angles from the north of date, if its files do not state the north."""
+    if form.startswith("SDSS-V") and not is_given:
+        warn(
+            "the position angle is measured from the north of ICRS, because the file does not state the north; SDSS-V "
+            "uses the north of date: give equinox= (or --equinox), or a center in FK5 of this equinox"
+        )
 
 
 def field_center(table) -> SkyCoord:

@@ -37,7 +37,7 @@ from rfpsurvey.pipeline import (
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import where
+from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
@@ -140,6 +140,8 @@ def plan_tile(
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
     center = to_center(catalog.mean_direction if center is None else center)
     plane = instrument.projection(center, position_angle)
+    has_north = center.frame.name != "icrs" or u.Quantity(position_angle).value == 0
+    warn_of_north(str(catalog.meta.get("columns", "")), is_given=has_north)
     plain, chosen = choose_projection(instrument, plane, conditions, projection)
     options = asked.for_instrument(instrument)
     warn_of_unused_options([asked], instrument.focal_plane, rng)

@@ -75,17 +75,12 @@ def sentence_of(posed: Arms, recorded: Recorded, status: np.ndarray) -> str:
     return f"{number_of(int(idle.sum()), 'positioner')} without a target: {', '.join(parts)}" if parts else ""
 
 
-def warn_of_neglected(assigned: Table, *, sky: bool, north: bool) -> None:
+def warn_of_neglected(assigned: Table, *, sky: bool) -> None:
     """Warn of information in the assigned rows of a plan that its score neglects.
 
-    ``sky`` is whether sky positions are scored, and ``north`` whether the north of the position angle is given.
+    ``sky`` is whether sky positions are scored.
     """
     form, names = assigned.meta.get("format"), assigned.colnames
-    if sky and form == "confsummary" and not north:
-        warn(
-            "the position angle is measured from the north of ICRS, because the file does not state the north; SDSS-V "
-            "uses the north of date: give equinox"
-        )
     if sky and form == "confsummary" and {"delta_ra", "delta_dec"} <= {*names}:
         offsets = np.array([to_plain(assigned[name]) for name in ("delta_ra", "delta_dec")])
         n = int((~np.isin(offsets, (0, -999)) & np.isfinite(offsets)).any(axis=0).sum())

@@ -35,6 +35,7 @@ from rfpsurvey.tile._field import (
     north_of_date,
     recorded_equinox,
     recorded_projection,
+    warn_of_north,
     where,
 )
 from rfpsurvey.tile._recorded import find_recorded, sentence_of, warn_of_neglected
@@ -175,8 +176,10 @@ def score_tile(
         "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
     }
     north = center is not None or position_angle is not None or equinox is not None or "north_of" in table.meta
-    warn_of_neglected(part, sky=positions == "sky", north=north)
+    warn_of_neglected(part, sky=positions == "sky")
     if positions == "sky":
+        form = find.format.name if find.format else "SDSS-V" if part.meta.get("format") == "confsummary" else ""
+        warn_of_north(form, is_given=north)
         recorded, model = recorded_projection(part), None
         if conditions is None:
             model = recorded.get("projection")
@@ -214,7 +217,7 @@ def score_tile(
             "conditions": conditions,
         }
         for unused in (name for name, value in given.items() if value is not None):
-            remedy = "to use positions on the sky, give positions='sky'"
+            remedy = "to use positions on the sky, give positions='sky' (or --positions sky)"
             warn_no_effect(unused, f"because the table has positions on the focal plane; {remedy}")
         xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
         sky_deg = _sky_deg(find)

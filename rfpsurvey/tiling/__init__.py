@@ -12,7 +12,7 @@ from rfpsurvey.tiling._conditions import (
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
-from rfpsurvey.tiling._suspicion import warn_of_targets
+from rfpsurvey.tiling._suspicion import warn_of_programs, warn_of_targets
 from rfpsurvey.tiling._tiling import Tiling, as_tiling
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "place_tiles",
     "places_of_tiles",
     "times_of_tiles",
+    "warn_of_programs",
     "warn_of_targets",
     "when_of",
     "years_of_tiles",

@@ -1,12 +1,15 @@
-"""A warning for tables of targets that are given instead of tables of tiles."""
+"""Warnings for tables of targets that are given instead of tables of tiles, and for tiles of several programs."""
 
 import re
 
-from rfpsurvey.errors import number_of, warn
+import numpy as np
+
+from rfpsurvey._units import to_labels
+from rfpsurvey.errors import listed, number_of, warn
 from rfpsurvey.tiling._columns import COLUMNS
 from rfpsurvey.tiling._tiling import Tiling
 
-__all__ = ["warn_of_targets"]
+__all__ = ["warn_of_programs", "warn_of_targets"]
 
 OF_TILES = re.compile(
     r".*(tile|plate|field|center|racen|ra_cen|dece?cen|dec_cen|pass|layer|pos_?ang|position_?angle).*|pa|program"
@@ -35,4 +38,15 @@ def warn_of_targets(tiling: Tiling, n_targets: int) -> None:
         warn(
             f"the {number_of(len(tiling), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
             "one tile per row; if they are targets, give a list of tiles instead (see place_tiles or 'rfpsurvey tile')"
+        )
+
+
+def warn_of_programs(tiling: Tiling) -> None:
+    """Warn if the tiles belong to several programs, such as DARK and BRIGHT of DESI, which the plan does not use."""
+    name = next((name for name in tiling.table.colnames if name.lower() == "program"), None)
+    found = [] if name is None else np.unique(to_labels(tiling.table[name], f"column {name!r}")).tolist()
+    if len(found) > 1:
+        warn(
+            f"the tiles belong to {len(found)} programs ({name}: {listed(found)}), but every target can be observed on "
+            "all tiles; to plan one program, select its tiles"
         )

@@ -186,6 +186,8 @@ class Tiling:
         table, is_plain = as_table(table, index_as_id=False)
         names = find_names(table, columns)
         table, said = without_others(table)
+        meta = {name: value for name, value in table.meta.items() if name != "omitted"} | {"columns": names}
+        meta |= {"omitted": said} if said else {}
         n, found = len(table), read_angles(table, names, units, silent=assume_units or is_plain or bool(said))
         result = QTable(
             {
@@ -195,7 +197,7 @@ class Tiling:
                 "position_angle": found.get("position_angle", np.zeros(n) * u.deg),
                 "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
             },
-            meta={**table.meta, "columns": names, **({"omitted": said} if said else {})},
+            meta=meta,
         )
         for name in table.colnames:
             if name not in names.values() and name not in COLUMNS:

@@ -83,6 +83,7 @@ def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
 @pytest.mark.parametrize("seed", [*range(16), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(16, 40))])
 def test_repair_of_few_candidates_keeps_its_bound_and_leaves_no_collision(monkeypatch, seed):
     plane, xy, options = case = crowded_case(seed)
+    options.pop("objective", None)  # repair does not use it
     few = both_ways(monkeypatch, case, "repair")[0]
     best = flat.allocate(plane, xy * MM, allocator="optimal", **options)
     assert tuple(level.value for level in few.levels) <= tuple(level.value for level in best.levels)

@@ -127,7 +127,10 @@ def test_dataframes_that_are_refused_are_not_pasted(frame):
         (lambda: rs.plan_tile([1], "sdss_apo"), "catalog must be a Catalog, SkyCoord, Table or DataFrame, got [1]"),
         (lambda: rs.plan_tile(frame, frame), "TOML file, got a DataFrame of 300 rows"),
         (lambda: rs.plan_tile(frame, "sdss_apo", frame), "center must be a SkyCoord, got a DataFrame of 300 rows"),
-        (lambda: rs.plan_tile(frame, "sdss_apo", epoch=frame), "or a date, got a DataFrame of 300 rows"),
+        (
+            lambda: rs.plan_tile(frame, "sdss_apo", epoch=frame),
+            "or a date such as 2026-07-01, got a DataFrame of 300 rows",
+        ),
         (lambda: rs.plan_tile(frame, "sdss_apo", rng=frame), "or None, got a DataFrame of 300 rows"),
         (lambda: rs.AllocationOptions(sky_separation=frame), "got a DataFrame of 300 rows without a unit"),
         (lambda: rs.AllocationOptions(frame), "unknown allocator a DataFrame of 300 rows"),
@@ -282,7 +285,9 @@ def test_epochs_of_tables_without_proper_motions():
     moving = {**base, "pmra": [1.0, 2.0] * u.mas / u.yr, "pmdec": [1.0, 2.0] * u.mas / u.yr}
     assert rs.Catalog.from_table(QTable(base, meta={"REF_EPOCH": "sometime"})).epoch is None
     assert rs.Catalog.from_table(QTable({**base, "ref_epoch": ["x", "y"]})).epoch is None
-    with pytest.raises(rs.InputError, match=r"column 'ref_epoch' \(epoch\) must be a Time, .* or a date, got 'x'"):
+    with pytest.raises(
+        rs.InputError, match=r"column 'ref_epoch' \(epoch\) must be a Time, .* or a date such as .*, got 'x'"
+    ):
         rs.Catalog.from_table(QTable({**moving, "ref_epoch": ["x", "y"]}))
     times = Time([2015.5, 2016.0], format="jyear")
     assert rs.Catalog.from_table(QTable({**moving, "ref_epoch": times})).epoch.jyear.tolist() == [2015.5, 2016.0]

@@ -93,7 +93,10 @@ FILES = [
         "site = 'xinglong'\nhour_angle = '0 deg'\npressure = 'high'",
         ": pressure must be text such as '720 hPa', got 'hi",
     ),
-    ("site = []\nhour_angle = '0 deg'", ": site must be longitude, latitude (deg) and height (m), got []"),
+    (
+        "site = []\nhour_angle = '0 deg'",
+        ": site must be longitude, latitude (deg) and height (m, at most 100000), got []",
+    ),
 ]
 
 

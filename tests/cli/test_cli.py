@@ -121,7 +121,7 @@ def test_benchmark(run, tmp_path):
     assert QTable.read(chart.with_suffix(".ecsv"))["method"].tolist() == ["exact", "endpoints"]
     code, _, err = run(*call)
     assert code == 2
-    assert "chart.png exists" in err
+    assert "chart.ecsv exists" in err
     code, out, _ = run("benchmark", "batches", "--instrument", "sdss_apo", "--repeats", "1")
     assert code == 0
     assert "10000" in out
@@ -158,7 +158,7 @@ def test_score(run, tmp_path):
         (["survey", "--instrument", "moons", "--pass", 7], "--pass must be distinct passes of the tiling (1, 2)"),
         (["compare", "moons", "--targets=-1"], "--targets must be a positive number, got -1"),
         (["compare", "moons", "--density", "nan"], "--density must be one finite value above 0"),
-        (["compare", "moons", "--realizations", 0], "--realizations must be a whole number of at least 1"),
+        (["compare", "moons", "--realizations", 0], "--realizations must be a whole number from 1"),
     ],
 )
 def test_errors_name_the_option_that_was_typed(run, arguments, message):
@@ -231,7 +231,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
         (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
         (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
         (["--output", "{no}/tile.fits"], "does not exist"),
-        (["--output", "{good}.ecsv"], "exists; to replace it, use overwrite=True"),
+        (["--output", "{good}.ecsv"], "exists; to replace it, use --overwrite"),
         (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
         (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
         (["{good}.ecsv", "--unit", "ra"], "--unit must have the form ROLE=UNIT"),

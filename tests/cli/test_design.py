@@ -43,7 +43,7 @@ def test_a_grid_is_scanned_printed_and_drawn(run, tmp_path, table):
     code, _, err = run("design", *axes, "--output", output)
     assert "exists; continue the scan (--resume" in sentence(code, err)
     code, _, err = run("design", *axes, "--output", output, "--resume", "--plot", plot)
-    assert "front.svg exists; to replace it, use overwrite=True (or --overwrite)" in sentence(code, err)
+    assert "front.svg exists; to replace it, use --overwrite" in sentence(code, err)
     assert run("design", *axes, "--output", output, "--resume", "--plot", plot, "--overwrite")[0] == 0
 
 

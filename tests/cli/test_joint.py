@@ -48,7 +48,9 @@ def test_every_option_reaches_the_library(run, words, monkeypatch):
     assert seen["order"].record == rs.JointOptions().record
     _, _, err = run(*words, *options)
     for name in ("joint-gap", "joint-iterations", "joint-time", "fixed"):
-        assert f"warning: --{name} has no effect with the order 'color'; only joint uses it" in err
+        assert f"warning: --{name} has no effect without --order joint" in err
+    _, _, err = run(*words, "--time-limit", 5, "--joint-time", 3)
+    assert "--time-limit has no effect" not in err
     assert seen["order"] == "color"
 
 

@@ -59,7 +59,7 @@ def test_visits_and_passes(run, files, tmp_path):
     ("words", "message"),
     [
         (("--output", "selection.csv"), "selection.csv: the name of this output file must end in .fits"),
-        (("--resume",), "resume requires the folder of an unfinished computation"),
+        (("--resume",), "the folder of the computation to resume must be given with --folder"),
         (("--visits", 300), "--visits must be whole numbers from 0 to 255"),
         (("--allocator", "nearer"), "unknown allocator 'nearer'"),
     ],
@@ -76,5 +76,5 @@ def test_existing_files_are_kept(run, files, tmp_path):
     output.write_text("mine")
     code, _, err = run(*words_of(files[0], "--realizations", 2, "--output", output))
     assert code == 2
-    assert "exists; to replace it, use overwrite=True" in err
+    assert "exists; to replace it, use --overwrite" in err
     assert output.read_text() == "mine"

@@ -104,6 +104,8 @@ def test_candidates_of_sdssv_are_planned(call, real_data, presets):
     path = real_data("sdssv_robostrategy_field_a.ecsv")
     table = Table.read(path)
     words = (path, "--instrument", "sdss_apo", "--center", "269.59 66.55", "--pa", 40)
+    assert any("SDSS-V uses the north of date: give --equinox" in text for text in call("plan", *words)[2])
+    words += ("--equinox", "J2021.0")
     hint = "standard stars and sky positions are assigned only if numbers of them are required"
     assert hint in call("plan", *words)[0]
     out, lines, warnings = call("plan", *words, "--require", "sky_boss=20", "--require", "standard_boss=5")

@@ -466,9 +466,7 @@ def test_files_without_a_site_are_refused(tmp_path):
     path = tmp_path / "conditions.toml"
     for text, got in (("", "none"), ("humidity = 0.2\n", "humidity")):
         path.write_text(text)
-        with pytest.raises(
-            rs.InputError, match=rf"conditions\.toml: the conditions must include the key site, got {got}"
-        ):
+        with pytest.raises(rs.InputError, match=rf"conditions\.toml must state the site, such as .*, got {got}"):
             rs.ObservingConditions.read(path)
     assert rs.ObservingConditions.read(path, site="paranal", hour_angle=0 * u.deg).humidity == 0.2
 

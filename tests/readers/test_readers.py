@@ -433,5 +433,12 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
         _io.fits_bytes(rows, {"COMMENT": "a text"}),
         content.replace(b"TTYPE2  = 'flag    '", b"TTYPE2  = 'name    '"),
         content.replace(b"TFORM3  = 'B       '", b"TFORM3  = 'X       '"),
+        content.replace(b"RA      =                 12.5", b"RA      =                  nan"),
+        content.replace(b"RA      =                 12.5", b"RA      =                1_000"),
+        content.replace(b"RA      =                 12.5", b"ra      =                 12.5"),
+        content.replace(b"TILE    = 'it is   '", b"TILE    = 'it is    "),
+        content.replace(b"TILE    = 'it is   '", b"TILE    = 'it is'  x"),
+        content.replace(b"TILE    = 'it is   '", b"TILE    = 'it \xe9s   '"),
+        content.replace(b"NAXIS   =                    2", b"NAXIS   =                    3"),
     ):
         assert read_plain(other) is None

@@ -267,7 +267,7 @@ def test_two_computations_in_one_folder_are_refused(case, tmp_path):
 
 def test_refused_folders(case, tmp_path):
     folder = tmp_path / "selection"
-    with pytest.raises(rs.InputError, match="resume requires the folder of an unfinished computation"):
+    with pytest.raises(rs.InputError, match="the folder of the computation to resume must be given"):
         compute(case, None, resume=True)
     compute(case, folder, 2)
     same(compute(case, folder, 2, resume=True), rs.SelectionProbabilities.read(folder))

@@ -43,6 +43,13 @@ def rows_of(survey):
     return [np.asarray(part["target_row"]).tolist() for part in survey]
 
 
+def test_a_joint_plan_uses_the_seed(case):
+    """A warning stated that the seed has no effect, although the search uses it."""
+    order = rs.JointOptions(iterations=3, patch_size=20)
+    plans = [rows_of(plan(case, order=order, rng=seed)) for seed in (1, 2, 3, 4)]  # a warning would fail the test
+    assert any(rows != plans[0] for rows in plans)
+
+
 def test_a_joint_plan_makes_more_visits(case, survey):
     before = plan(case, order="color")
     levels = survey.summary["joint"]["levels"]

@@ -103,7 +103,7 @@ def observed_by_survey(catalog, *args, **options):
 
 
 @pytest.mark.parametrize("allocator", ALLOCATORS)
-@pytest.mark.filterwarnings("ignore:required targets", "ignore:no target", "ignore:no tile")
+@pytest.mark.filterwarnings("ignore:required targets", "ignore:no target", "ignore:no tile", "ignore:requirement")
 def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, monkeypatch):
     """Regression: tiles of `place_tiles` did not observe required standards without a requirement, for example."""
     instrument, total = make_instrument(), 0
