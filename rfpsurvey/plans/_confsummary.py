@@ -4,6 +4,7 @@ import gzip
 import re
 import tempfile
 import warnings
+from collections.abc import Iterable
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -54,6 +55,7 @@ NATIVE = {
 
 A plan and a file contain the same values, except that missing numbers are -999 in a file, and NaN or -1 in a plan.
 """
+REQUIRED = ("holeId", "fiberType", "assigned")
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
 
@@ -74,9 +76,7 @@ def read(path: Path) -> QTable:
     ``dec_fiber`` are the position of the fiber on the sky.
     """
     rows, struct, header = _parse(path)
-    for name in ("holeId", "fiberType", "assigned"):
-        if name not in rows:
-            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {listed(rows)}")
+    _check_columns(rows, path)
     n = len(rows["holeId"])
     _check_fibers(rows["holeId"], rows["fiberType"], path)
     site = header.get("observatory", "")
@@ -255,6 +255,12 @@ def _is_nominal(plan: QTable) -> bool:
     return plan.meta["format"] == "tile" and plan.meta["header"].get("layout") != "as built"
 
 
+def _check_columns(names: Iterable[str], path: Path) -> None:
+    for name in REQUIRED:
+        if name not in names:
+            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {listed(names)}")
+
+
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the names and types of the columns of the file to write.
 
@@ -275,6 +281,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
             f"got {plan.meta['instrument']}"
         )
     struct, n, fields = _struct(plan), len(plan), []
+    _check_columns(struct, path)
     given = _given(plan, struct)
     _check_fibers(given["holeId"], given["fiberType"], path)
     for name, kind in struct.items():

@@ -315,3 +315,12 @@ def test_a_real_configuration_has_no_position_for_one_fiber_in_2021(real_data):
     lost = plan[~np.isfinite(plan["x"].value)]
     assert [*zip(lost["positioner"], lost["fiber_type"], strict=True)] == [("R+8C7", "BOSS")]
     assert plan["assigned"].sum() == 298
+
+
+def test_files_that_cannot_be_read_again_are_not_written(tmp_path, path):
+    """A plan without a required column was written."""
+    plan = plans.read_plan(path)
+    plan.meta["struct"] = [entry.replace("holeId", "hole") for entry in plan.meta["struct"]]
+    with pytest.raises(rs.InputError, match=r"b\.par: the table FIBERMAP must have the column 'holeId', got "):
+        plans.write_plan(plan, tmp_path / "b.par")
+    assert not (tmp_path / "b.par").exists()
