@@ -11,7 +11,7 @@ import hashlib
 import os
 import secrets
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -53,7 +53,11 @@ def _make_safe(file) -> None:
     """Let the cache of a kernel never contain incomplete or old code, even if numba is interrupted."""
     file._version = (file._version, _source_digest())
     file._open_for_write = _open_for_write
-    save = file._save_index
+    save, save_code = file._save_index, file.save
+
+    def save_if_possible(key, code):
+        with suppress(OSError):  # a kernel that cannot be stored, for example on a full disk, is compiled again later
+            save_code(key, code)
 
     def save_index(names):
         # numba writes the new names before the code; a file of old code could then have a new name
@@ -61,7 +65,7 @@ def _make_safe(file) -> None:
             Path(file._data_path(name)).unlink(missing_ok=True)
         save(names)
 
-    file._save_index = save_index
+    file._save_index, file.save = save_index, save_if_possible
 
 
 @contextmanager

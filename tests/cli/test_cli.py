@@ -502,7 +502,7 @@ def test_numbers_of_hundreds_of_digits_are_refused(tmp_path, run, digits, option
     words = options.format("9" * digits).split()
     code, _, error = run("plan", "example:anticenter", "--instrument", "moons", *words)
     assert code == 2
-    assert len(error) < 1200
+    assert len(error) < 1200 + digits  # some versions of click repeat the number
     assert "Traceback" not in error
 
 
