@@ -167,7 +167,8 @@ def place_tiles(
     by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
-    passes = _whole(passes, "passes")
+    check_whole(passes, "passes", high=10_000)
+    passes = int(passes)
     warn_of_unused_passes(method, passes, has_goal=not (n_tiles is None and completeness is None))
     if not (fibers.lost_in_collision or (by_positioners and not isinstance(field, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")

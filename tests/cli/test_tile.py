@@ -112,7 +112,7 @@ def test_the_embedded_default(tile):
         (["--allocator", "magic"], "unknown allocator 'magic'"),
         (["--region", "sky"], "use method='spiral'"),
         (["--method", "best"], "unknown method to place tiles 'best'"),
-        (["--passes", "0"], "passes must be a whole number of at least 1"),
+        (["--passes", "0"], "passes must be a whole number from 1 to 10000"),
         (["--completeness", "95"], "completeness must be a number above 0"),
         (["{folder}/no.fits"], "there is no such file"),
         (["{good}", "--output", "{folder}/x.csv"], "must end in .fits or .ecsv"),

@@ -330,7 +330,7 @@ def test_centers_restrict_coverings():
             {"centers": Centers(declination=(50, 60) * DEG)},
             "a part of the region must be within reach of centers from 50",
         ),
-        ({"passes": 0}, "passes must be a whole number of at least 1, got 0"),
+        ({"passes": 0}, "passes must be a whole number from 1 to 10000, got 0"),
         ({"radius": 2}, "radius must be a Quantity"),
         ({"radius": 95 * DEG}, "radius must be one finite value above 0 deg and below 90 deg"),
         ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
