@@ -121,3 +121,4 @@ def _end_workers() -> None:
     for worker in workers:
         worker.join(1.0)
         worker.kill()
+        worker.join(1.0)
