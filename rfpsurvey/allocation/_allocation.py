@@ -7,8 +7,8 @@ import numpy as np
 
 from rfpsurvey._display import to_html
 from rfpsurvey.allocation._answer import Level
-from rfpsurvey.allocation._requirements import Shortfall
 from rfpsurvey.collision import Arms, place_arms
+from rfpsurvey.constraints import Shortfall
 from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
 

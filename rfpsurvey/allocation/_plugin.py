@@ -12,6 +12,7 @@ from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._options import GROUP, AllocationOptions
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._uses import ALLOCATORS
+from rfpsurvey.constraints import named_plugins
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import elbow_names
 
@@ -28,8 +29,8 @@ def find_method(given: str | Callable) -> Callable[[AllocationProblem], Allocati
 
 
 def packages(options: AllocationOptions) -> dict[str, str]:
-    """Return the names and versions of the packages that provide the allocators ``allocator`` and ``start``."""
-    found, own = {}, name_of(options.allocator)
+    """Return the names and versions of the packages that provide allocators or constraints of the options."""
+    found, own = named_plugins(options.constraints), name_of(options.allocator)
     for name in (options.allocator, options.start) if own == "repair" or own not in METHODS else ():
         if isinstance(name, str) and name not in METHODS:
             found.update(find_plugin(GROUP, name, METHODS, "allocator").software)

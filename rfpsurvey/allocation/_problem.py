@@ -12,7 +12,7 @@ from rfpsurvey._units import exact_text, locked
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._options import AllocationOptions
-from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, hint_of_name
+from rfpsurvey.constraints import KINDS, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -147,7 +147,7 @@ class AllocationProblem:
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """The requirements of the plan."""
-        return self.options.requirements
+        return self.options.counts
 
     @property
     def objective(self) -> str:

@@ -4,7 +4,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import fields
 
 from rfpsurvey._units import is_seed_given
-from rfpsurvey.errors import warn_no_effect, warn_of_unused
+from rfpsurvey.allocation._constraints import abilities_of
+from rfpsurvey.constraints import ONLY_CHECKED
+from rfpsurvey.errors import listed, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = [
@@ -72,12 +74,28 @@ def warn_of_unused_options(
         Names of further options that were given.
     """
     first = options[0]
-    independent = ("parked_obstacles", "keep_out", "sky_separation")
+    independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints")
     given = [*(name for name in given_options(first) if name not in independent), *also]
     given += ["rng"] if is_seed_given(rng) else []
     warn_of_unused(given, [one.allocator for one in options], uses_with(first), "allocator")
+    _warn_of_only_checked(options)
     if plane is not None and not first.parked_obstacles:
         warn_of_parked(plane)
+
+
+def _warn_of_only_checked(options: Sequence) -> None:
+    """Issue a warning for each constraint that no allocator honors; the results only state how it is violated."""
+    abilities, first = [abilities_of(one.allocator) for one in options], options[0]
+    if None in abilities:  # allocators that are not built in may honor every constraint
+        return
+    for one in first.all_constraints:
+        is_checked = "obstacles" in one.parts or one in first.constraints
+        if is_checked and all(one.honored(able) == ONLY_CHECKED for able in abilities):
+            users = [name for name in ALLOCATORS if one.honored(abilities_of(name)) != ONLY_CHECKED]
+            name = f"'{one}'" if one in first.constraints else one.name
+            chosen = " and ".join(repr(name) for name in dict.fromkeys(option.allocator for option in options))
+            who = f"{listed(users)} can honor it" if users else "no allocator honors it"
+            warn_no_effect(name, f"with the allocator {chosen}, except that plans are checked; {who}")
 
 
 def warn_of_parked(plane: FocalPlane) -> None:

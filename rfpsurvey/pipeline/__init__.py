@@ -6,9 +6,10 @@ steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._constraints import are_among, mark_required, with_keep_out
-from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
+from rfpsurvey.pipeline._constraints import apply_constraints
+from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
+from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogFields, Field, reusable_targets
 
 __all__ = [
@@ -20,15 +21,13 @@ __all__ = [
     "FieldPlan",
     "FieldTargets",
     "Outcome",
-    "are_among",
+    "apply_constraints",
     "blank_ids",
     "category_classes",
     "field_radius_rad",
-    "mark_required",
     "outcome_codes",
     "plan_field",
     "priority_classes",
     "project_field",
     "reusable_targets",
-    "with_keep_out",
 ]

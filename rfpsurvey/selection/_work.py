@@ -9,7 +9,7 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.collision import find_collisions, make_setup, make_workspace
 from rfpsurvey.focal_plane import FocalPlaneArrays, Reach, elbow_names
-from rfpsurvey.pipeline import project_field, with_keep_out
+from rfpsurvey.pipeline import apply_constraints, project_field
 from rfpsurvey.selection._rules import RULES, Field
 from rfpsurvey.survey import Job, projection_of, work
 
@@ -60,15 +60,18 @@ def plan_together(given: BlockJob) -> BlockDone:
 def find_reach(job: Job):
     """Return the pairs of positioners and targets in reach, with the data from which they are computed.
 
-    The returned tuple contains the instrument, including the circles of the field that no arm may cover; the arrays of
+    The returned tuple contains the instrument, including the obstacles of constraints; the arrays of
     its focal plane; the pairs; the positions (mm) of the targets on the focal plane; and the fiber types that the
     targets require, or None.
     """
     projection, model = projection_of(job), job.model
-    instrument = with_keep_out(model.instrument, projection, model.options)
-    columns, targets = instrument.focal_plane.arrays, job.field.targets
+    targets = job.field.targets
+    applied = apply_constraints(model.instrument, projection, model.options, targets)
+    instrument, columns = applied.instrument, applied.instrument.focal_plane.arrays
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    return instrument, columns, columns.reach(xy, fiber_type), xy, fiber_type
+    pairs = columns.reach(xy, fiber_type)
+    pairs = pairs if applied.excluded is None else pairs.where(~applied.excluded[pairs.target])
+    return instrument, columns, pairs, xy, fiber_type
 
 
 def reach_counts(job: Job) -> np.ndarray:

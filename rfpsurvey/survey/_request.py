@@ -12,9 +12,10 @@ from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_dimensionless, to_visits
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
+from rfpsurvey.constraints import mark_required
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import blank_ids, mark_required, reusable_targets
+from rfpsurvey.pipeline import blank_ids, reusable_targets
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -229,6 +230,6 @@ def make_request(
     if visits is not None and np.ndim(visits):
         wanted = source.to_slots(wanted)
     wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
-    is_required = mark_required(options.required, source.ids_by_part())
+    is_required = mark_required(options.required_ids, source.ids_by_part())
     is_required = None if is_required is None else source.to_slots(is_required)
     return Request(source, tiling, place, passes, instrument, options, wanted, is_required, **others)

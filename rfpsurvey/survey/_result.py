@@ -3,7 +3,7 @@
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.allocation import brief
+from rfpsurvey.errors import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls

@@ -145,11 +145,7 @@ class Partitioned:
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
         slot, row, targets = zip(*found, strict=True)
-        vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
-        columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
-        extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
-        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0])
-        return Field(_stack(slot), _stack(row), targets)
+        return Field(_stack(slot), _stack(row), _stack_targets(targets))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of the values of the targets inside each circle.
@@ -211,6 +207,15 @@ class Partitioned:
     def digest(self) -> str:
         """Return a digest that identifies the catalog, computed from the columns that a survey requires."""
         return self._parts.digest()
+
+
+def _stack_targets(targets: tuple[FieldTargets, ...]) -> FieldTargets:
+    """Concatenate the targets of several partitions."""
+    vectors, ids, columns, others, extra, numbered, around = zip(*targets, strict=True)
+    columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
+    extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
+    around = None if around[0] is None else _stack_targets(around)
+    return FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0], around)
 
 
 def _stack(parts: tuple) -> np.ndarray | None:

@@ -17,23 +17,21 @@ from rfpsurvey.allocation import (
     AllocationOptions,
     TargetColumns,
     as_options,
-    brief,
     hint_of_name,
     packages,
     sentences,
     warn_of_unused_options,
 )
 from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
+from rfpsurvey.constraints import mark_required
 from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import (
     FieldPlan,
     FieldTargets,
-    are_among,
     blank_ids,
     field_radius_rad,
-    mark_required,
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
@@ -147,7 +145,7 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
-    is_required = mark_required(options.required, [catalog.id])
+    is_required = mark_required(options.required_ids, [catalog.id])
     n_required = 0 if is_required is None else int(is_required.sum())
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
@@ -195,7 +193,7 @@ def plan_tile(
         "kinds": counts_by_kind(catalog, rows, given, plan),
         "n_required": n_required,
         "n_required_observed": _n_required_observed(plan, columns["is_required"]),
-        "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
+        "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],
         "search": allocation.meta,
         "projection": chosen,
         "epoch": moved,
@@ -256,13 +254,6 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
     """Return the number of targets marked in ``is_required`` that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
     return 0 if is_required is None else int(is_required[observed].sum())
-
-
-def _outside(required: tuple, ids: np.ndarray) -> list[str]:
-    """Return a list with a sentence on the required targets outside the field; the list is empty if there are none."""
-    there = are_among(required, ids) if required else np.ones(0, dtype=bool)
-    outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
-    return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:

@@ -9,13 +9,13 @@ from astropy.time import Time
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.constraints import mark_required
 from rfpsurvey.errors import check_keywords, check_switch, refusal
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import (
     CatalogFields,
     blank_ids,
     field_radius_rad,
-    mark_required,
     plan_field,
     reusable_targets,
 )
@@ -174,7 +174,7 @@ class FocalPlaneFibers:
         else:
             self.places, self.conditions, self.radius = None, None, field_radius_rad(instrument)
         catalog = fields.catalog
-        self.is_required = mark_required(options.required, [catalog.id])
+        self.is_required = mark_required(options.required_ids, [catalog.id])
         reusable = reusable_targets(catalog.kind, options, self.is_required)
         self.reusable = None if reusable is None else fields.to_slots(reusable)
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"

@@ -14,7 +14,7 @@ from rfpsurvey.allocation._uses import USES
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
-INDEPENDENT = ("keep_out", "sky_separation")
+INDEPENDENT = ("keep_out", "sky_separation", "constraints")
 """Options that affect the results of every allocator."""
 
 

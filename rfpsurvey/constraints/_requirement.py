@@ -7,9 +7,10 @@ from numbers import Number
 
 import numpy as np
 
+from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
 
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "hint_of_name", "sentences"]
+__all__ = ["FORM", "KINDS", "Requirement", "as_requirements", "hint_of_name"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
@@ -19,7 +20,7 @@ MOST = 10**9
 
 @check_keywords
 @dataclass(frozen=True)
-class Requirement:
+class Requirement(Constraint):
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
@@ -59,6 +60,13 @@ class Requirement:
     maximum: int | None = None
     per: str = "tile"
     fiber_type: str = ""
+
+    uses_targets = False
+
+    @property
+    def counts(self) -> tuple["Requirement"]:
+        """The requirement itself."""
+        return (self,)
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
@@ -115,90 +123,6 @@ class Requirement:
 
     def __repr__(self):
         return f"Requirement({str(self)!r})"
-
-
-@dataclass(frozen=True)
-class Shortfall:
-    """A requirement that a plan does not meet, with the required number and the actual number of targets.
-
-    Parameters
-    ----------
-    requirement : Requirement or None
-        The requirement; None if targets of the parameter ``required`` have no fiber.
-    spectrograph : int or None
-        Spectrograph in which the requirement is not met; None if the requirement applies to the whole tile.
-    requested : int
-        Required number of targets; the maximum if the plan contains too many targets.
-    found : int
-        Number of targets in the plan that count toward the requirement.
-    possible : int
-        Number of targets that count toward the requirement and are in reach of positioners that can observe them.
-    hint : str, optional
-        A similar name that the user may have intended, or the reason why targets are missing.
-    """
-
-    requirement: Requirement | None
-    spectrograph: int | None
-    requested: int
-    found: int
-    possible: int
-    hint: str = ""
-
-    @property
-    def what(self) -> str:
-        """Description of the targets, such as ``sky targets for BOSS``."""
-        if self.requirement is None:
-            return "required targets"
-        fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
-        return f"{self.requirement.what} targets{fiber}"
-
-    def __str__(self):
-        where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
-        missing = self.requested - self.found
-        if missing < 0:
-            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.requested}"
-        why = f"; {_few(self.possible)} in reach" if self.possible < self.requested else ""
-        hint = f"; {self.hint}" if self.hint else ""
-        return f"{self.what}{where}: {self.found} of {self.requested}, {missing} missing{why}{hint}"
-
-
-def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
-    """Return one sentence for each requirement that is not met."""
-    by_requirement: dict = {}
-    for one in shortfalls:
-        by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
-    found = []
-    for (_, lacking), rows in by_requirement.items():
-        if len(rows) == 1 or not lacking:
-            found += [str(one) for one in rows]
-            continue
-        missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
-        places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
-        why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
-        found.append(
-            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} spectrographs "
-            f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
-        )
-    return found
-
-
-def _few(n):
-    return "none is" if n == 0 else f"only {n} {'is' if n == 1 else 'are'}"
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph."""
-
-    requirement: Requirement
-    spectrograph: int | None
-    targets: np.ndarray
-    """Whether each target counts toward the requirement, shape (n_targets,)."""
-
-    def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return whether each pair of a target (-1: no target) and a spectrograph counts toward the requirement."""
-        inside = np.append(self.targets, False)[target]
-        return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
 
 
 def hint_of_name(what: str, names: Iterable[str]) -> str:
