@@ -13,8 +13,6 @@ from rfpsurvey.report._facts import estimate_facts
 from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.tile import Tile, versions
 
-__all__ = ["page_of_allocators", "page_of_estimate", "page_of_instruments", "page_of_table"]
-
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
     """Return a page on an estimate of the collision probability."""

@@ -28,8 +28,6 @@ from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 from rfpsurvey.tiling import Tiling
 
-__all__ = ["MADE_BY", "PAGES", "check_report", "write_report"]
-
 PAGES: dict[type, Callable[..., Page]] = {
     Tile: page_of_tile,
     Survey: page_of_survey,
