@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         projection,
         region,
         report,
-        reproduction,
         selection,
         survey,
         tile,
@@ -138,7 +137,6 @@ _IMPORTED_ON_USE = {
     "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
     "region": ("Region",),
     "report": ("write_report",),
-    "reproduction": (),
     "selection": (
         "PotentialAssignments",
         "SelectionProbabilities",
@@ -165,4 +163,4 @@ def __dir__():
         "plot",
         "probability",
     }
-    return sorted({*__all__, *public, "reproduction", "tiling"})
+    return sorted({*__all__, *public, "tiling"})

@@ -5,8 +5,6 @@ from collections.abc import Callable
 
 from rfpsurvey.constraints import AS_GOAL, EXACTLY, Abilities
 
-__all__ = ["abilities_of", "recorded"]
-
 # Results record lists of at most this many identifiers or circles. For a longer list, they record the length and a
 # digest.
 MOST_LISTED = 1000

@@ -14,8 +14,6 @@ from rfpsurvey.projection import FieldProjection
 if TYPE_CHECKING:
     from rfpsurvey.instrument import Instrument
 
-__all__ = ["AS_GOAL", "EXACTLY", "ONLY_CHECKED", "Abilities", "Constraint", "ConstraintField"]
-
 EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
 LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
 MOST_LISTED = 5

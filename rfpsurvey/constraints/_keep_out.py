@@ -12,8 +12,6 @@ from rfpsurvey.errors import InputError, InputTypeError, check_keywords
 from rfpsurvey.projection import FieldProjection
 from rfpsurvey.region import Region
 
-__all__ = ["KeepOut", "as_circles", "circle_text"]
-
 # Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. The
 # factor is larger than 1 because the image of the rim can be slightly farther from the center between two of these
 # points.

@@ -10,8 +10,6 @@ from rfpsurvey._units import to_labels
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords
 
-__all__ = ["Required", "as_required", "mark_required"]
-
 
 @check_keywords
 @dataclass(frozen=True)

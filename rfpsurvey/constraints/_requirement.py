@@ -10,8 +10,6 @@ import numpy as np
 from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
 
-__all__ = ["FORM", "KINDS", "Requirement", "as_requirements", "hint_of_name"]
-
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
 FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")

@@ -7,8 +7,6 @@ import numpy as np
 
 from rfpsurvey.constraints._requirement import Requirement
 
-__all__ = ["Group", "Shortfall", "sentences"]
-
 
 @dataclass(frozen=True)
 class Shortfall:

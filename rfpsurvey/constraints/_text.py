@@ -9,8 +9,6 @@ from rfpsurvey.constraints._required import Required
 from rfpsurvey.constraints._requirement import FORM, Requirement
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
 
-__all__ = ["GROUP", "as_constraints", "named_plugins"]
-
 GROUP = "rfpsurvey.constraints"
 """Entry-point group by which packages add constraints."""
 BUILT_IN = {one.name: one for one in (KeepOut, Required)}

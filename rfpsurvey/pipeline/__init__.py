@@ -5,29 +5,29 @@ and `plan_survey` and `place_tiles` call it for each tile. The calculation of co
 steps of the pipeline.
 """
 
-from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
+from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import apply_constraints
 from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._project import project_field
-from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogFields, Field, reusable_targets
+from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBuilder, FieldRows, SelectedRows
 
 __all__ = [
     "OUTCOMES",
     "PLANNED_COLUMNS",
     "BlankIds",
-    "CatalogFields",
-    "Field",
+    "CatalogTargets",
+    "FieldBuilder",
     "FieldPlan",
+    "FieldRows",
     "FieldTargets",
     "Outcome",
+    "SelectedRows",
     "apply_constraints",
-    "blank_ids",
     "category_classes",
     "field_radius_rad",
     "outcome_codes",
     "plan_field",
     "priority_classes",
     "project_field",
-    "reusable_targets",
 ]

@@ -20,8 +20,6 @@ from rfpsurvey.projection import FieldProjection
 if TYPE_CHECKING:
     from rfpsurvey.pipeline._field import FieldTargets
 
-__all__ = ["Applied", "apply_constraints"]
-
 
 @dataclass(frozen=True, eq=False)
 class Applied:

@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["project_field"]
-
 
 def project_field(
     instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None

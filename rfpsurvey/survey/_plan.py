@@ -167,7 +167,7 @@ def plan_survey(
     )
     together = None if request.joint is None else Together(executor, progress)
     survey = run(request, folder, executor, progress, resume=resume, together=together)
-    if request.visits.any() and not survey.summary["n_visits_observed"]:
+    if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
         warn(text)
@@ -228,7 +228,7 @@ def prepare_request(
 
 def _warn_of_lacks(request) -> None:
     """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
-    if request.source.has_twins:
+    if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
     asked = {one.what: one for one in request.options.requirements if one.minimum}
     if request.options.sky_separation is not None:

@@ -10,7 +10,7 @@ from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import BlankIds, Field, plan_field, project_field
+from rfpsurvey.pipeline import BlankIds, FieldRows, plan_field, project_field
 from rfpsurvey.survey._unmet import shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
@@ -101,7 +101,7 @@ class Job(NamedTuple):
     ra_deg: float
     dec_deg: float
     position_angle_deg: float
-    field: Field
+    field: FieldRows
     seed: np.random.SeedSequence
     as_file: bool
     """Whether the visits are returned as the content of a FITS file instead of an array."""

@@ -29,15 +29,9 @@ class TargetsOfField:
     catalog: Catalog
     rows: np.ndarray
     """Rows, in the catalog, of all targets of the field."""
-    allocated: np.ndarray
-    """Rows, in the catalog, of the targets that the allocator received."""
+    given: np.ndarray
+    """For each target that the allocator received, its index among all targets of the field."""
     plan: FieldPlan
-
-    @cached_property
-    def given(self) -> np.ndarray:
-        """For each target that the allocator received, its index among all targets of the field."""
-        every = len(self.allocated) == len(self.rows)
-        return np.arange(len(self.rows)) if every else np.searchsorted(self.rows, self.allocated)
 
     @cached_property
     def id(self) -> np.ndarray:

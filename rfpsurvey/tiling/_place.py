@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import is_seed_given, to_scalar, to_seed, to_visits
+from rfpsurvey._units import is_seed_given, to_scalar, to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
@@ -26,7 +26,7 @@ from rfpsurvey.errors import (
     warn_no_effect,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.pipeline import CatalogFields
+from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
 from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
@@ -197,8 +197,17 @@ def place_tiles(
     reference, moved = choose_epoch(catalog, None, times)
     catalog = catalog if reference is None else catalog.at_epoch(reference)
     summary.update({} if moved is None else {"epoch": moved})
-    wanted = _wanted(catalog, visits, exclude)
-    beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    options = as_options("lamost" if allocator is None else allocator)
+    if by_positioners:
+        options.check_for_fields("place_tiles")
+        warn_of_unused_options([options], model.focal_plane, rng)
+        options = options.for_instrument(model)
+    index = SkyIndex(catalog.arrays.vectors)
+    builder = FieldBuilder(CatalogTargets(catalog, index), options, visits)
+    wanted = _wanted(builder, exclude)
+    beyond = where.limits.distance(index.vectors) > radius_rad
     n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
     wanted[beyond] = 0
     if not wanted.any():
@@ -212,7 +221,6 @@ def place_tiles(
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
     number = usable if fibers.number is None else _whole(fibers.number, "fibers")
-    index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
@@ -220,24 +228,19 @@ def place_tiles(
         neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
     seed = to_seed(rng)
     if by_positioners:
-        options = as_options("lamost" if allocator is None else allocator)
-        options.check_for_fields("place_tiles")
-        warn_of_unused_options([options], model.focal_plane, rng)
-        options = options.for_instrument(model)
         tiles = given_tiles(where) if method == GIVEN else where.angle_deg
-        serve = FocalPlaneFibers(model, options, CatalogFields(catalog, index), fibers, tiles, seed, reference)
+        serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
         reach = serve.radius + serve.margin
     else:
         if is_seed_given(rng):
             warn_no_effect("rng", "without the positioners of an allocator")
-        priority = None if catalog.priority is None else catalog.priority[index.order]
-        serve, reach = FreeFibers(number, priority, neighbors), radius_rad
+        serve, reach = FreeFibers(number, builder.source.by_slot("priority"), neighbors), radius_rad
     goal = n_tiles or completeness or 1.0
     with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
         problem = TilingProblem(
             radius_rad,
             index,
-            wanted[index.order],
+            wanted,
             number,
             serve,
             reach,
@@ -248,7 +251,7 @@ def place_tiles(
             limits=where.limits,
             n_beyond=n_beyond,
             tiles=where.tiling,
-            level=_levels(catalog.priority, wanted, index.order),
+            level=_levels(builder.source.by_slot("priority"), wanted),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
         state = METHODS[method](problem)
@@ -310,15 +313,10 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
         warn(sentence)
 
 
-def _wanted(catalog, visits, exclude):
-    """Return the requested visits of each target of the catalog."""
-    if len(catalog) == 0:
-        raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    visits = catalog.visits if visits is None else visits
-    wanted = to_visits(1 if visits is None else visits, len(catalog)).astype(np.int64)
-    if catalog.kind is not None:
-        wanted[catalog.kind != "science"] = 0
-    wanted[in_any(exclude, catalog.arrays.vectors)] = 0
+def _wanted(builder: FieldBuilder, exclude) -> np.ndarray:
+    """Return the requested visits of each target outside of the excluded regions, in the order of the spatial index."""
+    wanted = builder.wanted.astype(np.int64)
+    wanted[in_any(exclude, builder.source.index.vectors)] = 0
     if not wanted.any():
         raise InputError(
             "the catalog must have at least one science target that requires a visit and is not in a region of exclude"
@@ -326,17 +324,17 @@ def _wanted(catalog, visits, exclude):
     return wanted
 
 
-def _levels(priority, wanted, order):
+def _levels(priority, wanted):
     """Return the priority class of each target (0: highest priority); None if there is a single class.
 
-    The targets are in the order of the spatial index. If there are more than `MOST_LEVELS` priorities, neighboring
+    If there are more than `MOST_LEVELS` priorities, neighboring
     priorities share a class.
     """
     if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
         return None
     rank = np.clip(np.searchsorted(values, priority), 0, len(values) - 1)
     number = min(len(values), MOST_LEVELS)
-    return (number - 1 - rank * number // len(values))[order]
+    return number - 1 - rank * number // len(values)
 
 
 def _account(state: TilingState, neighbors, n_away: int) -> dict:

@@ -103,19 +103,19 @@ def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
     """There is one required target for each outcome: outside all fields, out of reach, not assigned, lost to a
-    collision, not requested.
+    collision.
     """
     one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
     instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
-    xy = np.array([[-1.0, 1.0], [-1.0, 2.0], [0.0, 30.0], [-2.0, 0.0], [9.0, 0.0], [11.0, 0.0]])
+    xy = np.array([[-1.0, 1.0], [-1.0, 2.0], [0.0, 30.0], [9.0, 0.0], [11.0, 0.0]])
     near = instrument.projection(CENTER).to_sky(xy * u.mm)
     coord = SkyCoord([*near, CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
-    names = np.array(["first", "second", "beyond", "unwanted", "left", "right", "far"])
+    names = np.array(["first", "second", "beyond", "left", "right", "far"])
 
-    def plan(chosen, required, visits=1):
+    def plan(chosen, required):
         rows = np.flatnonzero(np.isin(names, chosen))
-        catalog = rs.Catalog(coord[rows], id=names[rows], visits=np.full(len(rows), visits))
+        catalog = rs.Catalog(coord[rows], id=names[rows])
         survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", required=required)
         assert survey.summary["n_required"] - survey.summary["n_required_observed"] == len(required)
         return survey.summary["unmet"]
@@ -128,8 +128,6 @@ def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
     with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}lost to a collision"):
         unmet = plan(["left", "right"], ["left", "right"])
     assert unmet == [f"{begin}lost to a collision: left, right (2 in all)"]
-    with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}not requested"):
-        assert plan(["first", "unwanted"], ["unwanted"], [1, 0]) == [f"{begin}not requested: unwanted (1 in all)"]
     row = rs.FocalPlane([[0, 0]] * u.mm, one)
     instrument = rs.Instrument("one", row, plate_scale=100 * u.mm / u.deg)
     catalog = rs.Catalog(instrument.projection(CENTER).to_sky(xy[:2] * u.mm), id=["first", "second"])

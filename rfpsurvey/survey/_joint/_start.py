@@ -48,7 +48,7 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    left, plans = request.first_left.copy(), [None] * len(request.tiling)
+    left, plans = request.builder.left.copy(), [None] * len(request.tiling)
     done = 0
     for tile, known in fixed.items():
         slot = np.where(known.counted, known.slot, -1)
@@ -71,7 +71,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
 
 def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
     """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners."""
-    left = request.first_left
+    left = request.builder.left
     jobs, slots, n = [], [], len(request.tiling)
     for tile in range(n):
         job = request.job(tile, left, as_file=False)
@@ -100,7 +100,7 @@ def class_of(request, wanted: np.ndarray) -> np.ndarray:
 def class_names(request) -> list[str]:
     """Return the names of the classes that `class_of` returns; the name of a class is its priority."""
     priority = request.source.by_slot("priority")
-    wanted = request.first_left
+    wanted = request.builder.left
     if priority is None or not (wanted > 0).any():
         return ["all"]
     return [exact_text(value) for value in np.unique(priority[wanted > 0])[::-1]]
