@@ -6,7 +6,7 @@ steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import apply_constraints
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints
 from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._project import project_field
@@ -15,6 +15,7 @@ from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBu
 __all__ = [
     "OUTCOMES",
     "PLANNED_COLUMNS",
+    "Applied",
     "BlankIds",
     "CatalogTargets",
     "FieldBuilder",

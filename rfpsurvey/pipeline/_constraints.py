@@ -61,11 +61,18 @@ class Applied:
 
 
 def apply_constraints(
-    instrument: Instrument, projection: FieldProjection, options: AllocationOptions, targets: "FieldTargets"
+    instrument: Instrument,
+    projection: FieldProjection | None,
+    options: AllocationOptions,
+    targets: "FieldTargets",
+    xy: np.ndarray | None = None,
 ) -> Applied:
-    """Return the obstacles that constraints add to a field, and the targets that they exclude."""
+    """Return the obstacles that constraints add to a field, and the targets that they exclude.
+
+    If ``targets`` are only those that have a fiber, their positions on the focal plane must be given as ``xy`` (mm).
+    """
     constraints = tuple(one for one in options.all_constraints if one.uses_field)
-    field = constraint_field(instrument, projection, targets) if constraints else None
+    field = constraint_field(instrument, projection, targets, xy) if constraints else None
     circles, excluded = [np.empty((0, 3))], None
     for one in constraints:
         circles.append(answer(one, partial(one.obstacles, field)) if "obstacles" in one.parts else circles[0])
@@ -96,13 +103,16 @@ def apply_constraints(
     )
 
 
-def constraint_field(instrument: Instrument, projection: FieldProjection, targets: "FieldTargets") -> ConstraintField:
+def constraint_field(
+    instrument: Instrument, projection: FieldProjection | None, targets: "FieldTargets", xy: np.ndarray | None = None
+) -> ConstraintField:
     """Return the targets of a field and, after them, the targets around it, as constraints receive them.
 
     If ``around`` is None, no constraint uses the positions of targets on the focal plane, which are then NaN.
     """
+    is_complete = xy is None
     if targets.around is None:
-        parts, xy = [targets], [np.broadcast_to(np.nan, (len(targets.id), 2))]
+        parts, xy = [targets], [np.broadcast_to(np.nan, (len(targets.id), 2)) if xy is None else xy]
     else:
         parts = [targets, targets.around]
         xy = [project_field(instrument, projection, one.vectors, one.columns.fiber_type)[0] for one in parts]
@@ -113,7 +123,7 @@ def constraint_field(instrument: Instrument, projection: FieldProjection, target
         found[name] = [np.full(len(one.id), usual) if c is None else c for one, c in zip(parts, columns, strict=True)]
     extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
     columns = {name: np.concatenate(values) for name, values in found.items()}
-    return ConstraintField(instrument, projection, **columns, extra=extra)
+    return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete)
 
 
 def excluded_by(constraint: Constraint, field: ConstraintField) -> np.ndarray | None:

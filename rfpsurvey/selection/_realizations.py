@@ -25,7 +25,7 @@ def in_batch(request: Request) -> bool:
     """Return whether all realizations of a block can be planned together."""
     options = request.options
     # ``lamost`` meets requirements; ``nearest`` and ``balanced`` ignore requirements.
-    simple = options.sky_separation is None and not (options.name == "lamost" and options.requirements)
+    simple = options.sky_separation is None and not (options.name == "lamost" and options.counts)
     return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
 

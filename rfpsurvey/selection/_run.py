@@ -127,7 +127,8 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:
     job = request.job(tile, state.is_open, as_file=False)
-    job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+    if job.field.targets.around is None:  # no constraint uses the further columns
+        job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
 
 

@@ -230,7 +230,7 @@ def _warn_of_lacks(request) -> None:
     """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
-    asked = {one.what: one for one in request.options.requirements if one.minimum}
+    asked = {one.what: one for one in request.options.counts if one.minimum}
     if request.options.sky_separation is not None:
         asked.pop("sky", None)
     there = {"science"}

@@ -137,3 +137,6 @@ def check_joint(options) -> None:
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
             raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")
+    for one in options.constraints:
+        if not one.parts <= {"obstacles", "exclusion"}:
+            raise InputError(f"a joint plan must have no constraints with counts or required targets, got '{one}'")
