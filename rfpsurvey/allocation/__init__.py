@@ -7,6 +7,7 @@ from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
+from rfpsurvey.allocation._constraints import recorded_constraints
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
@@ -55,6 +56,7 @@ __all__ = [
     "hint_of_name",
     "id_numbers",
     "packages",
+    "recorded_constraints",
     "sentences",
     "service_order",
     "solve_weighted",

@@ -226,6 +226,7 @@ def assign(
         in_reach=in_reach,
         parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": end - middle},
+        excluded=excluded,
     )
 
 

@@ -24,6 +24,14 @@ def abilities_of(allocator: str | Callable) -> Abilities | None:
     return ABILITIES.get(allocator) if isinstance(allocator, str) else None
 
 
+def recorded_constraints(record: dict) -> list[str]:
+    """Return the text of all constraints in a record of options, which results store."""
+    found = [*record.get("requirements", [])] if isinstance(record.get("requirements"), list) else []
+    found += [f"required {' '.join(record['required'])}"] if record.get("required") else []
+    found += [f"keep_out {text.removeprefix('cap ')}" for text in record.get("keep_out", [])]
+    return [*found, *record.get("constraints", [])]
+
+
 def recorded(texts: list[str]) -> list[str]:
     """Return the list that results store for identifiers or circles; a long list becomes its length and a digest."""
     if len(texts) <= MOST_LISTED:

@@ -1,6 +1,8 @@
-"""A constraint of a user, which excludes targets near bright stars, in tiles, surveys, tilings and selections."""
+"""The constraint in the example of the documentation, in tiles, surveys, tilings, selections and scores."""
 
+import importlib.util
 from dataclasses import dataclass
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -14,22 +16,11 @@ CENTER = SkyCoord("6h20m +23d")
 ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 
 
-@dataclass(frozen=True)
-class AwayFromBright(rs.Constraint):
-    limit: float
-    radius_deg: float
-
-    name = "away_from_bright"
-
-    @property
-    def margin_rad(self):
-        return np.deg2rad(self.radius_deg)
-
-    def excluded(self, field):
-        bright = field.column("mag") < self.limit
-        return field.is_near(field.vectors[bright], self.margin_rad) & ~bright
-
-
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "plugin" / "rfpsurvey_example" / "constraints.py"
+SPEC = importlib.util.spec_from_file_location("example_constraints", EXAMPLE)
+example = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(example)
+AwayFromBright = example.AwayFromBright
 RULE = AwayFromBright(14.0, 0.05)
 
 
@@ -80,6 +71,25 @@ def test_no_tile_uses_an_excluded_target(sky, small, allocator):
     assert len(used) > 0.7 * len(others)
     assert tile.provenance["parameters"]["constraints"] == ["away_from_bright 14.0 0.05"]
     assert tile.summary["unmet"] == []
+
+
+def test_excluded_targets_are_not_free_targets_of_idle_positioners(small):
+    """The target at the center is next to a star, and the positioner there therefore has no target in reach."""
+    places = [CENTER.directional_offset_by(0 * u.deg, r * u.deg) for r in (0.02, 0.021, 0.3)]
+    sky = rs.Catalog(SkyCoord(places), visits=[1, 0, 1], extra=QTable({"mag": [18.0, 10.0, 18.0]}))
+    tile = rs.plan_tile(sky, small, CENTER, allocator=options("nearest"))
+    assert len(tile.idle) == 36
+    assert set(tile.idle["n_in_reach"].tolist()) <= {0, 1}
+    assert set(tile.idle["reason"].tolist()) <= {"no target in reach", "all targets in reach are assigned to other positioners"}
+    assert len(tile.idle_targets) == 0
+
+
+def test_the_report_lists_the_constraints(sky, small, tmp_path):
+    tile = rs.plan_tile(sky, small, CENTER, allocator=options("nearest"))
+    rs.write_report(tile, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "away_from_bright 14.0 0.05" in text
+    assert "All constraints are met." in text
 
 
 def test_bright_stars_outside_the_field_count_too(small):
