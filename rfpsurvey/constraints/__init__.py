@@ -12,7 +12,7 @@ from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
 from rfpsurvey.constraints._required import Required, as_required, mark_required
 from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, hint_of_name
 from rfpsurvey.constraints._shortfall import Group, Shortfall, sentences
-from rfpsurvey.constraints._text import as_constraints, named_plugins
+from rfpsurvey.constraints._text import BUILT_IN, as_constraints, named_plugins
 
 __all__ = [
     "AS_GOAL",
@@ -37,3 +37,6 @@ __all__ = [
     "named_plugins",
     "sentences",
 ]
+
+# every constraint of the package is public
+globals().update({one.__name__: one for one in BUILT_IN.values()})

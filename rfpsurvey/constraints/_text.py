@@ -1,17 +1,31 @@
 """Constraints from objects and from text, and the constraints of other packages."""
 
+import importlib
+import pkgutil
 from collections.abc import Iterable
+from pathlib import Path
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
 from rfpsurvey.constraints._constraint import Constraint
-from rfpsurvey.constraints._keep_out import KeepOut
-from rfpsurvey.constraints._required import Required
 from rfpsurvey.constraints._requirement import FORM, Requirement
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
 
 GROUP = "rfpsurvey.constraints"
 """Entry-point group by which packages add constraints."""
-BUILT_IN = {one.name: one for one in (KeepOut, Required)}
+
+
+def find_constraints(package: str, folder: Path) -> dict[str, type[Constraint]]:
+    """Return the constraints that the modules of a package define, by the first word of their text."""
+    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([str(folder)])]
+    classes = [(module, one) for module in modules for one in vars(module).values() if isinstance(one, type)]
+    return {
+        one.name: one
+        for module, one in classes
+        if issubclass(one, Constraint) and one.__module__ == module.__name__ and one.name
+    }
+
+
+BUILT_IN = find_constraints(__package__, Path(__file__).parent)
 """Built-in constraints by the first word of their text. `Requirement` has a form of its own, such as ``sky=20``."""
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import rfpsurvey as rs
 from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities, as_constraints
+from rfpsurvey.constraints._text import BUILT_IN, find_constraints
 
 CIRCLE = rs.Region.parse("cap 95 23 0.01")
 
@@ -123,6 +124,17 @@ def test_a_constraint_states_how_methods_honor_it():
     keep_out, required, count = as_constraints(["keep_out 95 23 1", "required 4", "sky=1"])
     assert [one.honored(able) for one in (keep_out, required, count)] == [EXACTLY, AS_GOAL, ONLY_CHECKED]
     assert Faint(17).honored(Abilities()) == EXACTLY
+
+
+def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monkeypatch):
+    (tmp_path / "rules").mkdir()
+    (tmp_path / "rules" / "one.py").write_text(
+        "import rfpsurvey as rs\nfrom rfpsurvey import KeepOut\nclass One(rs.Constraint):\n    name = 'one'\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert [*find_constraints("rules", tmp_path / "rules")] == ["one"]
+    assert {"keep_out": rs.KeepOut, "required": rs.Required} == BUILT_IN
+    assert rs.constraints.KeepOut is rs.KeepOut
 
 
 def test_targets_near_directions_are_found():
