@@ -182,9 +182,10 @@ def _fill_quotas(problem, target_of, owner_of):
         groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
         if not groups:
             continue
-        rows = reach.where(groups[0].targets[reach.target])
-        by_fiber = plane.spectrograph.ndim > 1 and one.per == "spectrograph"
+        by_fiber, counting = plane.spectrograph.ndim > 1 and one.per == "spectrograph", None
         for group in groups:
+            if group.targets is not counting:
+                counting, rows = group.targets, reach.where(group.targets[reach.target])
             part = rows
             if by_fiber:
                 part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)
@@ -192,9 +193,11 @@ def _fill_quotas(problem, target_of, owner_of):
             inside = np.diff(indptr) > 0
             if not by_fiber and group.spectrograph is not None:
                 inside &= plane.spectrograph == group.spectrograph
+            if group.fibers is not None:
+                inside &= group.fibers
             used = np.flatnonzero(target_of >= 0)
             counted = np.zeros(len(target_of), dtype=bool)
-            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]))
+            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)
             locked |= counted
             rank = problem.rank_of(target_of)
             able = np.flatnonzero(~locked & inside)

@@ -16,6 +16,60 @@ FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\
 MOST = 10**9
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph.
+
+    Parameters
+    ----------
+    requirement : Requirement
+        The requirement.
+    spectrograph : int or None
+        Only fibers of this spectrograph count; None if the fibers of all spectrographs count.
+    targets : ndarray of bool, shape (n_targets,)
+        Whether each target counts toward the requirement.
+    fibers : ndarray of bool, shape (n_positioners,), optional
+        Whether the fiber of each positioner counts; by default, all fibers count.
+    place : str, optional
+        Name of the part of the focal plane that ``fibers`` marks, for messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> group = rs.constraints.Group(rs.Requirement("sky", 1), None, np.array([True, False]))
+    >>> group.holds(np.array([0, 1, -1]), np.array([1, 1, 1]), np.array([0, 1, 2]))
+    array([ True, False, False])
+    """
+
+    requirement: "Requirement"
+    spectrograph: int | None
+    targets: np.ndarray
+    fibers: np.ndarray | None = None
+    place: str = ""
+
+    def holds(self, target: np.ndarray, spectrograph: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return whether assignments count toward the requirement.
+
+        Parameters
+        ----------
+        target : ndarray of int
+            Row of the target of each assignment, or -1 for no target.
+        spectrograph : ndarray of int
+            Spectrograph that receives the light of each target.
+        own : ndarray of int
+            Row of the positioner of each assignment.
+
+        Returns
+        -------
+        ndarray of bool
+            One value per assignment.
+        """
+        inside = np.append(self.targets, False)[target]
+        inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
+        return inside if self.fibers is None else inside & self.fibers[own]
+
+
 @check_keywords
 @dataclass(frozen=True)
 class Requirement(Constraint):
@@ -65,6 +119,32 @@ class Requirement(Constraint):
     def counts(self) -> tuple["Requirement"]:
         """The requirement itself."""
         return (self,)
+
+    def groups(self, problem: object) -> list[Group]:
+        """Return the groups of targets and fibers to each of which the minimum and the maximum apply.
+
+        Subclasses can override this method, for example to count sky fibers in each part of the focal plane.
+
+        Parameters
+        ----------
+        problem : AllocationProblem
+            The targets and the focal plane.
+
+        Returns
+        -------
+        list of Group
+            One group for the tile, or one for each spectrograph.
+        """
+        if _holds(problem.category, self.what):
+            targets = problem.category == self.what
+        elif self.what in KINDS:
+            targets = problem.kind == self.what
+        else:
+            targets = np.zeros(len(problem.xy), dtype=bool)
+        if self.fiber_type:
+            targets = targets & (problem.fiber_type == self.fiber_type)
+        places = [None] if self.per == "tile" else np.unique(problem.focal_plane.spectrograph).tolist()
+        return [Group(self, place, targets) for place in places]
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
@@ -146,3 +226,8 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
             raise InputError(f"{text}, got {short(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # a repeated requirement counts once
+
+
+def _holds(column: np.ndarray, word: str) -> bool:
+    """Return whether at least one target has the text ``word`` in a column, such as the categories of the targets."""
+    return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

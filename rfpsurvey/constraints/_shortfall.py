@@ -1,9 +1,7 @@
-"""Counts that a plan does not meet, as objects and as sentences, and the targets and fibers that a count counts."""
+"""Counts that a plan does not meet, as objects and as sentences, such as too few sky fibers."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-
-import numpy as np
 
 from rfpsurvey.constraints._requirement import Requirement
 
@@ -26,6 +24,8 @@ class Shortfall:
         Number of targets that count toward the requirement and are in reach of positioners that can observe them.
     hint : str, optional
         A similar name that the user may have intended, or the reason why targets are missing.
+    place : str, optional
+        Name of the part of the focal plane in which the requirement is not met, if it is not a spectrograph.
     """
 
     requirement: Requirement | None
@@ -34,6 +34,7 @@ class Shortfall:
     found: int
     possible: int
     hint: str = ""
+    place: str = ""
 
     @property
     def what(self) -> str:
@@ -44,7 +45,8 @@ class Shortfall:
         return f"{self.requirement.what} targets{fiber}"
 
     def __str__(self):
-        where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
+        where = f" in {self.place}" if self.place else ""
+        where = where if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
         missing = self.requested - self.found
         if missing < 0:
             return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.requested}"
@@ -60,7 +62,7 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
         by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
     found = []
     for (_, lacking), rows in by_requirement.items():
-        if len(rows) == 1 or not lacking:
+        if len(rows) == 1 or not lacking or rows[0].spectrograph is None:
             found += [str(one) for one in rows]
             continue
         missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
@@ -75,18 +77,3 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
 
 def _few(n):
     return "none is" if n == 0 else f"only {n} {'is' if n == 1 else 'are'}"
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph."""
-
-    requirement: Requirement
-    spectrograph: int | None
-    targets: np.ndarray
-    """Whether each target counts toward the requirement, shape (n_targets,)."""
-
-    def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return whether each pair of a target (-1: no target) and a spectrograph counts toward the requirement."""
-        inside = np.append(self.targets, False)[target]
-        return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
