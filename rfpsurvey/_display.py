@@ -5,8 +5,6 @@ from importlib import import_module
 
 import astropy.units as u
 
-__all__ = ["rounded", "show", "to_html"]
-
 DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 

@@ -19,31 +19,6 @@ from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusa
 
 MOST_VISITS, MOST_SEED = 255, 2**128
 
-__all__ = [
-    "exact_text",
-    "is_seed_given",
-    "locked",
-    "rows_of",
-    "to_center",
-    "to_dimensionless",
-    "to_direction",
-    "to_flags",
-    "to_generator",
-    "to_labels",
-    "to_lonlat",
-    "to_mm",
-    "to_numbers",
-    "to_plain",
-    "to_points_mm",
-    "to_radian",
-    "to_scalar",
-    "to_seed",
-    "to_spawner",
-    "to_unit",
-    "to_vectors",
-    "to_visits",
-]
-
 
 def locked(array: np.ndarray) -> np.ndarray:
     """Return a read-only view of an array."""

@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey._readers._limits import sentence
 from rfpsurvey.errors import InputError
 
-__all__ = ["read_arrays"]
-
 
 def read_arrays(file: BinaryIO, expected: dict[str, tuple[str, tuple]], what: object) -> dict[str, np.ndarray]:
     """Return the arrays of an uncompressed NumPy archive, as `numpy.savez` writes it.

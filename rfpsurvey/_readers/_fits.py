@@ -13,8 +13,6 @@ from rfpsurvey._readers._limits import open_content, sentence
 from rfpsurvey._readers._plain_fits import read_plain
 from rfpsurvey.errors import InputError, listed, short, warn
 
-__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
-
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
 WIDTHS = {"L": 1, "X": 1 / 8, "B": 1, "I": 2, "J": 4, "K": 8, "A": 1, "E": 4, "D": 8, "C": 8, "M": 16, "P": 8, "Q": 16}

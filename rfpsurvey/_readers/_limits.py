@@ -11,20 +11,6 @@ from typing import BinaryIO
 
 from rfpsurvey.errors import InputError
 
-__all__ = [
-    "MOST_COLUMNS",
-    "check_is_file",
-    "check_width",
-    "content_of",
-    "entries_of",
-    "head_of",
-    "is_compressed",
-    "is_present",
-    "open_content",
-    "open_file",
-    "sentence",
-]
-
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 # Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than 10.
 MOST_RATIO = 100

@@ -11,8 +11,6 @@ from rfpsurvey._readers._limits import check_width, sentence
 from rfpsurvey._readers._quantities import with_quantities
 from rfpsurvey.errors import InputError
 
-__all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
-
 # The memory of the values of all rows is limited to MOST_RATIO times the size of the file or to FREE bytes, whichever
 # is larger. MOST_RATIO is large because repeated values take little space in the file.
 MOST_RATIO, FREE = 1000, 2**28

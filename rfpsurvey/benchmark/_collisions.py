@@ -28,8 +28,6 @@ from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
-__all__ = ["benchmark_collisions"]
-
 
 def every_pair(case: Configuration) -> Found:
     """Compute the exact distances of all pairs of neighbors in a loop, without excluding distant pairs first."""

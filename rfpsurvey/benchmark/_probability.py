@@ -17,8 +17,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
 
-__all__ = ["benchmark_densities", "benchmark_probability"]
-
 EFFORTS = {
     "overlap_ratio": [0],
     "close_pair": [0],

@@ -22,8 +22,6 @@ from rfpsurvey.catalog._motion import move_coordinates, moving
 from rfpsurvey.catalog._time import known_epochs, to_time
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, number_of, refusal, warn
 
-__all__ = ["Catalog"]
-
 _PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
 
 

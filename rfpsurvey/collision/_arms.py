@@ -12,21 +12,6 @@ from rfpsurvey._units import to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_switch
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = [
-    "Arms",
-    "capsule_angles",
-    "check_arms",
-    "check_plane",
-    "check_tips",
-    "joints_free",
-    "nearest_distance",
-    "place_arms",
-    "pose_tips",
-    "to_columns",
-    "to_sides",
-    "to_tips",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Arms:

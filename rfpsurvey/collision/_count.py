@@ -14,8 +14,6 @@ from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_c
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, number_of, short
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
-
 CHUNK = 64
 """Number of configurations per task. Random draws depend on this number, but not on the number of workers."""
 GPU_CHUNK = 2048

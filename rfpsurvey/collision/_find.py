@@ -22,8 +22,6 @@ from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["find_collisions", "touching"]
-
 MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
 

@@ -12,8 +12,6 @@ from rfpsurvey.design._losses import AUTOMATIC, ESTIMANDS, METHODS, USES
 from rfpsurvey.design._work import MOST_TARGETS
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_of_unused
 
-__all__ = ["LossOptions"]
-
 PER_POSITIONER = 4.0
 """Default number of targets per positioner."""
 

@@ -8,8 +8,6 @@ from rfpsurvey.design._lattice import make_lattice
 from rfpsurvey.design._losses import METHODS, Skies, cheapest, in_box
 from rfpsurvey.design._rows import blank
 
-__all__ = ["MOST_TARGETS", "Task"]
-
 MOST_TARGETS = 1000.0
 
 

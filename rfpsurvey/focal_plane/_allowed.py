@@ -12,8 +12,6 @@ from rfpsurvey.focal_plane._kinematics import joints_allow
 from rfpsurvey.focal_plane._limits import find_limits
 from rfpsurvey.focal_plane._neighbors import pairs_within
 
-__all__ = ["AllowedPoses"]
-
 ROOM = 1 << 16
 
 

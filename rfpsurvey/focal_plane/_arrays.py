@@ -16,8 +16,6 @@ from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
 
-__all__ = ["FocalPlaneArrays"]
-
 IN_USE = (
     "eccentric_arm",
     "equal_arms",

@@ -11,8 +11,6 @@ from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
 
-__all__ = ["check_columns"]
-
 
 def check_columns(plane) -> None:
     """Check the columns of a focal plane, and convert columns that have no unit to arrays."""

@@ -6,8 +6,6 @@ from rfpsurvey._kernels.outlines import NO_POLYGONS, Polygons
 from rfpsurvey._units import locked
 from rfpsurvey.positioner import convex_polygon, make_outline, with_normals
 
-__all__ = ["find_obstacle_pairs", "find_polygons", "to_polygons"]
-
 
 def to_polygons(given) -> tuple[np.ndarray, ...]:
     """Return the vertices of each polygon (mm) in counter-clockwise order."""

@@ -22,8 +22,6 @@ from rfpsurvey.instrument._desi_state import find_conditions, find_latest, momen
 from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
 from rfpsurvey.positioner import ArmOutline
 
-__all__ = ["read", "recognizes"]
-
 N_POSITIONERS = 5000
 # Limits of possible values, in mm and deg.
 LARGEST, SMALLEST, CLOSEST = 420.0, 10.0, 5.0  # distances from the center, and between two positioners

@@ -17,8 +17,6 @@ from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whol
 from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.positioner import ArmOutline
 
-__all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
-
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
 LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")

@@ -7,8 +7,6 @@ from rfpsurvey._units import rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, number_of
 from rfpsurvey.instrument._missing import is_missing
 
-__all__ = ["check_columns", "numbers", "some", "whole"]
-
 ROW = "_row"
 """Name of a column with the number of each row in the file, counted from 1."""
 

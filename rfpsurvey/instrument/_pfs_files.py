@@ -10,8 +10,6 @@ from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
 
-__all__ = ["GOOD", "read_cobras", "read_dots", "read_fiducials", "read_interference", "to_paths"]
-
 N_FIDUCIALS = 96
 # Largest distance (mm) of a dot from the nominal center of its cobra; adjacent centers are 8 mm apart.
 FARTHEST_DOT = 4.0

@@ -21,8 +21,6 @@ from rfpsurvey.errors import InputError, check_choice, listed, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._missing import is_missing
 
-__all__ = ["PRESETS", "read", "recognizes"]
-
 PRESETS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 TABLE = "positionerTable.csv"
 OFFSETS = ("alphaOffset", "betaOffset", "dx", "dy")

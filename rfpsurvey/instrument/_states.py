@@ -24,8 +24,6 @@ from rfpsurvey.instrument._desi_state import moment_of
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["LISTED", "States", "apply_entry", "describe_states", "moments_at"]
-
 LISTED = "layout.states"
 """Name of the entry of a description that lists the states of positioners, or names a table of them."""
 SUMMARY = "states"

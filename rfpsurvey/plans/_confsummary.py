@@ -21,8 +21,6 @@ from rfpsurvey.errors import InputError, listed
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
-__all__ = ["lost", "read", "recognizes", "write"]
-
 INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 MISSING = -999
 FIBERS = ("BOSS", "APOGEE", "METROLOGY", "NONE")

@@ -20,8 +20,6 @@ from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
-__all__ = ["lost", "read", "recognizes", "write"]
-
 NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
 TYPES = {
     "TARGETID": "i8",

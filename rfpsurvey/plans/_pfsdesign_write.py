@@ -17,20 +17,6 @@ from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.plans._plan import own_name
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
-__all__ = [
-    "COMMENTARY",
-    "FLUXES",
-    "FORMATS",
-    "FROM_TILE",
-    "NATIVE",
-    "PFI_ANGLE",
-    "REQUIRED",
-    "check_fibers",
-    "design_id",
-    "wrapped",
-    "write",
-]
-
 # Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
 # +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
 # in the design 0x2a3e0e7f53f47587.

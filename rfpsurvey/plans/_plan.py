@@ -18,22 +18,6 @@ from rfpsurvey._readers import check_is_file, sentence
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
-__all__ = [
-    "COLUMNS",
-    "FORMATS",
-    "as_plan",
-    "is_plan",
-    "is_tile",
-    "make_plan",
-    "native_format",
-    "own_name",
-    "plan_roles",
-    "read_plan",
-    "recognize_plan",
-    "text_of_lost",
-    "write_plan",
-]
-
 FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
     "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),

@@ -19,8 +19,6 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_collision_map"]
-
 COLOR_BAR = 0.95  # inches
 SMALL = 4.0
 """Disks with a smaller diameter (points, 1/72 inch) have no edges, because edges would hide their colors."""

@@ -15,8 +15,6 @@ from rfpsurvey.plot._style import LEVELS, OUTLINE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_coverage"]
-
 N_POINTS = 2**18
 """Number of random points from which the fractions in the legend are computed, with standard errors below 0.001."""
 FEWEST, MOST = 600, 1400  # limits of the default number of pixels along the longer side

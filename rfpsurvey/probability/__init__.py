@@ -2,7 +2,6 @@
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
-from rfpsurvey.probability._fit import PolynomialFit, fit_polynomial
 from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
 from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
@@ -27,7 +26,6 @@ __all__ = [
     "INTERVALS",
     "METHODS",
     "Estimate",
-    "PolynomialFit",
     "Precision",
     "ProbabilityQuestion",
     "RandomTargets",
@@ -35,7 +33,6 @@ __all__ = [
     "Source",
     "collision_probability",
     "find_method",
-    "fit_polynomial",
     "interior_probability",
     "make_source",
     "make_surrogate",

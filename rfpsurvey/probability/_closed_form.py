@@ -7,8 +7,6 @@ from rfpsurvey._kernels import areas
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["close_pair", "closed_form", "overlap_ratio"]
-
 VARIANTS = ("corrected", "pitch", "printed")
 N_CIRCLES = 400
 

@@ -43,8 +43,6 @@ from rfpsurvey.probability._quadrature import DENSITIES
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._targets import make_source
 
-__all__ = ["collision_probability"]
-
 
 @check_keywords
 def collision_probability(

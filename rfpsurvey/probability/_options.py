@@ -10,8 +10,6 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
-__all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
-
 KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
 MOST_TARGETS = 1_000_000

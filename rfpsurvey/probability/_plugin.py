@@ -14,8 +14,6 @@ from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, check_usable
 from rfpsurvey.probability._question import ProbabilityQuestion
 
-__all__ = ["find_method"]
-
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
 PARTS = ("value", "value_assigned", "low", "high", "per_positioner")

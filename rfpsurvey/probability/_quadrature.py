@@ -20,8 +20,6 @@ from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._workspace import make_entries, make_positioners
 
-__all__ = ["DENSITIES", "Quadrature", "integrate"]
-
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
 FIRST_POINTS = 128

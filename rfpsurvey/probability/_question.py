@@ -13,8 +13,6 @@ from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ProbabilityQuestion"]
-
 
 @dataclass(frozen=True, eq=False)
 class ProbabilityQuestion:

@@ -12,8 +12,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
 from rfpsurvey.probability._workspace import make_entries, make_positioners, make_realization
 
-__all__ = ["Simulation", "Tally", "merge"]
-
 
 @dataclass(frozen=True)
 class Tally:

@@ -12,8 +12,6 @@ from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.tile import Tile, collision_shape
 
-__all__ = ["page_of_tile"]
-
 COLUMNS = (
     "id",
     "colliding_with",

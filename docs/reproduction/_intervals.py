@@ -6,6 +6,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from reproduction._designs import Settings, each, error_of_fraction
+from reproduction._one_sky import one_sky
 from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
@@ -23,9 +26,6 @@ from rfpsurvey.probability import (
     summarize,
     wilson,
 )
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
-from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
