@@ -116,7 +116,7 @@ def find_collisions(
         raise InputError(f"an Allocation or Arms already determines the poses; do not give {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
-        tips, parked_obstacles = tips.tips, tips.parked_obstacles
+        parked_obstacles = tips.parked_obstacles
     check_switch(parked_obstacles, "parked_obstacles")
     segments, assigned, parked, poses = _posed_segments(focal_plane, tips, given, parked_obstacles)
     nothing_can_touch = len(focal_plane.arrays.runs) == 0

@@ -6,8 +6,16 @@ steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import are_among, with_keep_out
-from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
+from rfpsurvey.pipeline._constraints import are_among
+from rfpsurvey.pipeline._field import (
+    FieldPlan,
+    FieldReach,
+    FieldTargets,
+    field_radius_rad,
+    find_reach,
+    plan_field,
+    project_field,
+)
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBuilder, FieldRows, SelectedRows
 
@@ -18,6 +26,7 @@ __all__ = [
     "CatalogTargets",
     "FieldBuilder",
     "FieldPlan",
+    "FieldReach",
     "FieldRows",
     "FieldTargets",
     "Outcome",
@@ -25,9 +34,9 @@ __all__ = [
     "are_among",
     "category_classes",
     "field_radius_rad",
+    "find_reach",
     "outcome_codes",
     "plan_field",
     "priority_classes",
     "project_field",
-    "with_keep_out",
 ]

@@ -18,8 +18,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import count_tiles, count_type, in_order
-from rfpsurvey.selection._work import find_reach
-from rfpsurvey.survey import Job, Request, Survey, prepare_request
+from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 __all__ = ["PotentialAssignments", "potential_assignments"]
@@ -267,7 +266,7 @@ class PotentialAssignments:
 
 def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each pair in reach, the row of the positioner and the index of the target in the field."""
-    pairs = find_reach(given.job)[2]
+    pairs = reach_of(given.job).pairs
     if len(given.excluded):
         pairs = pairs.where(~np.isin(pairs.owner, given.excluded))
     return pairs.owner, pairs.target

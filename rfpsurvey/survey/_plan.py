@@ -59,15 +59,16 @@ def plan_survey(
     Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other.
     If an executor is given, tiles that do not share targets are planned at the same time. The plan does not depend on
     the executor. Required targets (`AllocationOptions`) take precedence in every tile as long as they have remaining
-    visits. A standard or sky position that is a required target can be used any number of times, even if the options
-    contain no requirements. Circles that no arm may cover (``keep_out`` of `AllocationOptions`) are obstacles in the
-    tiles whose arms can touch these circles.
+    visits, and at least one visit of each required target is requested. A standard or sky position that is a required
+    target can be used any number of times, even if the options contain no requirements. Circles that no arm may cover
+    (``keep_out`` of `AllocationOptions`) are obstacles in the tiles whose arms can touch these
+    circles.
 
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The targets. Targets of the kinds ``standard`` and ``sky`` are used only to meet requirements. Each of them can
-        be used any number of times.
+        be used any number of times, unless its number of visits is 0.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiling : Tiling, Table or SkyCoord
@@ -78,8 +79,9 @@ def plan_survey(
         the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
-        catalog lacks this column, one visit of each target is requested. A tile observes a target at most once. For a
-        `PartitionedCatalog`, the values must be in the order in which its method ``read`` returns the targets.
+        catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
+        assigned, except required targets. A tile observes a target at most once. For a `PartitionedCatalog`, the values
+        must be in the order in which its method ``read`` returns the targets.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional

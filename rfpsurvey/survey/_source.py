@@ -118,17 +118,17 @@ class Partitioned:
         also contains the directions of the targets without remaining visits, as ``targets.others``. The targets are
         moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``.
         """
-        found = []
+        fields = []
         for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
             field = self._part(k).field(
                 center, radius_rad, left[first:last], rest=rest, by_row=True, years=years, margin_rad=margin_rad
             )
-            if len(field.row) or rest or not found:
-                found.append(field._replace(slot=field.row + first, row=field.row + first))
-        if not found:
+            if len(field.row) or rest or not fields:
+                fields.append(field._replace(slot=field.row + first, row=field.row + first))
+        if not fields:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
-        slot, row, targets = zip(*found, strict=True)
+        slot, row, targets = zip(*fields, strict=True)
         vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
         columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
         extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
@@ -204,8 +204,8 @@ def _stack(parts: tuple) -> np.ndarray | None:
 
 def digest(*columns: np.ndarray | None) -> str:
     """Return 16 hexadecimal digits that identify the content of columns; a missing column is None."""
-    found = hashlib.sha256()
+    state = hashlib.sha256()
     for column in columns:
-        found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
-        found.update(b";")
-    return found.hexdigest()[:16]
+        state.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
+        state.update(b";")
+    return state.hexdigest()[:16]

@@ -112,7 +112,8 @@ def place_tiles(
         Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
         Requested number of visits of each target, shape (n,), or one number for all targets. The default is the column
-        ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested.
+        ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested. Targets of
+        any kind with 0 visits are not assigned, except required targets.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function after each tile. If ``n_tiles`` is given, the
         arguments of the function are the number of tiles so far and ``n_tiles``; otherwise, the arguments are the
