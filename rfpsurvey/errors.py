@@ -3,7 +3,7 @@
 import inspect
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
@@ -137,31 +137,27 @@ def warn_no_effect(name: str, why: str) -> None:
         warn(f"{name} has no effect {why}")
 
 
-def warn_of_unused(
-    given: Iterable[str], chosen: Collection[object], uses: Mapping[str, Collection[str]], what: str
-) -> None:
+def warn_of_unused(given: Iterable[str], chosen: Collection, methods: Iterable, what: str) -> None:
     """Issue a warning for each given option that none of the chosen methods uses.
 
     Parameters
     ----------
     given : iterable of str
         Names of the options whose values differ from the default values.
-    chosen : collection of str or callable
-        The methods. A function, or a method that is not in ``uses``, is assumed to use every option.
-    uses : mapping of str to collection of str
-        Names of the options that each method uses.
+    chosen : collection of Method
+        The methods that are used.
+    methods : iterable of Method
+        All built-in methods.
     what : str
         Noun for a method, such as "allocator".
     """
-    if not all(isinstance(one, str) and one in uses for one in chosen):
-        return
     for name in given:
-        if not any(name in uses[one] for one in chosen):
-            users = [one for one, names in uses.items() if name in names]
+        if not any(one.uses(name) for one in chosen):
+            users = [one.name for one in methods if one.options is not None and name in one.options]
             who = f"{', '.join(users[:-1])} and {users[-1]} use" if len(users) > 1 else f"{users[0]} uses"
-            methods = " and ".join(repr(one) for one in dict.fromkeys(chosen))
-            plural = "s" if len({*chosen}) > 1 else ""
-            warn_no_effect(name, f"with the {what}{plural} {methods}; only {who} it")
+            names = dict.fromkeys(repr(one.name) for one in chosen)
+            plural = "s" if len(names) > 1 else ""
+            warn_no_effect(name, f"with the {what}{plural} {' and '.join(names)}; only {who} it")
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
