@@ -61,7 +61,7 @@ CALLS = [
     (rs.place_tiles, {"field": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
     (rs.tiling.Fibers, {}),
     (rs.Tiling.from_table, {"table": TABLE}),
-    (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiling": TILING}),
+    (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.selection_probabilities, {"catalog": SKY, "instrument": SMALL, "tiles": TILING, "n_realizations": 1}),
     (rs.potential_assignments, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.compare_allocators, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
