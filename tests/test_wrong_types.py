@@ -58,7 +58,7 @@ CALLS = [
     (rs.probability.Precision, {}),
     (rs.plan_tile, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
     (rs.score_tile, {"table": SCORED, "instrument": SMALL}),
-    (rs.place_tiles, {"field": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
+    (rs.place_tiles, {"catalog": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
     (rs.tiling.Fibers, {}),
     (rs.Tiling.from_table, {"table": TABLE}),
     (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
@@ -78,7 +78,7 @@ SCORED_ON_SKY = QTable(
 )
 SCORE = {"table": SCORED_ON_SKY, "positions": "sky"}
 CLUSTERED = {"kind": "clustered", "cluster_size": 3, "cluster_scale": 0.1 * DEG}
-SERVED = {"field": SKY, "method": "max_density"}
+SERVED = {"catalog": SKY, "method": "max_density"}
 POISSON = {"catalog": "poisson"}
 # arguments that have no effect on the result of these calls
 NOT_LOOKED_AT = {
