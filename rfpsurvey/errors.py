@@ -32,6 +32,7 @@ __all__ = [
     "used_elsewhere",
     "warn",
     "warn_no_effect",
+    "warn_of_former_name",
     "warn_of_unused",
 ]
 
@@ -48,7 +49,6 @@ MOST_WHOLE = 2**53
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
-    ("tiles", "tiling", "tiling=..."),
     ("n_targets", "targets", "targets=RandomTargets(number=...)"),
     ("target_radius", "targets", "targets=RandomTargets(radius=...)"),
     ("min_separation", "targets", "targets=RandomTargets(min_separation=...)"),
@@ -64,6 +64,10 @@ RENAMED = (
         for parameter in ("allocator", "options")
     ),
 )
+
+
+# Former names of parameters, which functions still accept with a warning if they have a parameter with the new name.
+FORMER_NAMES = {"tiling": "tiles", "points": "catalog", "field": "catalog", "focal_plane": "instrument"}
 
 
 class InputError(ValueError):
@@ -227,7 +231,10 @@ def short(value: object) -> str:
 
 
 def check_keywords(function: T) -> T:
-    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter."""
+    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter.
+
+    The former name of a parameter is still accepted, with a warning.
+    """
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -239,12 +246,20 @@ def _checked(function, title):
 
     @wraps(function)
     def checked(*args, **kwargs):
-        for name in kwargs:
-            if name not in parameters:
+        for name in kwargs.keys() - parameters.keys():
+            new = FORMER_NAMES.get(name)
+            if new not in parameters or new in kwargs:
                 raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
+            warn_of_former_name(f"the parameter {name} of {title}", new)
+            kwargs[new] = kwargs.pop(name)
         return function(*args, **kwargs)
 
     return checked
+
+
+def warn_of_former_name(what: str, new: str) -> None:
+    """Issue a warning that something has a new name, and that its former name will be removed."""
+    warn(f"{what} is now called {new}; the former name will be removed in version 0.4")
 
 
 def _instead_of(name, parameters):

@@ -48,7 +48,7 @@ from rfpsurvey.probability._targets import make_source
 @check_keywords
 @describe_methods(METHODS)
 def collision_probability(
-    focal_plane: FocalPlane | Instrument | str,
+    instrument: FocalPlane | Instrument | str,
     *,
     method: str | Callable = "conditional",
     estimand: str | None = None,
@@ -77,7 +77,7 @@ def collision_probability(
 
     Parameters
     ----------
-    focal_plane : FocalPlane, Instrument or str
+    instrument : FocalPlane, Instrument or str
         Object that contains the positioners. A str is the name of a preset, or the path of a TOML file.
     method : str or callable, optional
         {methods}
@@ -171,10 +171,10 @@ def collision_probability(
     100
     """
     start = perf_counter()
-    plane = as_focal_plane(focal_plane)
+    plane = as_focal_plane(instrument)
     if plane.arrays.any_hidden:  # circles without targets do not affect collisions
         plane = replace(plane, hidden=None, margins=replace(plane.margins, broken_factor=0.0, hidden_factor=1.0))
-    instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
+    instrument = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:
         check_choice(estimand, ESTIMANDS, "estimand")

@@ -47,7 +47,7 @@ log = logging.getLogger("rfpsurvey")
 @check_keywords
 @describe_methods(METHODS)
 def place_tiles(
-    field: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
     instrument: Instrument | str | None = None,
     *,
     method: str = "hexagonal",
@@ -73,7 +73,7 @@ def place_tiles(
 
     Parameters
     ----------
-    field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
         The targets (all partitions are read), or a region, which only some methods can cover.
     instrument : Instrument or str, optional
         Instrument, which defines the field radius and the positioners. It is not required if ``radius`` and
@@ -123,7 +123,7 @@ def place_tiles(
     Returns
     -------
     Tiling
-        The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
+        The tiles. If targets are given, the tiles are in the order in which they were placed, with the
         columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
         that the tile observes) and ``completeness`` (of the survey after this tile). A survey with the same allocator
         reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``) at the
@@ -140,7 +140,7 @@ def place_tiles(
     -----
     RfpsurveyWarning
         If the completeness is not reached, if targets are beyond the limits of declination, or if the allowed centers
-        do not cover the region. Also, if an option is given that the method, the allocator or the field does not use.
+        do not cover the region. Also, if an option is given that the method, the allocator or a region does not use.
 
     References
     ----------
@@ -169,7 +169,7 @@ def place_tiles(
     check_whole(passes, "passes", high=10_000)
     passes = int(passes)
     warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
-    if not (fibers.lost_in_collision or (by_positioners and not isinstance(field, Region))):
+    if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
     where, exclude = as_centers(centers), _regions(exclude)
     progress = progress if callable(progress) else check_switch(progress, "progress")
@@ -183,15 +183,15 @@ def place_tiles(
         **dict.fromkeys(("n_tiles", "passes"), 0),
         "radius_deg": float(np.rad2deg(radius_rad)),
     }
-    if isinstance(field, Region):
+    if isinstance(catalog, Region):
         goals = {"n_tiles": n_tiles, "completeness": completeness}
         unused = {"visits": visits, "allocator": allocator, "fibers": fibers.number}
         unused |= {"min_separation": fibers.min_separation, "rng": rng if is_seed_given(rng) else None}
         check_region_options(chosen, goals, unused)
-        return _place_on_region(field, chosen, radius_rad, passes, where, exclude, summary)
-    if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
-        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
-    catalog = as_catalog(field)
+        return _place_on_region(catalog, chosen, radius_rad, passes, where, exclude, summary)
+    if not (isinstance(catalog, Catalog | PartitionedCatalog | SkyCoord) or is_table(catalog)):
+        raise InputTypeError(f"catalog must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(catalog)}")
+    catalog = as_catalog(catalog)
     times = times_of_tiles(where.tiling) if chosen.needs_tiles and by_positioners else None
     reference, moved = choose_epoch(catalog, None, times)
     catalog = catalog if reference is None else catalog.at_epoch(reference)

@@ -215,7 +215,7 @@ def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
         for folder in (None, tmp_path / "survey")
     ]
     for survey in surveys:
-        visits = survey.visits(0)
+        visits = survey.tile(0)
         used = np.isfinite(by_seed["ra"])
         assert np.asarray(visits["target_id"]).tolist() == np.asarray(by_seed["target_id"])[used].tolist()
 

@@ -118,7 +118,7 @@ def test_surveys_and_tilings_state_their_margins(tmp_path):
     assert joint.summary["margins"] == "outer 0.5 mm"
     assert survey.summary["n_visits_observed"] <= joint.summary["n_visits_observed"]
     for k, center in enumerate(tiles):
-        visits = joint.visits(k)
+        visits = joint.tile(k)
         xy = sky[np.searchsorted(sky.id, visits["target_id"])].coord
         tips = margined.projection(center).to_focal_plane(xy)
         rows = np.searchsorted(margined.focal_plane.id, visits["positioner"])

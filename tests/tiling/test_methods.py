@@ -369,7 +369,7 @@ def test_a_separation_of_fibers_is_an_angle():
 
 
 def test_nothing_to_observe_is_an_error(small):
-    with pytest.raises(rs.InputError, match="field must be a Catalog, SkyCoord, Table, DataFrame or Region, got 5"):
+    with pytest.raises(rs.InputError, match="catalog must be a Catalog, SkyCoord, Table, DataFrame or Region, got 5"):
         rs.place_tiles(5, "lamost")
     dead = replace(small, focal_plane=replace(small.focal_plane, disabled=np.ones(len(small.focal_plane), bool)))
     with pytest.raises(rs.InputError, match="small must have at least one positioner that is not disabled or stuck"):
