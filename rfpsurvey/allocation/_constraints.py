@@ -1,27 +1,22 @@
 """How allocators honor constraints, and the form in which results record long lists of constraints."""
 
 import hashlib
-from collections.abc import Callable
 
-from rfpsurvey.constraints import AS_GOAL, EXACTLY, Abilities
+from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
 
 # Results record lists of at most this many identifiers or circles. For a longer list, they record the length and a
 # digest.
 MOST_LISTED = 1000
-NETWORK = Abilities(precedence=AS_GOAL, counts=AS_GOAL)
-ABILITIES = {
-    "balanced": Abilities(),
-    "nearest": Abilities(precedence=AS_GOAL),
-    "lamost": NETWORK,
-    "sdss": NETWORK,
-    "optimal": Abilities(EXACTLY, AS_GOAL, AS_GOAL),
-    "repair": Abilities(EXACTLY, AS_GOAL, AS_GOAL),
-}
+COUNTS = {"exactly": EXACTLY, "goal": AS_GOAL, "no": ONLY_CHECKED}
 
 
-def abilities_of(allocator: str | Callable) -> Abilities | None:
-    """Return how an allocator honors constraints; None if it is not built in, because this is then not known."""
-    return ABILITIES.get(allocator) if isinstance(allocator, str) else None
+def abilities_of(method) -> Abilities:
+    """Return how an allocator honors constraints, from its record."""
+    return Abilities(
+        EXACTLY if method.avoids_collisions else ONLY_CHECKED,
+        AS_GOAL if method.uses("required") else ONLY_CHECKED,
+        COUNTS[method.counts],
+    )
 
 
 def recorded_constraints(record: dict) -> list[str]:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_plain
@@ -13,6 +12,7 @@ from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import CollisionReport
 from rfpsurvey.constraints import Constraint, ConstraintField
 from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.projection import FieldProjection
@@ -80,10 +80,9 @@ def apply_constraints(
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
     sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)
     if len(circles):
-        plane = instrument.focal_plane
         instrument = replace(
             instrument,
-            focal_plane=replace(plane, obstacles=np.vstack([plane.arrays.obstacles, circles]) * u.mm),
+            focal_plane=with_circles(instrument.focal_plane, circles),
             plate_scale=None if instrument.distortion else instrument.plate_scale,
         )
 

@@ -18,6 +18,7 @@ from rfpsurvey.allocation import (
     to_subpriorities,
 )
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
+from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
 from rfpsurvey.pipeline._blank_sky import BlankIds
@@ -25,7 +26,7 @@ from rfpsurvey.pipeline._constraints import Applied, apply_constraints
 from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldTargets", "field_radius_rad", "plan_field"]
+__all__ = ["FieldPlan", "FieldReach", "FieldTargets", "field_radius_rad", "find_reach", "plan_field"]
 
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
@@ -49,11 +50,30 @@ class FieldTargets(NamedTuple):
     """Other targets in and around the field, which cannot be observed; None if no constraint uses the targets."""
 
 
+class FieldReach(NamedTuple):
+    """The pairs of positioners and targets in reach, with the positions of the targets on the focal plane."""
+
+    instrument: Instrument
+    """The instrument, whose obstacles include those of the constraints."""
+    xy: np.ndarray
+    """Positions of the targets in mm, shape (n, 2)."""
+    fiber_type: np.ndarray | None
+    """Fiber type that each target requires; None if all fibers can observe all targets."""
+    pairs: Reach
+    excluded: np.ndarray | None = None
+    """Whether each target must not be observed; None if all targets may be observed."""
+
+    @property
+    def allowed(self) -> Reach:
+        """The pairs of the targets that may be observed."""
+        return self.pairs if self.excluded is None else self.pairs.where(~self.excluded[self.pairs.target])
+
+
 class FieldPlan(NamedTuple):
     """The plan of a field; each array has one value per positioner with a target, in the order of the focal plane."""
 
     instrument: Instrument
-    """The instrument, whose obstacles include the circles that no arm may cover."""
+    """The instrument, whose obstacles include those of the constraints."""
     allocation: Allocation
     arms: Arms
     report: CollisionReport
@@ -99,6 +119,17 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
         apart = np.linalg.norm(np.cross(seen, center), axis=1).max()
         shift = max(shift, np.arcsin(apart) - RING * radius)
     return float(radius + shift / RING**3)  # the shift increases at most with the cube of the distance from the center
+
+
+def find_reach(
+    instrument: Instrument, projection: FieldProjection, targets: FieldTargets, options: AllocationOptions
+) -> FieldReach:
+    """Return the pairs of a positioner and a target of a field in its reach; the parameters are as in `plan_field`."""
+    applied = apply_constraints(instrument, projection, options, targets)
+    instrument = applied.instrument
+    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
+    pairs = instrument.focal_plane.arrays.reach(xy, fiber_type)
+    return FieldReach(instrument, xy, fiber_type, pairs, applied.excluded)
 
 
 def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> Allocation:
@@ -176,9 +207,9 @@ def plan_field(
         ids, vectors = np.empty(len(target), dtype=blank.dtype), np.empty((len(target), 3))
         ids[given], vectors[given] = known
         ids[~given] = blank.take(len(found))
-        vectors[~given] = projection.unproject(allocation.xy.value[found], types)
+        vectors[~given] = projection.unproject(allocation.xy_mm[found], types)
     lon, lat = to_lonlat(vectors)
-    violations = applied.violations(report, target[given], vectors[~given], allocation.xy.value[target[~given]])
+    violations = applied.violations(report, target[given], vectors[~given], allocation.xy_mm[target[~given]])
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.allocation import recorded_constraints
+from rfpsurvey.allocation import METHODS, recorded_constraints
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
@@ -96,7 +96,7 @@ def _asked(tile) -> dict:
     asked["constraints"] = recorded_constraints(p) or "none"
     if p.get("sky_separation_mm"):
         asked["minimum distance of sky positions from targets"] = f"{p['sky_separation_mm']:.4g} mm"
-    if p["allocator"] in ("sdss", "optimal"):
+    if p["allocator"] in METHODS and METHODS[p["allocator"]].searches:
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:

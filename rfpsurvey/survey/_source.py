@@ -209,8 +209,8 @@ def _stack(parts: tuple) -> np.ndarray | None:
 
 def digest(*columns: np.ndarray | None) -> str:
     """Return 16 hexadecimal digits that identify the content of columns; a missing column is None."""
-    found = hashlib.sha256()
+    state = hashlib.sha256()
     for column in columns:
-        found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
-        found.update(b";")
-    return found.hexdigest()[:16]
+        state.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
+        state.update(b";")
+    return state.hexdigest()[:16]

@@ -63,7 +63,8 @@ def plan_tile(
     """Assign the targets of a field to fibers, and find the arms that collide.
 
     If there are no requirements, such as a minimum number of sky fibers, only science targets and required targets are
-    assigned; all other sky positions and standard stars are only counted. If each fiber type has its own radial map
+    assigned; all other sky positions and standard stars are only counted. Targets of any kind whose number of visits is
+    0 are not assigned, except required targets. If each fiber type has its own radial map
     from the sky to the focal plane, targets without a fiber type are projected with the map of the first fiber type.
 
     Parameters
@@ -189,7 +190,7 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows, rows[slot], plan),
+        "kinds": counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
         "n_required": builder.n_required,
         "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
         "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],
