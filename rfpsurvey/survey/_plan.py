@@ -60,9 +60,8 @@ def plan_survey(
     If an executor is given, tiles that do not share targets are planned at the same time. The plan does not depend on
     the executor. Required targets (`AllocationOptions`) take precedence in every tile as long as they have remaining
     visits, and at least one visit of each required target is requested. A standard or sky position that is a required
-    target can be used any number of times, even if the options contain no requirements. Circles that no arm may cover
-    (``keep_out`` of `AllocationOptions`) are obstacles in the tiles whose arms can touch these
-    circles.
+    target can be used any number of times, even if the options contain no requirements. Constraints apply to each tile:
+    targets that they exclude are not observed, and the tile has their obstacles.
 
     Parameters
     ----------
