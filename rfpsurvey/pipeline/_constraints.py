@@ -12,9 +12,6 @@ from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["are_among", "mark_required", "with_keep_out"]
-
-
 # Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. The
 # factor is larger than 1 because the image of the rim can be slightly farther from the center between two of these
 # points.

@@ -25,8 +25,6 @@ from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import with_keep_out
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldReach", "FieldTargets", "field_radius_rad", "find_reach", "plan_field", "project_field"]
-
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
 

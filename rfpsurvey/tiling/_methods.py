@@ -9,8 +9,6 @@ from rfpsurvey.tiling._greedy import density_gradient, max_density, mean_shift
 from rfpsurvey.tiling._network import sdss
 from rfpsurvey.tiling._visit import visit_given
 
-__all__ = ["COVERINGS", "GIVEN", "METHODS", "check_region_options", "warn_of_unused_passes"]
-
 GIVEN = "given"
 
 # Coverings of a region, which require no targets.

@@ -12,8 +12,6 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
 
-__all__ = ["JointOptions", "as_joint", "check_joint"]
-
 
 @check_keywords
 @dataclass(frozen=True)
