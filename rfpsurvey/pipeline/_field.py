@@ -26,8 +26,6 @@ from rfpsurvey.pipeline._constraints import Applied, apply_constraints
 from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldReach", "FieldTargets", "field_radius_rad", "find_reach", "plan_field"]
-
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
 

@@ -17,8 +17,6 @@ from rfpsurvey.constraints import mark_required
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._field import FieldTargets
 
-__all__ = ["PLANNED_COLUMNS", "CatalogTargets", "FieldBuilder", "FieldRows", "SelectedRows"]
-
 PLANNED_COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 """Optional columns of a catalog that allocators use."""
 

@@ -8,8 +8,6 @@ from rfpsurvey._kernels.realizations import MOST
 from rfpsurvey.selection._rules import RULES
 from rfpsurvey.survey import Request
 
-__all__ = ["Block", "blocks_of", "in_batch", "request_of", "seeds_of"]
-
 
 def seeds_of(seed: int, n: int) -> list[int]:
     """Return the seeds of n realizations; if n is increased, the first seeds remain the same."""

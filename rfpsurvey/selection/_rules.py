@@ -13,8 +13,6 @@ from rfpsurvey.allocation import id_numbers
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.pipeline import FieldReach
 
-__all__ = ["RULES", "BlockProblem"]
-
 
 class BlockProblem(NamedTuple):
     """The targets of a field, and the pairs of a target and a positioner that may be assigned."""

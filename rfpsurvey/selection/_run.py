@@ -21,8 +21,6 @@ from rfpsurvey.selection._state import State
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
 from rfpsurvey.survey import Request, told
 
-__all__ = ["count_tiles", "count_type", "in_order", "run"]
-
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
 

@@ -19,8 +19,6 @@ from rfpsurvey.selection._run import run
 from rfpsurvey.survey import prepare_request
 from rfpsurvey.tiling import Tiling
 
-__all__ = ["selection_probabilities"]
-
 log = logging.getLogger("rfpsurvey")
 MOST = 1 << 20
 

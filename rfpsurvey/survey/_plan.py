@@ -31,8 +31,6 @@ from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_programs, warn_of_targets
 
-__all__ = ["plan_survey", "prepare_request"]
-
 log = logging.getLogger("rfpsurvey")
 
 

@@ -10,8 +10,6 @@ from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
 
-__all__ = ["completeness_table", "outcome_table", "tile_table"]
-
 TILES = {
     "tile": "identifier of the tile",
     "ra": "right ascension of the field center (ICRS)",

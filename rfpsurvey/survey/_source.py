@@ -11,8 +11,6 @@ from rfpsurvey.allocation import TargetColumns
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
 from rfpsurvey.pipeline import PLANNED_COLUMNS, CatalogTargets, FieldRows, FieldTargets
 
-__all__ = ["InMemory", "Partitioned", "digest"]
-
 
 class InMemory(CatalogTargets):
     """A catalog that fits into memory; the slot of a target is its position in the spatial index."""

@@ -7,8 +7,6 @@ import numpy as np
 from rfpsurvey.allocation import AllocationOptions, Shortfall
 from rfpsurvey.errors import listed, number_of
 
-__all__ = ["sentences_of", "shortfall_cards", "shortfall_counts", "texts_of", "without_shortfalls"]
-
 MISSING, EXCESS, VIOLATED = "missing ", "too many ", "violations "
 REQUIRED = "required targets"
 MOST_TILES = 5

@@ -14,8 +14,6 @@ from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, find_
 from rfpsurvey.survey._unmet import VIOLATED, shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
-__all__ = ["N_FIELD", "Done", "Job", "Model", "cards_of", "plan_of", "projection_of", "reach_of", "work"]
-
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
 N_FIELD = "NFIELD"
 COUNTS = {

@@ -38,8 +38,6 @@ from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
-__all__ = ["plan_tile"]
-
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")

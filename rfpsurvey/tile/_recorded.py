@@ -13,8 +13,6 @@ from rfpsurvey.errors import number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plans import is_plan
 
-__all__ = ["Recorded", "find_recorded", "sentence_of", "warn_of_neglected"]
-
 GOOD = 1  # fiberStatus of PFS
 TOLERANCE_MM = 0.1
 """Largest distance between the position of a fiber and the position computed from its recorded joint angles."""

@@ -44,8 +44,6 @@ from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, sentence_of,
 from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
 
-__all__ = ["score_tile"]
-
 MOST_OUT_OF_REACH = 0.2
 """Fraction of targets out of reach from which on a warning states that plan and instrument do not match."""
 

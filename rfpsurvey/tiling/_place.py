@@ -37,8 +37,6 @@ from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
-__all__ = ["place_tiles"]
-
 MOST_LEVELS = 100
 """Largest number of priority classes; tiles are placed for one class after the other."""
 log = logging.getLogger("rfpsurvey")

@@ -13,8 +13,6 @@ from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
 
-__all__ = ["JointOptions", "as_joint", "check_joint"]
-
 
 @check_keywords
 @dataclass(frozen=True)
