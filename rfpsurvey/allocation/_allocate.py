@@ -13,7 +13,7 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._options import AllocationOptions, as_options
-from rfpsurvey.allocation._plugin import find_method
+from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
@@ -211,7 +211,7 @@ def assign(
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
-    answer = find_method(options.allocator)(problem)
+    answer = find_allocator(options.allocator).function(problem)
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
@@ -311,7 +311,7 @@ def _make_start(
     """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem."""
     start = problem.options.start
     if isinstance(start, str):
-        return find_method(start)(problem)
+        return find_allocator(start).function(problem)
     rows = slice(None) if order is None else order
     plane, points = problem.focal_plane, problem.xy[:n_given]
     same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)

@@ -241,7 +241,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that draws configurations and counts their collisions, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(
-            "configurations can be drawn only from the queues of the allocator 'balanced', got the allocator "
+            "configurations can be drawn only from an allocation with queues, got an allocation by "
             f"{allocation.allocator!r}"
         )
     if len(allocation.target_of_positioner) != len(plane):

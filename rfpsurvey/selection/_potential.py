@@ -42,7 +42,7 @@ class ReachJob(NamedTuple):
 
 @check_keywords
 def potential_assignments(
-    points: Catalog | PartitionedCatalog | SkyCoord | Table,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
     tiles: Tiling | Table | SkyCoord,
     *,
@@ -59,7 +59,7 @@ def potential_assignments(
 
     Parameters
     ----------
-    points : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The points.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
@@ -111,7 +111,7 @@ def potential_assignments(
     if not callable(progress):
         check_switch(progress, "progress")
     request = prepare_request(
-        points,
+        catalog,
         instrument,
         tiles,
         allocator="nearest",
@@ -257,7 +257,7 @@ class PotentialAssignments:
         """Return the rows of the positioners that lose their target to a collision in a tile."""
         if self.survey is None:
             return NO_ROWS
-        visits = self.survey.visits(self.request.tiling.table["tile"][tile])
+        visits = self.survey.tile(self.request.tiling.table["tile"][tile])
         ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
         return np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))
 

@@ -38,7 +38,7 @@ class BlockProblem(NamedTuple):
         columns, n, n_sharing = targets.columns, len(targets.id), reach.instrument.focal_plane.arrays.n_sharing
         allowed = np.ones(n, dtype=bool) if columns.kind is None else columns.kind == "science"
         rank = np.zeros(n, dtype=np.int64)
-        if given.job.model.options.name != "balanced":
+        if given.job.model.options.method.uses_priorities:
             if columns.priority is not None:
                 rank = np.unique(-columns.priority, return_inverse=True)[1].reshape(-1).astype(np.int64)
             if columns.is_required is not None:

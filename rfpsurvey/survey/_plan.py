@@ -38,7 +38,7 @@ log = logging.getLogger("rfpsurvey")
 def plan_survey(
     catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
-    tiling: Tiling | Table | SkyCoord,
+    tiles: Tiling | Table | SkyCoord,
     *,
     allocator: AllocationOptions | str | Callable = "lamost",
     visits: int | np.ndarray | None = None,
@@ -69,7 +69,7 @@ def plan_survey(
         be used any number of times, unless its number of visits is 0.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
-    tiling : Tiling, Table or SkyCoord
+    tiles : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
         The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If worker
@@ -118,7 +118,7 @@ def plan_survey(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if the name of an instrument, allocator or order is unknown, if a
+        If the catalog or the list of tiles is empty, if the name of an instrument, allocator or order is unknown, if a
         required target is not in the catalog, if a number is out of range, or if the folder is in use, contains another
         survey, or is not writable. The files of finished tiles remain.
     concurrent.futures.BrokenExecutor
@@ -155,7 +155,7 @@ def plan_survey(
     request = prepare_request(
         catalog,
         instrument,
-        tiling,
+        tiles,
         allocator=allocator,
         visits=visits,
         passes=passes,
@@ -176,7 +176,7 @@ def plan_survey(
 
 
 def prepare_request(
-    catalog, instrument, tiling, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
+    catalog, instrument, tiles, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
 ) -> Request:
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
@@ -189,10 +189,10 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
-    tiles, joint = as_tiling(tiling), as_joint(order)
+    tiling, joint = as_tiling(tiles), as_joint(order)
     warn_of_unused_options([asked], instrument.focal_plane, rng if joint is None else 0)  # a joint search uses rng
-    warn_of_programs(tiles)
-    times = times_of_tiles(tiles) if len(tiles) else None
+    warn_of_programs(tiling)
+    times = times_of_tiles(tiling) if len(tiling) else None
     if isinstance(catalog, PartitionedCatalog):
         used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)
         source = Partitioned(catalog, used)
@@ -205,11 +205,11 @@ def prepare_request(
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
         if first.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a joint plan")
-    if is_table(tiling):
-        warn_of_targets(tiles, len(source))
+    if is_table(tiles):
+        warn_of_targets(tiling, len(source))
     request = make_request(
         source,
-        tiles,
+        tiling,
         instrument,
         asked.for_instrument(instrument),
         visits=visits,
