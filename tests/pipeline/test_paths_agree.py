@@ -182,6 +182,18 @@ def test_the_same_targets_are_observed_by_each_allocator(allocator, monkeypatch)
     check("visits", allocator, monkeypatch)
 
 
+def test_added_sky_positions_of_a_tile_avoid_targets_without_requested_visits():
+    """Regression: `plan_tile` ignored targets with 0 visits when it added sky positions between the targets."""
+    catalog, instrument, _, _ = make_case("visits")
+    asked = rs.AllocationOptions("lamost", requirements="sky=12", sky_separation=6 * u.mm)
+    tile = rs.plan_tile(catalog, instrument, CENTER, allocator=asked)
+    table = tile.table[np.asarray(tile.table["kind"]) == "sky"]
+    assert len(table) >= 8
+    targets = instrument.projection(CENTER).plain.project(catalog.arrays.vectors)
+    sky = np.column_stack([table[name].to_value(u.mm) for name in ("tip_x", "tip_y")])
+    assert np.linalg.norm(sky[:, None] - targets, axis=2).min() > 6 - 1e-9
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("allocator", ALLOCATORS)
 @pytest.mark.parametrize("name", CASES)
