@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name, warn_of_unused_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
@@ -40,7 +40,7 @@ def plan_survey(
     instrument: Instrument | str,
     tiles: Tiling | Table | SkyCoord,
     *,
-    allocator: AllocationOptions | str | Callable = "lamost",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     visits: int | np.ndarray | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
