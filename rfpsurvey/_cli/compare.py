@@ -14,7 +14,8 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
-from rfpsurvey.compare import parts_of
+from rfpsurvey.compare import COMPARED, parts_of
+from rfpsurvey.errors import listed
 from rfpsurvey.plot import draw_instruments
 
 
@@ -48,7 +49,7 @@ def compare(
     ] = None,
     allocator: Annotated[
         list[str] | None,
-        typer.Option(help="Allocator; may be repeated. By default, the allocators lamost and optimal are used."),
+        typer.Option(help=f"Allocator; may be repeated. By default, the allocators {listed(COMPARED)} are used."),
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
@@ -88,7 +89,7 @@ def compare(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill, hdu=hdu),
             models or None,
             center=_app.parse_center(center),
-            allocators=allocator or ("lamost", "optimal"),
+            allocators=allocator or COMPARED,
             targets_per_positioner=targets,
             density=None if density is None else density / u.deg**2,
             n_realizations=realizations,

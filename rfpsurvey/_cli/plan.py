@@ -86,7 +86,7 @@ def plan(
             allocator=options,
             conditions=seen,
             projection=projection,
-            progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
+            progress=options.method.searches and sys.stderr.isatty(),
             rng=seed,
         )
         ended_early = interrupted.is_set()

@@ -12,6 +12,9 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
 from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners, make_realization
 
+QUEUEING = "balanced"
+"""The allocator whose queues define the estimand, unless the user chooses another one; kernels simulate this one."""
+
 
 @dataclass(frozen=True)
 class CollisionSums:
@@ -72,8 +75,7 @@ class Simulation:
     @property
     def compiled(self) -> bool:
         """Whether compiled kernels run the whole simulation."""
-        balanced = self.options.allocator == "balanced"
-        return self.source.compiled and balanced and self.plane.arrays.poses_free
+        return self.source.compiled and self.options.allocator == QUEUEING and self.plane.arrays.poses_free
 
     def draw(self, size: int, rng: np.random.Generator) -> CollisionSums:
         """Draw realizations, and return the numbers of collisions in one configuration of each realization."""

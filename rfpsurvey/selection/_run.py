@@ -21,8 +21,6 @@ from rfpsurvey.selection._state import State
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
 from rfpsurvey.survey import Request, told
 
-__all__ = ["count_tiles", "count_type", "in_order", "run"]
-
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
 
@@ -41,18 +39,18 @@ def run(
             return SelectionProbabilities.read(folder.path)
         together = in_batch(request)
         seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)
-        book = request.open_state()
-        bits = np.zeros((len(book.wanted), n_words(n)), dtype=np.uint64)
+        builder = request.builder
+        bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
         counts = []
         tiles = len(request.tiling)
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for block in blocks:
                 own = seeds[block.first : block.last]
-                done = None if folder is None else folder.load_block(block.number, len(book.wanted), len(block))
+                done = None if folder is None else folder.load_block(block.number, len(builder.wanted), len(block))
                 fresh = done is None
                 if fresh:
-                    state = State(book.wanted, book.left, book.spends, len(block))
+                    state = State(builder, len(block))
                     one = request if together else request_of(request, own[0])
                     begin = tiles * (1 + block.first)
                     _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
@@ -66,7 +64,7 @@ def run(
         source = request.source
         result = SelectionProbabilities(
             source.ids(),
-            source.by_row(book.wanted),
+            source.by_row(builder.wanted),
             source.by_row(n_tiles),
             source.by_row(bits),
             realization_table(request, seeds, np.concatenate(counts), together=together),
@@ -127,7 +125,8 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:
     job = request.job(tile, state.is_open, as_file=False)
-    job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+    if job.field.targets.around is None:  # no constraint uses the further columns
+        job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
 
 

@@ -3,14 +3,12 @@
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.allocation import brief
+from rfpsurvey.errors import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
-
-__all__ = ["completeness_table", "outcome_table", "tile_table"]
 
 TILES = {
     "tile": "identifier of the tile",
@@ -73,7 +71,8 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
 def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
-    required = np.flatnonzero([] if request.is_required is None else request.is_required)
+    is_required = request.builder.is_required
+    required = np.flatnonzero([] if is_required is None else is_required)
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}

@@ -11,13 +11,11 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_center, to_generator
+from rfpsurvey._units import to_center, to_generator, to_vectors
 from rfpsurvey.allocation import (
     KINDS,
     AllocationOptions,
-    TargetColumns,
     as_options,
-    brief,
     hint_of_name,
     packages,
     sentences,
@@ -28,12 +26,11 @@ from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import (
+    CatalogTargets,
+    FieldBuilder,
     FieldPlan,
-    FieldTargets,
-    are_among,
-    blank_ids,
+    SelectedRows,
     field_radius_rad,
-    mark_required,
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
@@ -41,11 +38,8 @@ from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
-__all__ = ["plan_tile"]
-
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
-COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -67,7 +61,8 @@ def plan_tile(
     """Assign the targets of a field to fibers, and find the arms that collide.
 
     If there are no requirements, such as a minimum number of sky fibers, only science targets and required targets are
-    assigned; all other sky positions and standard stars are only counted. If each fiber type has its own radial map
+    assigned; all other sky positions and standard stars are only counted. Targets of any kind whose number of visits is
+    0 are not assigned, except required targets. If each fiber type has its own radial map
     from the sky to the focal plane, targets without a fiber type are projected with the map of the first fiber type.
 
     Parameters
@@ -147,13 +142,11 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
-    is_required = mark_required(options.required, [catalog.id])
-    n_required = 0 if is_required is None else int(is_required.sum())
+    margin = max([one.margin_rad for one in options.all_constraints], default=0.0)
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
-        near = catalog.arrays.rows_near(center, radius, used)
+        near = catalog.arrays.rows_near(center, radius + margin, used)
         catalog = catalog[near].at_epoch(used)
-        is_required = None if is_required is None else is_required[near]
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
         nearest = everything.coord.icrs.separation(center.icrs).min().deg
@@ -162,40 +155,43 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    given = rows[_wanted(catalog, rows, is_required, others=bool(options.requirements))]
-    n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
+    outside = np.setdiff1d(catalog.arrays.rows_within(center, radius + margin), rows) if margin else rows[:0]
+    wider = np.append(rows, outside)
+    vectors = catalog.arrays.vectors.take(wider, axis=0)
+    selected = SelectedRows(wider if used is None else near[wider], vectors, radius, len(rows))
+    source = CatalogTargets(everything, selected)
+    builder = FieldBuilder(source, options)
+    slot, _, targets = builder.field(to_vectors(center, "center", one=True)[0], radius)
+    if len(slot) == 0:
+        _refuse_empty(builder, len(rows))
+    n_twice = len(slot) - len(np.unique(targets.id)) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
         text += "; each row is planned as a separate target"
         warn(text)
-    columns = {name: getattr(catalog, name) for name in COLUMNS}
-    columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    columns["is_required"] = None if is_required is None else is_required[given]
-    extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
-    vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as vectors[given]
-    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), None, extra, catalog.numbered)
-    blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
     with Progress(progress) as bar:
-        plan = plan_field(instrument, plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage))
+        plan = plan_field(
+            instrument, plain, targets, options, rng, builder.blank, lambda done, stage: bar(done, note=stage)
+        )
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
-        what = "target" if options.requirements else "science target"
+        what = "target" if options.counts else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
         "n_in_field": len(rows),
-        "n_set_aside": len(rows) - len(given),
+        "n_set_aside": len(rows) - len(slot),
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows, given, plan),
-        "n_required": n_required,
-        "n_required_observed": _n_required_observed(plan, columns["is_required"]),
-        "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
+        "kinds": counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
+        "n_required": builder.n_required,
+        "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
+        "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],
         "search": allocation.meta,
         "projection": chosen,
         "epoch": moved,
@@ -227,42 +223,25 @@ def plan_tile(
         catalog.meta,
         kind=plan.kind,
         carried=by_positioner(catalog, plan, row_of),
-        targets=TargetsOfField(catalog, rows, given, plan),
+        targets=TargetsOfField(catalog, rows, slot, plan),
         software=packages(options),
     )
 
 
-def _wanted(catalog: Catalog, rows: np.ndarray, is_required: np.ndarray | None, *, others: bool) -> np.ndarray:
-    """Return a mask of the targets in the given rows that the allocator receives.
-
-    These are all required targets, the science targets with requested visits and, if ``others`` is true, the targets of
-    other kinds.
-    """
-    science = np.ones(len(rows), dtype=bool) if catalog.kind is None else catalog.kind[rows] == "science"
-    wanted = science if catalog.visits is None else science & (catalog.visits[rows] > 0)
-    if others:
-        wanted = wanted | ~science
-    if is_required is not None:
-        wanted = wanted | is_required[rows]
-    if not wanted.any():
-        what = "is a science target" + (" with requested visits" if science.any() else "")
-        remedy = "requirements such as 'sky=20' also assign targets of other kinds"
-        remedy = "the column of visits states 0 for all of them" if science.all() else remedy
-        raise InputError(f"none of the {len(rows)} targets in the field {what}; {remedy}")
-    return wanted
+def _refuse_empty(builder: FieldBuilder, n: int) -> None:
+    """Raise the error that states why a tile may use none of the n targets in its field, which are the first slots."""
+    kind = builder.source.by_slot("kind")
+    science = np.ones(n, dtype=bool) if kind is None else kind[:n] == "science"
+    what = "is a science target" + (" with requested visits" if science.any() else "")
+    remedy = "requirements such as 'sky=20' also assign targets of other kinds"
+    remedy = remedy if builder.visits[:n].any() else "the column of visits states 0 for all of them"
+    raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
     """Return the number of targets marked in ``is_required`` that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
     return 0 if is_required is None else int(is_required[observed].sum())
-
-
-def _outside(required: tuple, ids: np.ndarray) -> list[str]:
-    """Return a list with a sentence on the required targets outside the field; the list is empty if there are none."""
-    there = are_among(required, ids) if required else np.ones(0, dtype=bool)
-    outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
-    return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:
@@ -282,10 +261,10 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
 
     There is no warning if the option ``requirements`` is ``"instrument"``.
     """
-    if isinstance(options.requirements, str) or not options.requirements:
+    if not options.counts:
         return
     category = np.array([""]) if catalog.category is None else catalog.category
-    for one in options.requirements:
+    for one in options.counts:
         if one.minimum and one.what not in KINDS and not (category == one.what).any():
             there = [] if catalog.category is None else np.unique(category).tolist()
             hint = hint_of_name(one.what, there) or f"the catalog's categories are: {listed(there, 8)}"
