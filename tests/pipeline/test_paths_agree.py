@@ -118,7 +118,7 @@ def by_tile(catalog, instrument, tiling, asked):
 def by_survey(catalog, instrument, tiling, asked, order="color"):
     """Return the same as `by_tile` for a survey of one tile."""
     survey = rs.plan_survey(catalog, instrument, tiling, allocator=asked, order=order, rng=SEED)
-    visits = survey.visits(0)
+    visits = survey.tile(0)
     return by_outcome(visits["target_id"], ~np.asarray(visits["observed"]))
 
 
