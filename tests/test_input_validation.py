@@ -226,7 +226,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             "the arms must belong to the 37 positioners of the focal plane, got the arms of 1",
         ),
         (
-            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s),
+            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM, allocator="balanced").place_arms(s),
             "got Instrument; use the attribute focal_plane",
         ),
         (

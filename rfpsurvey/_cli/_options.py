@@ -7,7 +7,7 @@ import typer
 
 from rfpsurvey import tiling
 from rfpsurvey._methods import help_of
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS
 from rfpsurvey.errors import InputError, listed
 
 AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
@@ -193,7 +193,7 @@ TilingAllocatorOption = Annotated[
     str | None,
     typer.Option(
         help=f"Allocator that plans each tile, as in a survey: {listed(METHODS)}, or an allocator of an installed "
-        "package. The default is lamost; if --fibers or --radius is given, no allocator is used by default."
+        f"package. The default is {DEFAULT_ALLOCATOR}; with --fibers or --radius, no allocator is used by default."
     ),
 ]
 TilingPaOption = Annotated[

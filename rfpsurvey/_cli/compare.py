@@ -14,6 +14,7 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR
 from rfpsurvey.compare import COMPARED, parts_of
 from rfpsurvey.errors import listed
 
@@ -81,7 +82,7 @@ def compare(
     if catalog is None:
         _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, hdu=hdu)
     options = _app.allocation_options(
-        "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
+        DEFAULT_ALLOCATOR, require, sky_separation, time_limit, required=required, keep_out=keep_out
     )
     with released(ThreadPoolExecutor(workers)) as pool:
         table = rs.compare_instruments(

@@ -8,7 +8,7 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import recorded_constraints
-from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator, name_of_best
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, OPTIONS, Allocator, name_of_best
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator, packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "DEFAULT_ALLOCATOR",
     "IDLE_REASONS",
     "KINDS",
     "METHODS",

@@ -12,6 +12,7 @@ from rfpsurvey._units import rows_of, to_dimensionless, to_generator, to_numbers
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
@@ -41,7 +42,7 @@ def allocate(
     focal_plane: FocalPlane,
     xy: u.Quantity,
     *,
-    allocator: AllocationOptions | str | Callable = "balanced",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     priority: np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     kind: np.ndarray | None = None,

@@ -14,7 +14,7 @@ from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["COUNTS", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
+__all__ = ["COUNTS", "DEFAULT_ALLOCATOR", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
 
 COUNTS = ("exactly", "goal", "no")
 
@@ -179,6 +179,10 @@ The options of an allocator do not include the options that affect the results o
 """
 OPTIONS = (*dict.fromkeys(name for one in METHODS.values() for name in one.options), "parked_obstacles")
 """Options that not all allocators, or not all instruments, use."""
+
+
+DEFAULT_ALLOCATOR = "repair"
+"""The allocator of plans, tilings and surveys unless the user chooses another one."""
 
 
 def name_of_best() -> str:

@@ -11,7 +11,7 @@ from rfpsurvey._methods import describe_methods
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import recorded
-from rfpsurvey.allocation._methods import METHODS, Allocator
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, Allocator
 from rfpsurvey.allocation._plugin import find_allocator, find_improving
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
 from rfpsurvey.allocation._uses import given_options
@@ -68,8 +68,8 @@ class AllocationOptions:
         Targets with the same priority form a class. Allocators that use priorities assign the class of the highest
         priority first.
         {methods}
-        Any other name refers to an allocator that an installed package provides. A function is called with an
-        `~rfpsurvey.allocation.AllocationProblem`.
+        The default is ``repair``. Any other name refers to an allocator that an installed package provides. A function
+        is called with an `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Minimum and maximum numbers of targets per plan, as in ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
@@ -147,7 +147,7 @@ class AllocationOptions:
     ['cap 95.0 23.0 0.5']
     """
 
-    allocator: str | Callable = "lamost"
+    allocator: str | Callable = DEFAULT_ALLOCATOR
     requirements: tuple[Requirement, ...] | list | str | Requirement | None = ()
     sky_separation: u.Quantity | None = None
     objective: str = "priority"

@@ -56,9 +56,9 @@ def _warn_of_only_checked(options: Sequence, known: list) -> None:
         if is_checked and all(one.honored(abilities_of(method)) == ONLY_CHECKED for method in methods):
             users = [method.name for method in known if one.honored(abilities_of(method)) != ONLY_CHECKED]
             name = f"'{one}'" if one in first.constraints else one.name
-            chosen = " and ".join(repr(method.name) for method in methods)
+            chosen = f"{'s' if len(methods) > 1 else ''} {' and '.join(repr(method.name) for method in methods)}"
             who = f"{listed(users)} can honor it" if users else "no allocator honors it"
-            warn_no_effect(name, f"with the allocator {chosen}, except that plans are checked; {who}")
+            warn_no_effect(name, f"with the allocator{chosen}, except that plans are checked; {who}")
 
 
 def warn_of_parked(plane: FocalPlane) -> None:

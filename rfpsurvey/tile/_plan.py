@@ -13,6 +13,7 @@ from astropy.time import Time
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_center, to_generator, to_vectors
 from rfpsurvey.allocation import (
+    DEFAULT_ALLOCATOR,
     KINDS,
     AllocationOptions,
     as_options,
@@ -52,7 +53,7 @@ def plan_tile(
     *,
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
-    allocator: AllocationOptions | str | Callable = "lamost",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     conditions: ObservingConditions | None = None,
     projection: str | None = None,
     progress: bool | Callable = False,
