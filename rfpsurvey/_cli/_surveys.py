@@ -12,7 +12,6 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _options
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
-from rfpsurvey.plot import draw_survey
 from rfpsurvey.report import survey_facts
 from rfpsurvey.tiling import warn_of_targets
 
@@ -143,7 +142,7 @@ def run(
     seconds = perf_counter() - begin
     with _app.files(
         overwrite=overwrite,
-        plot=(plot, lambda: draw_survey(survey)),
+        plot=(plot, lambda: rs.plot.draw_survey(survey)),
         quality=(quality, lambda: rs.plot.plot_quality(survey)[0].figure),
         report=(report, survey, {}),
     ):

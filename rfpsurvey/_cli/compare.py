@@ -17,7 +17,6 @@ from rfpsurvey._io import write_table
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR
 from rfpsurvey.compare import COMPARED, parts_of
 from rfpsurvey.errors import listed
-from rfpsurvey.plot import draw_instruments
 
 
 @_main.app.command(epilog=_examples.COMPARE_EXAMPLES)
@@ -104,7 +103,7 @@ def compare(
     with _app.files(
         overwrite=overwrite,
         output=(output, partial(write_table, table)),
-        plot=(plot, lambda: draw_instruments(table)),
+        plot=(plot, lambda: rs.plot.draw_instruments(table)),
         report=(report, table, {"data": output}),
     ):
         print(table.meta["way"])
