@@ -22,6 +22,7 @@ def sky(tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -39,6 +40,7 @@ def test_forms_of_the_option(run, sky, tmp_path, text, expected):
     assert ("    margins" in out) == (expected is not None)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

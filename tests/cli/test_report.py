@@ -6,6 +6,7 @@ import rfpsurvey as rs
 from pages import Reader
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "command",
     [
@@ -52,6 +53,7 @@ WORK = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("command", WORK)
 def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
     def work(*_, **__):

@@ -15,6 +15,7 @@ from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
 from rfpsurvey.positioner import make_outline
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("draws", "n"), [(2, 100), pytest.param(20, 600, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("shape", SHAPES)

@@ -65,6 +65,7 @@ def test_changed_values_are_not_resumed(tmp_path, ending):
             explore(copy, resume=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_rows_with_undefined_values_are_resumed(tmp_path, ending):
     """Impossible designs have no values; their representation depends on the file format."""

@@ -236,6 +236,7 @@ def test_nothing_depends_on_the_executor():
             assert (flat.explore_designs(executor=pool, **options) == alone).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch, ending):
     """The file always contains the finished designs, and a resumed scan does not repeat them."""

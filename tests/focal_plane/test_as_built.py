@@ -134,6 +134,7 @@ def test_collisions_of_arms_along_their_mechanical_axis():
     assert n_found > 100
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("zero_points", [False, True])
 @pytest.mark.parametrize("allocator", ["nearest", "balanced", "sdss", "repair", "optimal"])
 def test_tiles_are_those_of_the_same_instrument_without_columns(allocator, zero_points):
@@ -189,6 +190,7 @@ def test_probabilities_agree_with_the_same_instrument_without_columns(method):
     assert values[0] == pytest.approx(values[1], rel=1e-9)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("handedness", ["right", "left"])
 @pytest.mark.parametrize("turn", [90, 179, 180])
 def test_joint_limits_of_single_positioners(turn, handedness):

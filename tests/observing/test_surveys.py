@@ -65,6 +65,7 @@ def test_times_are_times_or_text(sky, presets):
     assert not same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with()))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "column"),
     [
@@ -198,6 +199,7 @@ def test_the_command_neglects_refraction_without_conditions(command):
     assert "hour_angle" not in survey.tiles.colnames
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("options", "text"),
     [

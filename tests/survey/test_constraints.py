@@ -62,6 +62,7 @@ def covered(survey, instrument, circles):
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["lamost", "repair", "optimal"])
 def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, allocator):
     survey = flat.plan_survey(sky, small, tiles, allocator=allocator, keep_out=circles)
@@ -77,6 +78,7 @@ def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, a
         assert survey.summary["n_assigned"] > 0.8 * plain.summary["n_assigned"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "sdss", "optimal", "repair"])
 def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles, allocator):
     """No tile observes the targets of the lowest priority unless they are required; then all of them are observed."""
@@ -239,6 +241,7 @@ def test_place_tiles_has_both():
     assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
 @pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1), (0.5, 3.0)])
 def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
