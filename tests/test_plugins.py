@@ -239,6 +239,7 @@ def test_its_dice_agree_with_the_quadrature(installed, run):
     assert abs(value - true) < 4 * error
 
 
+@pytest.mark.exhaustive
 def test_processes_find_it_by_its_name(installed, run, tmp_path):
     """New processes search for packages in the same folders as this process."""
     command = ["survey", "--instrument", "toy", "--allocator", "rarest", "--folder", tmp_path / "survey"]

@@ -99,6 +99,7 @@ def test_instruments_side_by_side(run):
     assert "published: " not in out
 
 
+@pytest.mark.exhaustive
 def test_benchmark(run, tmp_path):
     chart = tmp_path / "chart.png"
     call = (
@@ -353,6 +354,7 @@ def test_the_command_reproduce_states_where_its_experiments_are(run):
     assert "python docs/reproduction runs them" in sentence(code, err)
 
 
+@pytest.mark.exhaustive
 def test_benchmark_of_probabilities(run, tmp_path):
     figures = {"central_arm": "3.0 mm", "eccentric_arm": "5.0 mm", "clearance": "1.0 mm"}
     figure = '{{ value = {}, unit = "{}", status = "assumed", source = "a test of mine" }}'

@@ -64,6 +64,7 @@ def test_any_pair_is_decided_as_by_rationals(pair, limit):
     assert_within_the_bound(*pair.tolist())
 
 
+@pytest.mark.exhaustive
 def test_the_error_bound_is_not_idle():
     """The largest errors of random pairs are at least a twentieth of the proven bound."""
     rng = np.random.default_rng(3)

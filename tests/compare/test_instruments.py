@@ -121,6 +121,7 @@ def test_what_instruments_are(name, kind):
     assert sum(found[f"reach_{k}"] for k in range(4)) == pytest.approx(1)
 
 
+@pytest.mark.exhaustive
 def test_synthetic_skies_are_as_crowded_as_asked():
     mine = design(rings=6)
     reach = unary_union([Point(c).buffer(25.0, 64) - Point(c).buffer(9.0, 64) for c in mine.focal_plane.xy.value])
@@ -331,6 +332,7 @@ def test_chart(table):
         rs.plot.plot_instruments(table[["instrument", "positioners"]])
 
 
+@pytest.mark.exhaustive
 def test_command(run, tmp_path):
     presets = Path(rs.__file__).parent / "presets"
     text = (presets / "lamost.toml").read_text().replace('name = "lamost"', 'name = "short"')

@@ -31,6 +31,7 @@ def test_two_scans_in_one_file_are_refused(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["scan.ecsv"]
 
 
+@pytest.mark.exhaustive
 def test_simultaneous_processes_never_write_the_file_in_turns(tmp_path):
     """Of several processes that start together, each one either writes its own scan or is refused."""
     context = multiprocessing.get_context("spawn")

@@ -92,8 +92,8 @@ def test_nominal_planes_have_the_kinematics_of_their_positioner():
 
 def test_reach_of_each_fiber_type():
     plane, rng = random_plane(), np.random.default_rng(2)
-    points = rng.uniform(-25, 180, (800, 2))
-    types = rng.choice(["A", "B", ""], 800)
+    points = rng.uniform(-25, 180, (300, 2))
+    types = rng.choice(["A", "B", ""], 300)
     found = plane.reachable(points * MM, types).toarray()
     first = plane.arrays.first_type
     for i, (center, l1, names) in enumerate(
@@ -104,7 +104,7 @@ def test_reach_of_each_fiber_type():
             length = np.hypot(*plane.fiber_xy[use].value[i])
             expected = use in names.split("+") and in_annulus(point, center, l1, length)
             assert found[i, j] == expected, (i, j)
-    assert found.sum() > 500
+    assert found.sum() > 180
 
 
 def test_collisions_of_arms_along_their_mechanical_axis():

@@ -14,6 +14,7 @@ def valid(tmp_path_factory):
     return plan_samples(tmp_path_factory.mktemp("valid"))
 
 
+@pytest.mark.exhaustive
 def test_valid_plans_are_read_scored_and_converted(valid):
     for sample in valid:
         assert outcome(sample, sample.path) == ("read", ""), sample.path.name
