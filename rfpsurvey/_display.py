@@ -55,6 +55,26 @@ def show(result: object, **options: object) -> object:
     return import_module("rfpsurvey.report").notebook_view(result, **options)
 
 
+def plot(result: object, **options: object) -> object:
+    """Draw a result with the function of the subpackage ``plot`` for its type, which this function imports.
+
+    Parameters
+    ----------
+    result : Tile or Survey or Tiling
+        The result.
+    **options
+        Passed to the function of ``rfpsurvey.plot``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+    """
+    module = import_module("rfpsurvey.plot")
+    draw = module.plot_focal_plane if type(result).__name__ == "Tile" else module.plot_tiling
+    return draw(result, **options)
+
+
 def rounded(table: object) -> object:
     """Return a copy of a table that is displayed with few digits; the values are not rounded."""
     table = table.copy(copy_data=False)

@@ -1,5 +1,6 @@
 """Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
+from collections.abc import Collection, Iterable
 from numbers import Integral, Number
 
 import astropy.units as u
@@ -15,7 +16,7 @@ from astropy.coordinates import (
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import is_number
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, refusal, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128
 
@@ -185,6 +186,15 @@ def _plain_object(value: object, name: str, what: str) -> object:
     return value
 
 
+def values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return the values of the given rows; row -1 has the value NaN, empty text, False or -1, depending on the type."""
+    if (row >= 0).all():
+        return values[row]
+    found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
+    found[row >= 0] = values[row[row >= 0]]
+    return found
+
+
 def to_flags(value: object, name: str) -> np.ndarray:
     """Convert booleans, numbers, or the words true and false to booleans; masked values become False."""
     values = to_plain(value, name, "booleans")
@@ -251,6 +261,22 @@ def to_dimensionless(value: object, name: str) -> np.ndarray:
         return to_plain(value.to(u.dimensionless_unscaled), name)
     except u.UnitConversionError:
         raise InputUnitsError(f"{name} must be numbers without a unit, got {short(value)}") from None
+
+
+def check_unique(values: np.ndarray, name: str) -> None:
+    """Raise an error if a value occurs more than once."""
+    found, counts = np.unique(values, return_counts=True)
+    if (counts > 1).any():
+        twice = found[counts > 1].tolist()[0]
+        text = f"{twice:g}" if isinstance(twice, float) else twice
+        raise InputError(f"{name} must be unique, but {text} occurs more than once")
+
+
+def check_columns(names: Collection[str], required: Iterable[str], what: str) -> None:
+    """Raise an error if a required column is missing; ``names`` are the names of the columns of a table."""
+    for name in required:
+        if name not in names:
+            raise InputError(f"{what} must have the column {name!r}, got {listed(names)}")
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:

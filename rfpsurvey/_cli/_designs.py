@@ -1,16 +1,27 @@
 """Functions of the command ``design`` that parse the parameters of a scan and print a summary."""
 
 from pathlib import Path
+from typing import Annotated
 
 import astropy.units as u
 import numpy as np
+import typer
 from astropy.table import vstack
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app
-from rfpsurvey.design import AXES
+from rfpsurvey.design import AXES, METHODS
+from rfpsurvey.errors import listed
 
-__all__ = ["axes", "finish", "loss"]
+__all__ = ["DesignMethodOption", "axes", "finish", "loss"]
+
+DesignMethodOption = Annotated[
+    str,
+    typer.Option(
+        help=f"Method of computing the fraction of fibers lost to collisions: {listed(METHODS)}, or auto, which "
+        "selects the fastest method that is accurate enough."
+    ),
+]
 
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6

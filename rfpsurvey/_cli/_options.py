@@ -5,7 +5,13 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey.errors import InputError
+from rfpsurvey import tiling
+from rfpsurvey._methods import help_of
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS
+from rfpsurvey.errors import InputError, listed
+
+AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
+SEARCHING = listed(name for name, one in METHODS.items() if one.searches)
 
 
 def check_angle(value: float | None) -> float | None:
@@ -40,11 +46,7 @@ SeedOption = Annotated[int, typer.Option(help="Seed of the random numbers.", min
 FrameOption = Annotated[str, typer.Option(help="Frame of the coordinates in the catalog, such as icrs or galactic.")]
 AllocatorOption = Annotated[
     str,
-    typer.Option(
-        help="Allocator: lamost, nearest, balanced (ignores priorities), sdss (network flow), optimal (a "
-        "proven optimum without collisions), repair (lamost, followed by local moves that remove "
-        "collisions), or an allocator of an installed package."
-    ),
+    typer.Option(help=f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."),
 ]
 RequireOption = Annotated[
     list[str] | None,
@@ -60,9 +62,9 @@ RequiredOption = Annotated[
 KeepOutOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Circle that no arm may cover, RA,DEC,RADIUS (deg, ICRS), such as 95.0,23.0,0.01. The "
-        "allocators repair and optimal avoid the circle; with other allocators, an arm that covers the "
-        "circle is counted as a collision."
+        help="Circle that no arm may cover, RA,DEC,RADIUS (deg, ICRS), such as 95.0,23.0,0.01. Allocators that avoid "
+        f"collisions ({AVOIDING}) avoid the circle; with other allocators, an arm that covers the circle is counted as "
+        "a collision."
     ),
 ]
 SkyOption = Annotated[
@@ -71,11 +73,12 @@ SkyOption = Annotated[
 ObjectiveOption = Annotated[
     str,
     typer.Option(
-        help="For sdss and optimal: priority (maximize the number of assigned targets of the highest priority, "
-        "then of the next priority, etc.) or count (maximize the total number of assigned targets first)."
+        help=f"For allocators that search ({SEARCHING}): priority (maximize the number of assigned targets of the "
+        "highest priority, then of the next priority, etc.) or count (maximize the total number of assigned targets "
+        "first)."
     ),
 ]
-TimeLimitOption = Annotated[float, typer.Option(help="Time limit of the allocators sdss and optimal (s).")]
+TimeLimitOption = Annotated[float, typer.Option(help=f"Time limit of allocators that search ({SEARCHING}) (s).")]
 InstrumentOption = Annotated[
     str,
     typer.Option(
@@ -153,13 +156,6 @@ QualityOption = Annotated[
     Path | None,
     typer.Option(help="Plot the numbers of targets that are in reach, assigned and observed (.png, .pdf or .svg)."),
 ]
-MethodOption = Annotated[
-    str,
-    typer.Option(
-        help="Method: conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, a method "
-        "of an installed package, or auto, which selects the fastest method with an error estimate."
-    ),
-]
 MapOption = Annotated[
     Path | None, typer.Option(help="Write the collision probability of each positioner (.fits or .ecsv).")
 ]
@@ -196,9 +192,8 @@ RadiusOption = Annotated[
 TilingAllocatorOption = Annotated[
     str | None,
     typer.Option(
-        help="Allocator that plans each tile, as in a survey: lamost, nearest, balanced, sdss, optimal, "
-        "repair, or an allocator of an installed package. The default is lamost; if --fibers or "
-        "--radius is given, no allocator is used by default."
+        help=f"Allocator that plans each tile, as in a survey: {listed(METHODS)}, or an allocator of an installed "
+        f"package. The default is {DEFAULT_ALLOCATOR}; with --fibers or --radius, no allocator is used by default."
     ),
 ]
 TilingPaOption = Annotated[
@@ -211,13 +206,9 @@ TilingPaOption = Annotated[
 ]
 TilingMethodOption = Annotated[
     str,
-    typer.Option(
-        help="Method of placing tiles: hexagonal or spiral (coverings without gaps); max_density, "
-        "density_gradient or mean_shift (one tile after the other, as for LAMOST); sdss (network flow); "
-        "or given (the tiles of --centers)."
-    ),
+    typer.Option(help=f"Method of placing tiles: {help_of(tiling.METHODS)}."),
 ]
-PassesOption = Annotated[int, typer.Option(help="Number of passes, for the methods hexagonal and spiral.")]
+PassesOption = Annotated[int, typer.Option(help="Number of passes, for methods that cover the field.")]
 CompletenessOption = Annotated[
     float | None,
     typer.Option(help="Stop placing tiles when this fraction of the requested visits (0 to 1) is reached."),
@@ -272,8 +263,8 @@ OrderOption = Annotated[
     str,
     typer.Option(
         help="Order in which tiles are planned. color: one pass after the other; tiles of a pass that do not "
-        "overlap are planned in parallel. given: the order of the table. joint: all tiles together, "
-        "with --allocator optimal."
+        "overlap are planned in parallel. given: the order of the table. joint: all tiles together, with --allocator "
+        f"{listed(name for name, one in METHODS.items() if one.plans_jointly)}."
     ),
 ]
 FolderOption = Annotated[Path | None, typer.Option(help="Folder to which the finished tiles are written.")]
@@ -348,13 +339,6 @@ EstimandOption = Annotated[
         help="Definition of the fraction of fibers lost to collisions. independent: fibers that collide if "
         "their targets are independent and random. allocated: fibers that collide after allocation. "
         "collision_free: fibers that are idle if no collision is allowed."
-    ),
-]
-DesignMethodOption = Annotated[
-    str,
-    typer.Option(
-        help="Method of computing the fraction of fibers lost to collisions: surrogate, quadrature, conditional, "
-        "optimal, repair, or auto, which selects the fastest method that is accurate enough."
     ),
 ]
 EachOption = Annotated[float | None, typer.Option(help="Number of targets per positioner. By default, 4.")]

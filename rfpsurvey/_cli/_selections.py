@@ -8,6 +8,8 @@ import numpy as np
 import typer
 
 import rfpsurvey as rs
+from rfpsurvey.errors import listed
+from rfpsurvey.selection import RULES
 
 RealizationsOption = Annotated[
     int,
@@ -21,9 +23,8 @@ RealizationsOption = Annotated[
 SelectAllocatorOption = Annotated[
     str,
     typer.Option(
-        help="Allocator for all realizations. The allocators nearest, lamost and balanced plan 32 "
-        "realizations together; sdss, optimal, repair and allocators of installed packages plan one "
-        "realization after the other."
+        help=f"Allocator for all realizations. The allocators {listed(RULES)} plan 32 realizations together; all other "
+        "allocators plan one realization after the other."
     ),
 ]
 SelectOutputOption = Annotated[

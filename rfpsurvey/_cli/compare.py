@@ -14,7 +14,9 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
-from rfpsurvey.compare import parts_of
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR
+from rfpsurvey.compare import COMPARED, parts_of
+from rfpsurvey.errors import listed
 from rfpsurvey.plot import draw_instruments
 
 
@@ -48,7 +50,7 @@ def compare(
     ] = None,
     allocator: Annotated[
         list[str] | None,
-        typer.Option(help="Allocator; may be repeated. By default, the allocators lamost and optimal are used."),
+        typer.Option(help=f"Allocator; may be repeated. By default, the allocators {listed(COMPARED)} are used."),
     ] = None,
     require: _options.RequireOption = None,
     required: _options.RequiredOption = None,
@@ -81,14 +83,14 @@ def compare(
     if catalog is None:
         _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, hdu=hdu)
     options = _app.allocation_options(
-        "lamost", require, sky_separation, time_limit, required=required, keep_out=keep_out
+        DEFAULT_ALLOCATOR, require, sky_separation, time_limit, required=required, keep_out=keep_out
     )
     with released(ThreadPoolExecutor(workers)) as pool:
         table = rs.compare_instruments(
             "poisson" if catalog is None else _app.read_catalog(catalog, column, unit, frame, fill, hdu=hdu),
             models or None,
             center=_app.parse_center(center),
-            allocators=allocator or ("lamost", "optimal"),
+            allocators=allocator or COMPARED,
             targets_per_positioner=targets,
             density=None if density is None else density / u.deg**2,
             n_realizations=realizations,

@@ -8,6 +8,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR
 from rfpsurvey.tile import north_of_date
 
 
@@ -51,7 +52,7 @@ def compare_allocators(
     model = _app.model_of(instrument, arm_model, broken, state_time, lambda: _states.time_of(None, epoch), margins)
     targets, field = _app.targets_and_center(catalog, center, model, seed, column, unit, frame, fill, hdu=hdu)
     options = _app.allocation_options(
-        "lamost",
+        DEFAULT_ALLOCATOR,
         require,
         sky_separation,
         time_limit,

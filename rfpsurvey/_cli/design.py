@@ -17,7 +17,7 @@ def design(
     clearance: _options.ClearanceOption = None,
     n_designs: _options.NDesignsOption = None,
     estimand: _options.EstimandOption = None,
-    method: _options.DesignMethodOption = "auto",
+    method: _designs.DesignMethodOption = "auto",
     targets_per_positioner: _options.EachOption = None,
     target_density: _options.DensityOption = None,
     n_skies: _options.SkiesOption = 8,

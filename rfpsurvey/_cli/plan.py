@@ -7,7 +7,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _conditions, _examples, _main, _margins, _options, _states
-from rfpsurvey.allocation import end_on_interrupt
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, end_on_interrupt
 from rfpsurvey.tile import north_of_date
 
 
@@ -23,7 +23,7 @@ def plan(
     pa: _options.PaOption = 0.0,
     equinox: _options.EquinoxOption = None,
     epoch: _options.EpochOption = None,
-    allocator: _options.AllocatorOption = "lamost",
+    allocator: _options.AllocatorOption = DEFAULT_ALLOCATOR,
     conditions: _conditions.ConditionsOption = None,
     site: _conditions.SiteOption = None,
     time: _conditions.TimeOption = None,
@@ -86,7 +86,7 @@ def plan(
             allocator=options,
             conditions=seen,
             projection=projection,
-            progress=allocator in ("sdss", "optimal") and sys.stderr.isatty(),
+            progress=options.method.searches and sys.stderr.isatty(),
             rng=seed,
         )
         ended_early = interrupted.is_set()

@@ -9,7 +9,8 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
 from rfpsurvey._executors import released
-from rfpsurvey.probability import Precision, RandomTargets
+from rfpsurvey.errors import listed
+from rfpsurvey.probability import METHODS, QUEUEING, Precision, RandomTargets
 
 
 @_main.app.command(epilog=_examples.PROBABILITY_EXAMPLES)
@@ -19,7 +20,13 @@ def probability(
     broken: _states.BrokenOption = None,
     state_time: _states.OwnStateTimeOption = None,
     margins: _margins.MarginsOption = None,
-    method: _options.MethodOption = "auto",
+    method: Annotated[
+        str,
+        typer.Option(
+            help=f"Method: {listed(METHODS)}, a method of an installed package, or auto, which selects the fastest "
+            "method with an error estimate."
+        ),
+    ] = "auto",
     estimand: Annotated[
         str | None,
         typer.Option(
@@ -46,7 +53,7 @@ def probability(
     min_separation: Annotated[
         float | None, typer.Option(help="Minimum separation of the targets, for poisson_disc (mm).")
     ] = None,
-    allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = "balanced",
+    allocator: Annotated[str, typer.Option(help="Allocator that assigns the targets.")] = QUEUEING,
     density: Annotated[
         str | None,
         typer.Option(

@@ -5,6 +5,7 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _main, _margins, _options, _process, _selections, _states, _surveys, _tiles
 from rfpsurvey._outputs import check_output, check_separate
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR
 
 
 @_main.app.command(epilog=_selections.SELECT_EXAMPLES)
@@ -20,7 +21,7 @@ def select(
     state_time: _states.StateTimeOption = None,
     margins: _margins.MarginsOption = None,
     realizations: _selections.RealizationsOption = 128,
-    allocator: _selections.SelectAllocatorOption = "nearest",
+    allocator: _selections.SelectAllocatorOption = DEFAULT_ALLOCATOR,
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
     epoch: _options.EpochOption = None,

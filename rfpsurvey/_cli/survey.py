@@ -1,6 +1,7 @@
 """The command ``rfpsurvey survey``."""
 
 from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins, _options, _states, _surveys, _tiles
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR
 
 
 @_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
@@ -15,7 +16,7 @@ def survey(
     broken: _states.BrokenOption = None,
     state_time: _states.StateTimeOption = None,
     margins: _margins.MarginsOption = None,
-    allocator: _options.AllocatorOption = "lamost",
+    allocator: _options.AllocatorOption = DEFAULT_ALLOCATOR,
     visits: _options.VisitsOption = None,
     passes: _options.SomePassesOption = None,
     epoch: _options.EpochOption = None,

@@ -6,7 +6,7 @@ import astropy.units as u
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states, _tiles
-from rfpsurvey.allocation import given_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, given_options
 
 
 @_main.app.command(epilog=_examples.TILE_EXAMPLES)
@@ -102,7 +102,8 @@ def _centers(tiling, declination, pa):
 
 def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
     """Return the options of an allocation, or None if all options have their default values."""
-    options = _app.allocation_options(allocator or "lamost", require, sky_separation, time_limit, parked=parked)
+    name = allocator or DEFAULT_ALLOCATOR
+    options = _app.allocation_options(name, require, sky_separation, time_limit, parked=parked)
     asked = given_options(options)
     if allocator is None and given and asked:
         raise rs.InputError(

@@ -12,14 +12,15 @@ from rfpsurvey._units import rows_of, to_dimensionless, to_generator, to_numbers
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
 from rfpsurvey.allocation._options import AllocationOptions, as_options
-from rfpsurvey.allocation._plugin import find_method
+from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
-from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
+from rfpsurvey.constraints import KINDS
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -41,7 +42,7 @@ def allocate(
     focal_plane: FocalPlane,
     xy: u.Quantity,
     *,
-    allocator: AllocationOptions | str | Callable = "balanced",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     priority: np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     kind: np.ndarray | None = None,
@@ -170,11 +171,15 @@ def assign(
     avoid: np.ndarray = NO_POINTS,
     tell: Callable[[float, str], None] | None = None,
     order: np.ndarray | None = None,
+    excluded: np.ndarray | None = None,
+    excludes_sky: Callable[[np.ndarray, np.ndarray | None], np.ndarray] | None = None,
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
     During long searches, the function ``tell`` is called with the completed fraction and the current stage. ``order``,
     which is required if there are subpriorities, contains the rows of the targets in the order of their precedence.
+    ``excluded`` is whether each target must not be observed, and ``excludes_sky`` returns this for sky positions that
+    are added, from their positions and fiber types.
     """
     begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
@@ -188,13 +193,13 @@ def assign(
     classes, rank = _classes(columns.priority, n)
     if columns.kind is not None:
         classes, rank = _squeeze(classes, rank, columns.kind == "science")
-    for one in options.requirements:
+    for one in options.counts:
         if one.fiber_type:
             check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     problem = AllocationProblem(
         focal_plane,
         xy_mm,
-        _allowed(reach, forbidden, n, order),
+        _allowed(reach, forbidden, n, order, excluded),
         rank,
         classes,
         columns.kind,
@@ -209,9 +214,9 @@ def assign(
         row=order if columns.subpriority is None else None,
     )
     if options.sky_separation is not None:
-        problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
+        problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
-    answer = find_method(options.allocator)(problem)
+    answer = find_allocator(options.allocator).function(problem)
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
@@ -222,6 +227,7 @@ def assign(
         in_reach=in_reach,
         parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": end - middle},
+        excluded=excluded,
     )
 
 
@@ -278,8 +284,11 @@ def _marked(required, n):
     return marked
 
 
-def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
-    """Remove the forbidden pairs from the reachable pairs; ``order`` is the catalog row of each target in ``reach``."""
+def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None = None) -> Reach:
+    """Remove forbidden pairs and excluded targets; ``order`` is the catalog row of each target in ``reach``."""
+    if excluded is not None and excluded.any():
+        allowed = ~(excluded if order is None else excluded[order])
+        reach = reach.where(allowed[reach.target])
     if forbidden is None:
         return reach
     try:
@@ -311,20 +320,20 @@ def _make_start(
     """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem."""
     start = problem.options.start
     if isinstance(start, str):
-        return find_method(start)(problem)
+        return find_allocator(start).function(problem)
     rows = slice(None) if order is None else order
     plane, points = problem.focal_plane, problem.xy[:n_given]
     same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)
     same = same and np.array_equal(start.in_reach[rows], in_reach)
-    same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given][rows], points, equal_nan=True)
+    same = same and np.array_equal(start.xy_mm[:n_given][rows], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
         columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
-        r = np.hypot(*(start.tips.to_value(u.mm)[own] - columns.xy[own]).T)
+        r = np.hypot(*(start.tips_mm[own] - columns.xy[own]).T)
         slack, (inner, outer) = columns.reach_slack, columns.edges
         same = not ((r > outer[own] + slack) | (r < inner[own] - slack)).any()
         side = np.where(start.handedness[own] == "left", -1.0, 1.0)
-        tips = start.tips.to_value(u.mm)[own]
+        tips = start.tips_mm[own]
         same = same and (columns.poses_free or columns.poses_allowed(own, tips, side).all())
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
@@ -362,9 +371,9 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
         "target_of_positioner": target_of,
         "positioner_of_target": positioner_of,
         "handedness": elbow_names(plane.arrays.sides(tips, fiber=fiber)) if elbows is None else elbows,
-        "tips": tips << u.mm,
+        "tips_mm": tips,
         "fiber_type": types,
-        "xy": points << u.mm,
+        "xy_mm": points,
         "n_given": n,
         "target_fiber_type": problem.fiber_type[rows] if problem.several_fiber_types else None,
         "queues": answer.queues,
@@ -384,8 +393,8 @@ def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
 def _in_given_order(found: dict, order: np.ndarray) -> dict:
     """Return the attributes of an `Allocation` for targets in catalog order; added sky positions remain last."""
     n = len(order)
-    row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
-    columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}
+    row_of = np.append(np.append(order, np.arange(n, len(found["xy_mm"]))), -1)
+    columns = {name: found[name] for name in ("positioner_of_target", "xy_mm", "target_fiber_type")}
     given = {name: None if values is None else _scatter(values, row_of[:-1]) for name, values in columns.items()}
     queues = found["queues"] and (found["queues"][0], row_of[found["queues"][1]])
     return {**found, **given, "target_of_positioner": row_of[found["target_of_positioner"]], "queues": queues}

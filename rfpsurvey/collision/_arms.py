@@ -153,8 +153,8 @@ def check_arms(plane, posed):
 
 
 def to_tips(tips, n):
-    """Return tips in mm, one row for each positioner."""
-    points = to_points_mm(tips, "tips")
+    """Return the tips of an allocation, or tips with units, in mm, one row for each positioner."""
+    points = tips.tips_mm if hasattr(tips, "tips_mm") else to_points_mm(tips, "tips")
     if len(points) != n:
         raise InputError(f"tips must have a row for each of the {n} positioners, got {len(points)}")
     return points

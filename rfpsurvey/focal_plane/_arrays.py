@@ -8,13 +8,14 @@ import numpy as np
 from rfpsurvey._kernels import arms, collisions, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._allowed import AllowedPoses
-from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
+from rfpsurvey.focal_plane._fibers import FiberOffsets, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import MODELS
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
+from rfpsurvey.focal_plane._segments import ArmSegments
 
 IN_USE = (
     "eccentric_arm",
@@ -32,7 +33,7 @@ SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
 
 
-class FocalPlaneArrays(AllowedPoses):
+class FocalPlaneArrays(AllowedPoses, ArmSegments):
     """The columns of a focal plane as read-only arrays without units, in mm and radians.
 
     Each array is computed on first use and is then stored. Row i belongs to positioner i.
@@ -139,9 +140,9 @@ class FocalPlaneArrays(AllowedPoses):
         return locked(reach.annuli(self.geometry.cx, self.geometry.cy, *self.edges))
 
     @cached_property
-    def fibers(self) -> Fibers | None:
+    def fibers(self) -> FiberOffsets | None:
         """Positions of fibers relative to elbows; None if only the lengths of eccentric arms are given."""
-        return None if self.plane.fiber_xy is None else Fibers(self.plane, self.first_index)
+        return None if self.plane.fiber_xy is None else FiberOffsets(self.plane, self.first_index)
 
     @cached_property
     def longest_arm(self) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rfpsurvey._executors import map_in_order
-from rfpsurvey._kernels import arms, queues
+from rfpsurvey._kernels import queues
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import locked, to_plain
 from rfpsurvey.collision import make_setup
@@ -18,7 +18,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._workspace import make_entries, make_positioners
+from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
@@ -80,11 +80,7 @@ class Quadrature:
         tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
         entries = make_entries(len(own), len(rows))
         entries.weight[: len(rows)] = self._weight(rows, tips)
-        segments = np.empty((4, len(rows)))
-        arms.place(tips, plane.arrays.geometry_of(rows), plane.arrays.sides(tips, rows), segments)
-        angles = (column[rows] for column in plane.arrays.angles)
-        arms.shape(segments, plane.arrays.model, plane.arrays.length, *angles)
-        entries.segments[:, : len(rows)] = segments
+        entries.segments[:, : len(rows)] = plane.arrays.segments_of(rows, None, tips)
         queues.prepare_entries(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), entries)
         if not (entries.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)
@@ -97,20 +93,11 @@ class Quadrature:
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
         obstacles = self._setup.obstacle_pairs
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
-        probability, pair_probability = np.empty(len(own)), np.empty(len(pairs))
-        queues.expect(
-            pairs,
-            plane.arrays.geometry_of(own),
-            _limits_of(self._setup.limits, own),
-            obstacles,
-            self._setup.obstacles,
-            self._setup.clearance,
-            entries,
-            probability,
-            pair_probability,
-        )
+        setup = self._setup._replace(limits=_limits_of(self._setup.limits, own), obstacle_pairs=obstacles)
+        expected = make_expected(len(own), len(pairs))
+        queues.expect(pairs, plane.arrays.geometry_of(own), setup, entries, expected)
         # a pair of positioners that can both move is counted twice, once for each positioner, with the weight 0.5
-        return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
+        return float(expected.probability[0]), float(expected.pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
         """Return points (mm) in the patrol areas, computed from points in the unit square by an equal-area map."""

@@ -14,8 +14,6 @@ from rfpsurvey.tiling._greedy import ring
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
-__all__ = ["sdss"]
-
 # Lengths as fractions of the radius of a tile. The flow can assign targets outside a tile to this tile, up to the
 # distance OUTSIDE from its edge. CELL is the size of the cells.
 OUTSIDE = 0.2
@@ -28,7 +26,10 @@ GAIN = 2e-3
 
 
 def sdss(problem: TilingProblem) -> TilingState:
-    """Place a given number of tiles by network flow, or the smallest number that reaches a given completeness."""
+    """Place tiles together by network flow: a given number, or the smallest number that reaches a given completeness.
+
+    By default, the number of tiles is that of a hexagonal lattice that covers the targets.
+    """
     if problem.n_tiles is not None and problem.completeness is None:
         return _attempt(problem, problem.n_tiles)
     if problem.completeness is None:

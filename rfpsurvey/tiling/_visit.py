@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
-__all__ = ["visit_all", "visit_given"]
-
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
     """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.
@@ -41,7 +39,7 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
 
 
 def visit_given(problem: TilingProblem) -> TilingState:
-    """Observe the listed tiles in their order until the goal is reached; without a goal, observe all tiles."""
+    """Observe the tiles in ``centers`` in their order until the goal is reached; without a goal, observe all tiles."""
     state = TilingState(problem)
     for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
         if state.done and not problem.open_ended:

@@ -12,8 +12,7 @@ from hypothesis.extra.numpy import arrays
 import flat
 import rfpsurvey as rs
 from oracles import balanced_owner, lamost_target
-from rfpsurvey.allocation import ALLOCATORS
-from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation import METHODS
 
 MM = u.mm
 PLANES = {
@@ -55,7 +54,7 @@ def test_lamost_is_the_rule_as_written(name, xy, n_classes, random):
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("method", ALLOCATORS)
+@pytest.mark.parametrize("method", METHODS)
 @given(st.sampled_from(sorted(PLANES)), TARGETS)
 def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):
     plane = PLANES[name]
@@ -79,14 +78,15 @@ def test_balanced_draws_uniformly_from_each_queue():
     plane = PLANES["equal"]
     xy = [[1, 0], [2, 0], [3, 0], [4, 0]] * MM  # all targets are in the queue of the central positioner
     draws = Counter(
-        int(rs.allocate(plane, xy, rng=np.random.default_rng(k)).target_of_positioner[3]) for k in range(4000)
+        int(rs.allocate(plane, xy, rng=np.random.default_rng(k), allocator="balanced").target_of_positioner[3])
+        for k in range(4000)
     )
     assert set(draws) == {0, 1, 2, 3}
     # with 3 degrees of freedom, chi-squared exceeds 21.1 once in 10^4 cases
     assert sum((n - 1000) ** 2 / 1000 for n in draws.values()) < 21.1
 
 
-@pytest.mark.parametrize("method", ALLOCATORS)
+@pytest.mark.parametrize("method", METHODS)
 def test_the_same_input_gives_the_same_allocation(method, rng):
     xy = rng.uniform(-50, 50, (60, 2)) * MM
     first, second = (rs.allocate(PLANES["unequal"], xy, allocator=method) for _ in range(2))
@@ -125,7 +125,7 @@ def test_both_hands_are_used_where_the_joints_ask_for_it():
 
 
 def test_nothing_in_reach_is_not_an_error():
-    allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM)
+    allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM, allocator="balanced")
     assert allocation.n_assigned == 0
     assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost").n_assigned == 0
 
@@ -201,7 +201,7 @@ def test_options_are_checked(options, message):
 
 
 def test_options_say_what_differs_from_the_default():
-    assert repr(rs.AllocationOptions()) == "AllocationOptions('lamost')"
+    assert repr(rs.AllocationOptions()) == "AllocationOptions('repair')"
     changed = rs.AllocationOptions("optimal", requirements="sky=2", parked_obstacles=False)
     assert repr(changed) == (
         "AllocationOptions('optimal', requirements=(Requirement('sky=2'),), parked_obstacles=False)"
@@ -239,7 +239,7 @@ def test_claims_of_an_answer_are_checked(answer, message):
 
 def test_a_fiber_type_for_all_may_be_a_broadcast_array():
     plane = rs.FocalPlane([[0, 0]] * u.mm, PLANES["equal"].positioner, fiber_type=["A+B"])
-    plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2))
+    plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2), allocator="balanced")
     assert plan.fiber_type.tolist() == ["B"]
     assert plan.target_fiber_type.tolist() == ["B", "B"]
 
@@ -261,13 +261,9 @@ def test_requirements_may_be_an_array():
     assert len(rs.AllocationOptions(requirements=np.array(["sky=2", "standard=1"])).requirements) == 2
 
 
-def test_names_of_allocators_are_those_of_the_table():
-    assert tuple(METHODS) == ALLOCATORS
-
-
 def test_what_holds_for_one_field_is_refused_for_several():
     plane = PLANES["equal"]
-    start = rs.allocate(plane, [[0, 0]] * u.mm)
+    start = rs.allocate(plane, [[0, 0]] * u.mm, allocator="balanced")
     sky = SkyCoord([0, 0.1] * u.deg, [0, 0] * u.deg)
     with pytest.raises(rs.InputError, match="for a survey, start must be the name of an allocator"):
         rs.plan_survey(sky, "moons", sky, allocator=rs.AllocationOptions("repair", start=start))

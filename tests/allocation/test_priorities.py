@@ -7,14 +7,14 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import ALLOCATORS
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError
 
 PLANE = rs.FocalPlane.hexagonal(rs.Positioner(5 * u.mm, 5 * u.mm, 1 * u.mm), rings=3, pitch=9 * u.mm)
 CLOSE = {"tenths": (0.3, 0.1 + 0.2), "large": (1e16, 1e16 + 2), "integers": (2**53 - 1, 2**53)}
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.parametrize("pair", CLOSE.values(), ids=CLOSE)
 def test_close_priorities_are_different_classes(allocator, pair):
     """Classes were once identified by 15 digits; two allocators failed with an internal error."""
@@ -42,7 +42,7 @@ def test_integers_without_an_exact_float_are_refused():
     large = [2**53 + 1, 2**53 + 2]
     message = "integers from -2\\^53 to 2\\^53, or floating-point numbers, got 9007199254740993"
     with pytest.raises(InputError, match=message):
-        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=large)
+        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=large, allocator="balanced")
     with pytest.raises(InputError, match=message):
         rs.Catalog(SkyCoord([1, 2], [3, 4], unit="deg"), priority=large)
     table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "priority": large})
@@ -50,4 +50,4 @@ def test_integers_without_an_exact_float_are_refused():
     with pytest.raises(InputError, match=message):
         rs.Catalog.from_table(table, columns={"priority": "-priority"})
     with pytest.raises(InputError, match="priority must be numbers: could not convert"):
-        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=["a", "b"])
+        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=["a", "b"], allocator="balanced")

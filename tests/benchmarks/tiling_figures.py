@@ -16,7 +16,7 @@ from rfpsurvey.instrument import as_instrument
 from rfpsurvey.tiling import METHODS
 
 DATA = Path(__file__).parents[2] / "data"
-SEARCHES = [name for name in METHODS if name != "given"]
+SEARCHES = [name for name, one in METHODS.items() if not one.needs_tiles]
 GOALS = (0.9, 0.95, 0.99)
 RADIUS, SEPARATION = 1.49 * u.deg, 55 * u.arcsec
 
@@ -39,8 +39,12 @@ def promises(name):
     for method in ("hexagonal", "max_density", "sdss"):
         for goal in ({"n_tiles": 20}, {"completeness": 0.9}):
             for fibers in (n, None):
-                tiling, seconds = place(catalog, instrument, method=method, fibers=fibers, **goal)
-                surveys = [rs.plan_survey(catalog, instrument, tiling, order=order) for order in ("given", "color")]
+                rule = {"allocator": "lamost"} if fibers is None else {"fibers": fibers}
+                tiling, seconds = place(catalog, instrument, method=method, **rule, **goal)
+                surveys = [
+                    rs.plan_survey(catalog, instrument, tiling, allocator="lamost", order=order)
+                    for order in ("given", "color")
+                ]
                 found = "  ".join(f"{one.summary['completeness']:.4f}" for one in surveys)
                 said = tiling.summary["completeness"]
                 what = f"{len(tiling)} tiles, {seconds:.2f} s, says {said:.4f}, survey {found}"

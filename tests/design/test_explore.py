@@ -3,6 +3,7 @@ checkpoints.
 """
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import astropy.units as u
@@ -94,7 +95,9 @@ def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, 
     for counts in lost:
         n = rng.poisson(each * np.pi * radius**2 / (np.sqrt(3) / 2 * 25.6**2))
         r, alpha = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
-        plan = rs.allocate(plane, np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, rng=rng)
+        plan = rs.allocate(
+            plane, np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, rng=rng, allocator="balanced"
+        )
         assigned = middle & (plan.target_of_positioner >= 0)
         counts[:] = assigned.sum(), rs.find_collisions(plane, plan).in_collision[assigned].sum()
     truth = lost[:, 1].sum() / lost[:, 0].sum()
@@ -243,7 +246,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     options = {**GRID, "n_designs": 30, "rng": 5}
     whole, path = tmp_path / f"whole.{ending}", tmp_path / f"stopped.{ending}"
     expected = flat.explore_designs(path=whole, **options)
-    calls, method = [], METHODS["surrogate"]
+    calls, method = [], METHODS["surrogate"].function
 
     def stop(*arguments):
         calls.append(1)
@@ -253,7 +256,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
         return method(*arguments)
 
     monkeypatch.setattr(_checkpoint, "EVERY", -1.0)
-    monkeypatch.setitem(METHODS, "surrogate", stop)
+    monkeypatch.setitem(METHODS, "surrogate", replace(METHODS["surrogate"], function=stop))
     with pytest.raises(KeyboardInterrupt):
         flat.explore_designs(path=path, **options)
     done = len(QTable.read(path))

@@ -6,6 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from realizations import check, sky_of, tiles_of
+from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection import _work
 from rfpsurvey.selection._work import Poses
 
@@ -34,7 +35,7 @@ def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
     k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
     chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
     lost = np.empty(chosen.shape, dtype=bool)
-    Poses(plane, plane.arrays, xy, None, pairs, parked_obstacles=False).find_lost(chosen, lost)
+    Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False).find_lost(chosen, lost)
     assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
     assert len(calls) == (abs(gap - D) < 0.1)
 
@@ -45,7 +46,8 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
     plane = rs.FocalPlane([[-5.0, 0.0], [90.0, 0.0]] * u.mm, unit, obstacles=[[4.25, 0.0, 2.0]] * u.mm)
     xy = np.array([[-gap, 0.0]])
     lost = np.empty((1, 2), dtype=bool)
-    poses = Poses(plane, plane.arrays, xy, None, plane.arrays.reach(xy), parked_obstacles=False)
+    pairs = plane.arrays.reach(xy)
+    poses = Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False)
     poses.find_lost(np.array([[0, -1]]), lost)
     assert lost.tolist() == [[collides, False]]
     assert len(calls) == (abs(gap) < 0.1)
@@ -54,7 +56,7 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
 def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
     """If all realizations are uncertain, the result is the same."""
     sky, tiles = sky_of(1.0, 1200), tiles_of(0.5, 2)
-    expected = rs.selection_probabilities(sky, small, tiles, 5)
+    expected = rs.selection_probabilities(sky, small, tiles, 5, allocator="nearest")
     assert expected.realizations["n_lost"].min() > 0
     assert not calls
 
@@ -62,7 +64,7 @@ def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
         args[-2][:], args[-1][:] = False, True
 
     monkeypatch.setattr(_work.kernels, "find_lost", unsure)
-    found = rs.selection_probabilities(sky, small, tiles, 5)
+    found = rs.selection_probabilities(sky, small, tiles, 5, allocator="nearest")
     assert len(calls) == 5 * len(tiles)
     np.testing.assert_array_equal(found.bits, expected.bits)
 

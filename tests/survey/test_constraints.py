@@ -44,7 +44,7 @@ def covered(survey, instrument, circles):
     found = []
     for row in survey.tiles:
         center, angle = SkyCoord(row["ra"], row["dec"]), row["position_angle"]
-        scored = rs.score_tile(survey.visits(row["tile"]), instrument, center=center, position_angle=angle).table
+        scored = rs.score_tile(survey.tile(row["tile"]), instrument, center=center, position_angle=angle).table
         scored = scored[np.isin(scored["status"], ["assigned", "parked"])]
         elbow, tip = (
             np.column_stack([scored[f"{part}_x"].value, scored[f"{part}_y"].value]) for part in ("elbow", "tip")
@@ -145,7 +145,7 @@ def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small,
     kind[near] = "standard"
     catalog = rs.Catalog(sky.coord, kind=kind)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    visits = flat.plan_survey(catalog, small, tiles, requirements="standard=9").visits(0)
+    visits = flat.plan_survey(catalog, small, tiles, requirements="standard=9").tile(0)
     chosen = int(visits["target_id"][visits["kind"] == "standard"][0])
     survey = flat.plan_survey(catalog, small, tiles, required=chosen)
     visits = survey.targets[survey.targets["kind"] == "standard"]
@@ -153,11 +153,11 @@ def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small,
     assert survey.summary["n_required_observed"] == 1
     for k in (0, 1):
         left = np.ones(len(sky), dtype=bool)
-        left[survey.visits(0)["target_row"][survey.visits(0)["observed"]]] = k == 0
+        left[survey.tile(0)["target_row"][survey.tile(0)["observed"]]] = k == 0
         left[chosen] = True
         tile = flat.plan_tile(catalog[left], small, tiles[k], required=chosen)
         assigned = tile.table[tile.table["status"] == "assigned"]
-        assert assigned["target_id"].tolist() == survey.visits(k)["target_id"].tolist()
+        assert assigned["target_id"].tolist() == survey.tile(k)["target_id"].tolist()
 
 
 @pytest.mark.filterwarnings(NEVER)
@@ -216,7 +216,7 @@ def test_many_ids_and_circles_are_recorded_by_their_number_and_a_digest(sky):
     (text,) = more.record["required"]
     assert text.startswith("1001 in all, digest ")
     assert text != rs.AllocationOptions(required=np.arange(1, 1002)).record["required"][0]
-    assert repr(more) == "AllocationOptions('lamost', required=(0, 1, 2, 3, 4 (1001 in all)))"
+    assert repr(more) == "AllocationOptions('repair', required=(0, 1, 2, 3, 4 (1001 in all)))"
 
 
 def test_a_circle_is_recorded_as_region_reads_it(circles):

@@ -9,10 +9,9 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
-
-__all__ = ["JointOptions", "as_joint", "check_joint"]
 
 
 @check_keywords
@@ -129,11 +128,15 @@ def check_joint(options) -> None:
     InputError
         If an option is not supported.
     """
-    if options.allocator != "optimal":
-        raise InputError(f"a joint plan needs the allocator 'optimal', got {options.name!r}")
+    if not options.method.plans_jointly:
+        names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
+        raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
     for name in ("requirements", "required", "sky_separation", "subpriority"):
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
             raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")
+    for one in options.constraints:
+        if not one.parts <= {"obstacles", "exclusion"}:
+            raise InputError(f"a joint plan must have no constraints with counts or required targets, got '{one}'")
