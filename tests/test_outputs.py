@@ -35,6 +35,7 @@ for name, write in {
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("most", [0, 3000])
 def test_nothing_is_left_on_a_full_disk(tmp_path, most):
     """The limit of the size of files has the same effect as a full disk."""

@@ -79,6 +79,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     assert "no sensitivities: at least one of central_arm" in out
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -28,6 +28,7 @@ def whole(tmp_path_factory):
     return room, interrupts.content(folder)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["survey optimal", "survey processes"])
 def test_an_interrupted_survey_ends_with_a_message_and_can_be_resumed(name, whole):
     """Regression: threads of HiGHS aborted the process after the message."""
@@ -144,7 +145,8 @@ def test_an_interrupted_search_of_a_plan_has_the_exit_code_of_an_interrupt(run, 
     assert rs.Tile.read(tmp_path / "tile.fits").summary["n_positioners"] == 1001
 
 
-@pytest.mark.parametrize("closed", [0, 2])
+@pytest.mark.few(1)
+@pytest.mark.parametrize("closed", [2, 0])
 def test_closed_standard_streams_change_nothing(closed, tmp_path):
     """Regression: without a standard error stream, the command ``survey`` ended without output."""
     words = f"exec {sys.executable} -m rfpsurvey survey --instrument moons --folder out {closed}>&-"

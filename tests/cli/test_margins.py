@@ -22,6 +22,7 @@ def sky(tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -39,6 +40,7 @@ def test_forms_of_the_option(run, sky, tmp_path, text, expected):
     assert ("    margins" in out) == (expected is not None)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -90,7 +92,7 @@ def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
 
 def test_a_comparison_of_instruments_with_margins(run):
     options = ("--targets", 0.2, "--realizations", 1, "--allocator", "nearest")
-    code, out, err = run("compare", "desi", "pfs", "--margins", "outer=0.3", *options)
+    code, out, err = run("compare", "moons", "pfs", "--margins", "outer=0.3", *options)
     assert (code, err) == (0, "")
     assert "margins of pfs: outer_mm 0.3\n" in out
 

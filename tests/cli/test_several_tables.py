@@ -24,6 +24,7 @@ def path(tmp_path_factory):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "words",
     [

@@ -47,6 +47,7 @@ def tiles(tmp_path):
     return write
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("command", "options"),
     [

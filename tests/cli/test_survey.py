@@ -64,6 +64,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert "tiles                                        1" in out
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("words", "name", "value"),
     [
@@ -193,6 +194,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     assert "--tiles must be given" in call("survey", tmp_path / "parts", code=2)[1]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -216,6 +218,7 @@ def test_wrong_words(call, files, words, sentence):
     assert sentence in call(*known, *words, code=0 if not sentence else 2)[1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "words",
     [

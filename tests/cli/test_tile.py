@@ -92,6 +92,7 @@ def test_the_embedded_default(tile):
     assert tile("--instrument", "moons")[0] == 0
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

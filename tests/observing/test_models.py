@@ -66,6 +66,7 @@ def patrol_edges(instrument):
     return (arrays.xy[outer, None] + arrays.outer_radius[outer, None, None] * circle).reshape(-1, 2) * u.mm
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs"])
 def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets, name):
     """Regression: the maxima were taken over the centers of positioners, and were up to 23 % too small."""
@@ -326,6 +327,7 @@ def test_the_command_plans_under_conditions(run, tmp_path):
     assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("options", "text"),
     [

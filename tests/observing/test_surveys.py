@@ -65,6 +65,7 @@ def test_times_are_times_or_text(sky, presets):
     assert not same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with()))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "column"),
     [
@@ -89,17 +90,18 @@ def test_files_keep_the_conditions_of_each_tile(name, column, tmp_path):
         assert [one.record for one in conditions_of_tiles(read)] == [one.record for one in expected]
 
 
-def test_the_parts_do_not_depend_on_the_number_of_workers(sky, presets, tmp_path):
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_the_parts_do_not_depend_on_the_number_of_workers(sky, presets, tmp_path, processes):
     tiling, files = tiling_with(hour_angle=HOURS), {}
-    with ThreadPoolExecutor(3) as threads, ProcessPoolExecutor(2, get_context("spawn")) as processes:
-        for name, pool in (("one", None), ("threads", threads), ("processes", processes)):
+    with ProcessPoolExecutor(2, get_context("spawn")) if processes else ThreadPoolExecutor(3) as workers:
+        for name, pool in (("one", None), ("several", workers)):
             folder = tmp_path / name
             rs.plan_survey(sky, presets["moons"], tiling, folder=folder, executor=pool, rng=2)
             files[name] = {
                 str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()
             }
     assert len(files["one"]) > 5
-    assert files["one"] == files["threads"] == files["processes"]
+    assert files["one"] == files["several"]
 
 
 def test_the_table_of_a_survey_has_the_time_or_hour_angle_of_each_tile(sky, presets, tmp_path):
@@ -198,6 +200,7 @@ def test_the_command_neglects_refraction_without_conditions(command):
     assert "hour_angle" not in survey.tiles.colnames
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("options", "text"),
     [

@@ -54,6 +54,7 @@ def pfsdesign(folder):
 
 
 @pytest.mark.filterwarnings("ignore:.*(DESI has 5000|out of reach|north of ICRS|recorded joint angles)")
+@pytest.mark.few(2)
 @pytest.mark.parametrize("positions", ["focal_plane", "sky"])
 @pytest.mark.parametrize("make", [fiberassign, confsummary, pfsdesign])
 def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch, make, positions):
