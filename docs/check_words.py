@@ -109,7 +109,7 @@ def words_in(text: str) -> Iterator[tuple[int, str, str]]:
 def checked_files() -> list[Path]:
     """Return the files to check."""
     found = [ROOT / "README.rst", ROOT / "CHANGES.rst", *(ROOT / "docs").glob("*.rst")]
-    for folder in ("docs/examples", "rfpsurvey"):
+    for folder in ("docs/examples", "docs/reproduction", "rfpsurvey"):
         found += [path for path in (ROOT / folder).rglob("*.py") if path.name != "_version.py"]
     return sorted(found)
 

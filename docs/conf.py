@@ -74,7 +74,6 @@ def write_help(app):
         "select",
         "probability",
         "design",
-        "reproduce",
         "instruments",
         "benchmark",
         "benchmark collisions",

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         projection,
         region,
         report,
-        reproduction,
         selection,
         survey,
         tile,
@@ -132,7 +131,6 @@ _IMPORTED_ON_USE = {
     "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
     "region": ("Region",),
     "report": ("write_report",),
-    "reproduction": (),
     "selection": (
         "PotentialAssignments",
         "SelectionProbabilities",
@@ -149,4 +147,4 @@ __getattr__ = importer(__name__, _IMPORTED_ON_USE)
 def __dir__():
     # All other subpackages only contain the implementation of public names, and are therefore not listed.
     public = {"allocation", "benchmark", "collision", "design", "observing", "plans", "plot", "probability"}
-    return sorted({*__all__, *public, "reproduction", "tiling"})
+    return sorted({*__all__, *public, "tiling"})

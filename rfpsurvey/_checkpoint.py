@@ -4,8 +4,6 @@ from pathlib import Path
 
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["check_request", "warn_of_software"]
-
 
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:
     """Raise an error if the present request differs from the request with which the unfinished work began.

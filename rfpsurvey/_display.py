@@ -5,8 +5,6 @@ from importlib import import_module
 
 import astropy.units as u
 
-__all__ = ["rounded", "show", "to_html"]
-
 DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
@@ -55,6 +53,26 @@ def show(result: object, **options: object) -> object:
         An object with the HTML of the view.
     """
     return import_module("rfpsurvey.report").notebook_view(result, **options)
+
+
+def plot(result: object, **options: object) -> object:
+    """Draw a result with the function of the subpackage ``plot`` for its type, which this function imports.
+
+    Parameters
+    ----------
+    result : Tile or Survey or Tiling
+        The result.
+    **options
+        Passed to the function of ``rfpsurvey.plot``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+    """
+    module = import_module("rfpsurvey.plot")
+    draw = module.plot_focal_plane if type(result).__name__ == "Tile" else module.plot_tiling
+    return draw(result, **options)
 
 
 def rounded(table: object) -> object:

@@ -10,8 +10,6 @@ from functools import cache
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputTypeError, short
 
-__all__ = ["end_with_parent", "map_in_order", "map_with_progress", "released", "submit"]
-
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
     """Yield the results of function calls, in the order of the arguments.

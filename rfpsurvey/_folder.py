@@ -21,8 +21,6 @@ from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["INDEX", "RequestFolder", "check_file", "locked", "read_index", "read_verified"]
-
 INDEX, LOCK = "index.csv", "lock"
 HEADER = "file,bytes,sha256\n"
 MOST_REQUEST, MOST_INDEX = 10_000_000, 2**28

@@ -7,8 +7,6 @@ import numpy as np
 
 from rfpsurvey.errors import refusal
 
-__all__ = ["centers", "check_nside", "nside_for", "pixel_radius", "pixels_near", "pixels_of", "to_nested"]
-
 MOST_NSIDE = 2**20
 
 

@@ -19,8 +19,6 @@ import numba
 
 from rfpsurvey._temporary import temporary
 
-__all__ = ["inlined_kernel", "kernel"]
-
 
 @cache
 def _source_digest() -> str:

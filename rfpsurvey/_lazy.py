@@ -4,8 +4,6 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 
-__all__ = ["importer"]
-
 
 def importer(package: str, modules: Mapping[str, Iterable[str]]) -> Callable[[str], object]:
     """Return the function ``__getattr__`` of a package, which imports modules on first use.

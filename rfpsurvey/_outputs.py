@@ -7,8 +7,6 @@ from pathlib import Path
 from rfpsurvey._readers import is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError, check_switch
 
-__all__ = ["WRITABLE", "check_new_folder", "check_output", "check_parent", "check_separate"]
-
 WRITABLE = (".fits", ".ecsv")
 ZIPPED = (".gz", ".bz2", ".xz")
 

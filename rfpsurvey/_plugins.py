@@ -8,8 +8,6 @@ from importlib.metadata import entry_points
 
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["Plugin", "find_function", "find_plugin", "name_of", "plugin_names"]
-
 
 @dataclass(frozen=True)
 class Plugin:

@@ -4,8 +4,6 @@ from time import monotonic
 
 from rfpsurvey.errors import check_switch
 
-__all__ = ["Progress"]
-
 EVERY = 0.1  # shortest time between two updates of the line, in seconds
 
 

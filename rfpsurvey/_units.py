@@ -1,5 +1,6 @@
 """Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
+from collections.abc import Collection, Iterable
 from numbers import Integral, Number
 
 import astropy.units as u
@@ -15,34 +16,9 @@ from astropy.coordinates import (
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import is_number
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, refusal, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128
-
-__all__ = [
-    "exact_text",
-    "is_seed_given",
-    "locked",
-    "rows_of",
-    "to_center",
-    "to_dimensionless",
-    "to_direction",
-    "to_flags",
-    "to_generator",
-    "to_labels",
-    "to_lonlat",
-    "to_mm",
-    "to_numbers",
-    "to_plain",
-    "to_points_mm",
-    "to_radian",
-    "to_scalar",
-    "to_seed",
-    "to_spawner",
-    "to_unit",
-    "to_vectors",
-    "to_visits",
-]
 
 
 def locked(array: np.ndarray) -> np.ndarray:
@@ -276,6 +252,22 @@ def to_dimensionless(value: object, name: str) -> np.ndarray:
         return to_plain(value.to(u.dimensionless_unscaled), name)
     except u.UnitConversionError:
         raise InputUnitsError(f"{name} must be numbers without a unit, got {short(value)}") from None
+
+
+def check_unique(values: np.ndarray, name: str) -> None:
+    """Raise an error if a value occurs more than once."""
+    found, counts = np.unique(values, return_counts=True)
+    if (counts > 1).any():
+        twice = found[counts > 1].tolist()[0]
+        text = f"{twice:g}" if isinstance(twice, float) else twice
+        raise InputError(f"{name} must be unique, but {text} occurs more than once")
+
+
+def check_columns(names: Collection[str], required: Iterable[str], what: str) -> None:
+    """Raise an error if a required column is missing; ``names`` are the names of the columns of a table."""
+    for name in required:
+        if name not in names:
+            raise InputError(f"{what} must have the column {name!r}, got {listed(names)}")
 
 
 def to_visits(visits: object, n: int) -> np.ndarray:

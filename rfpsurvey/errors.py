@@ -3,7 +3,7 @@
 import inspect
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
@@ -32,6 +32,7 @@ __all__ = [
     "used_elsewhere",
     "warn",
     "warn_no_effect",
+    "warn_of_former_name",
     "warn_of_unused",
 ]
 
@@ -48,7 +49,6 @@ MOST_WHOLE = 2**53
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
-    ("tiles", "tiling", "tiling=..."),
     ("n_targets", "targets", "targets=RandomTargets(number=...)"),
     ("target_radius", "targets", "targets=RandomTargets(radius=...)"),
     ("min_separation", "targets", "targets=RandomTargets(min_separation=...)"),
@@ -64,6 +64,10 @@ RENAMED = (
         for parameter in ("allocator", "options")
     ),
 )
+
+
+# Former names of parameters, which functions still accept with a warning if they have a parameter with the new name.
+FORMER_NAMES = {"tiling": "tiles", "points": "catalog", "field": "catalog", "focal_plane": "instrument"}
 
 
 class InputError(ValueError):
@@ -137,31 +141,27 @@ def warn_no_effect(name: str, why: str) -> None:
         warn(f"{name} has no effect {why}")
 
 
-def warn_of_unused(
-    given: Iterable[str], chosen: Collection[object], uses: Mapping[str, Collection[str]], what: str
-) -> None:
+def warn_of_unused(given: Iterable[str], chosen: Collection, methods: Iterable, what: str) -> None:
     """Issue a warning for each given option that none of the chosen methods uses.
 
     Parameters
     ----------
     given : iterable of str
         Names of the options whose values differ from the default values.
-    chosen : collection of str or callable
-        The methods. A function, or a method that is not in ``uses``, is assumed to use every option.
-    uses : mapping of str to collection of str
-        Names of the options that each method uses.
+    chosen : collection of Method
+        The methods that are used.
+    methods : iterable of Method
+        All built-in methods.
     what : str
         Noun for a method, such as "allocator".
     """
-    if not all(isinstance(one, str) and one in uses for one in chosen):
-        return
     for name in given:
-        if not any(name in uses[one] for one in chosen):
-            users = [one for one, names in uses.items() if name in names]
+        if not any(one.uses(name) for one in chosen):
+            users = [one.name for one in methods if one.options is not None and name in one.options]
             who = f"{', '.join(users[:-1])} and {users[-1]} use" if len(users) > 1 else f"{users[0]} uses"
-            methods = " and ".join(repr(one) for one in dict.fromkeys(chosen))
-            plural = "s" if len({*chosen}) > 1 else ""
-            warn_no_effect(name, f"with the {what}{plural} {methods}; only {who} it")
+            names = dict.fromkeys(repr(one.name) for one in chosen)
+            plural = "s" if len(names) > 1 else ""
+            warn_no_effect(name, f"with the {what}{plural} {' and '.join(names)}; only {who} it")
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
@@ -231,7 +231,10 @@ def short(value: object) -> str:
 
 
 def check_keywords(function: T) -> T:
-    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter."""
+    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter.
+
+    The former name of a parameter is still accepted, with a warning.
+    """
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -243,12 +246,20 @@ def _checked(function, title):
 
     @wraps(function)
     def checked(*args, **kwargs):
-        for name in kwargs:
-            if name not in parameters:
+        for name in kwargs.keys() - parameters.keys():
+            new = FORMER_NAMES.get(name)
+            if new not in parameters or new in kwargs:
                 raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
+            warn_of_former_name(f"the parameter {name} of {title}", new)
+            kwargs[new] = kwargs.pop(name)
         return function(*args, **kwargs)
 
     return checked
+
+
+def warn_of_former_name(what: str, new: str) -> None:
+    """Issue a warning that something has a new name, and that its former name will be removed."""
+    warn(f"{what} is now called {new}; the former name will be removed in version 0.4")
 
 
 def _instead_of(name, parameters):

@@ -27,7 +27,9 @@ def rng():
 @pytest.fixture(scope="session")
 def presets():
     """Return all presets, made once."""
-    return {name: rs.Instrument.preset(name) for name in ("lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs")}
+    return {
+        path.stem: rs.Instrument.preset(path.stem) for path in (Path(rs.__file__).parent / "presets").glob("*.toml")
+    }
 
 
 @pytest.fixture(scope="session")

@@ -86,7 +86,7 @@ def test_public_functions_have_few_parameters():
 def test_folders_of_tests_are_those_of_the_package():
     packages = {path.parent.name.removeprefix("_") for path in PACKAGE.glob("*/__init__.py")}
     folders = {path.parent.name for path in TESTS.glob("*/test_*.py")}
-    assert folders - packages == {"benchmarks", "cuda", "figures"}
+    assert folders - packages == {"benchmarks", "cuda", "figures", "reproduction"}
 
 
 def test_paths_in_the_configuration_of_tox_exist():

@@ -3,7 +3,6 @@
 import inspect
 import pickle
 import warnings
-from importlib import import_module
 
 import astropy.units as u
 import pytest
@@ -11,6 +10,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey import errors
+from rfpsurvey._methods import Method, table_of
 from rfpsurvey.errors import short, warn
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
@@ -66,6 +66,19 @@ def test_unknown_keywords_name_the_parameter_that_was_meant(call, message):
     assert isinstance(told.value, rs.InputError)
 
 
+def test_former_names_of_parameters_are_accepted_with_a_warning():
+    stars = SkyCoord([95, 95.1] * u.deg, [23, 23] * u.deg)
+    with pytest.warns(rs.RfpsurveyWarning, match="parameter tiling of plan_survey is now called tiles;") as caught:
+        survey = rs.plan_survey(stars, "moons", tiling=stars[:1])
+    assert caught[0].filename == __file__
+    with pytest.warns(rs.RfpsurveyWarning, match="Survey.visits is now called Survey.tile"):
+        assert len(survey.visits(0)) == len(survey.tile(0))
+    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
+        rs.plan_survey(stars, "moons", tiles=stars, tiling=stars)
+    with pytest.raises(rs.InputTypeError, match="compare_allocators has no parameter 'tiling'"):
+        rs.compare_allocators(stars, "moons", tiling=stars)
+
+
 def test_functions_that_check_keywords_keep_their_signature():
     assert list(inspect.signature(rs.plan_tile).parameters)[:3] == ["catalog", "instrument", "center"]
     assert next(iter(inspect.signature(rs.AllocationOptions).parameters)) == "allocator"
@@ -104,20 +117,7 @@ def test_messages_have_one_line_without_control_characters():
     assert path in str(rs.InputError(f"{path}: there is no such file"))
 
 
-@pytest.mark.parametrize(
-    ("methods", "uses"),
-    [
-        ("rfpsurvey.allocation._methods", "rfpsurvey.allocation._uses"),
-        ("rfpsurvey.probability._methods", "rfpsurvey.probability._methods"),
-        ("rfpsurvey.tiling._methods", "rfpsurvey.tiling._methods"),
-        ("rfpsurvey.design._losses", "rfpsurvey.design._losses"),
-    ],
-)
-def test_the_options_of_every_method_are_listed(methods, uses):
-    assert import_module(methods).METHODS.keys() == import_module(uses).USES.keys()
-
-
-USES = {"slow": ("effort", "seed"), "exact": ("effort",), "fast": ()}
+OPTIONS = {"slow": ("effort", "seed"), "exact": ("effort",), "fast": (), "of a plugin": None}
 
 
 @pytest.mark.parametrize(
@@ -127,16 +127,17 @@ USES = {"slow": ("effort", "seed"), "exact": ("effort",), "fast": ()}
         (["seed"], ["exact", "fast"], ["seed has no effect with the methods 'exact' and 'fast'; only slow uses it"]),
         (["effort", "seed"], ["exact", "slow"], []),
         (["effort"], ["of a plugin", "fast"], []),
-        (["effort"], [len], []),
         ([], ["fast"], []),
     ],
 )
 def test_each_option_that_no_method_uses_causes_a_warning(given, chosen, expected):
+    methods = table_of(*(Method(name, len, options) for name, options in OPTIONS.items()))
+    chosen = [methods[name] for name in chosen]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        errors.warn_of_unused(given, chosen, USES, "method")
+        errors.warn_of_unused(given, chosen, methods.values(), "method")
         with errors.used_elsewhere():
-            errors.warn_of_unused(given, chosen, USES, "method")
+            errors.warn_of_unused(given, chosen, methods.values(), "method")
         with errors.used_elsewhere("effort", "seed"):
-            errors.warn_of_unused(given, chosen, USES, "method")
+            errors.warn_of_unused(given, chosen, methods.values(), "method")
     assert [str(one.message) for one in told] == expected

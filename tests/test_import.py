@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 BASE = "import astropy.coordinates, astropy.table, numba, scipy"
-ON_USE = ("benchmark", "compare", "design", "plot", "probability", "report", "reproduction", "survey", "tiling")
+ON_USE = ("benchmark", "compare", "design", "plot", "probability", "report", "survey", "tiling")
 
 
 PLAN = """

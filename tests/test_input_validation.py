@@ -165,7 +165,7 @@ CALLS = {
     "table must be a QTable, got dict": lambda: rs.Tile({}),
     "the table does not describe a tile: it lacks ": lambda: rs.Tile(QTable({"id": [1]})),
     "center must be one direction, got the shape (2,)": lambda: rs.plan_tile(rs.Catalog(TWO), "moons", TWO),
-    "the survey has no tile nine; its tiles have names such as ": lambda: survey().visits("nine"),
+    "the survey has no tile nine; its tiles have names such as ": lambda: survey().tile("nine"),
 }
 
 

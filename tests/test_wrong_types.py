@@ -53,17 +53,17 @@ CALLS = [
     (rs.AllocationOptions, {}),
     (rs.allocate, {"focal_plane": PLANE, "xy": XY}),
     (rs.find_collisions, {"focal_plane": PLANE, "tips": PLANE.xy}),
-    (rs.collision_probability, {"focal_plane": PLANE}),
+    (rs.collision_probability, {"instrument": PLANE}),
     (rs.probability.RandomTargets, {}),
     (rs.probability.Precision, {}),
     (rs.plan_tile, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
     (rs.score_tile, {"table": SCORED, "instrument": SMALL}),
-    (rs.place_tiles, {"field": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
+    (rs.place_tiles, {"catalog": rs.Region.cap(CENTER, 1 * DEG), "instrument": SMALL}),
     (rs.tiling.Fibers, {}),
     (rs.Tiling.from_table, {"table": TABLE}),
-    (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiling": TILING}),
+    (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.selection_probabilities, {"catalog": SKY, "instrument": SMALL, "tiles": TILING, "n_realizations": 1}),
-    (rs.potential_assignments, {"points": SKY, "instrument": SMALL, "tiles": TILING}),
+    (rs.potential_assignments, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.compare_allocators, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
     (rs.compare_instruments, {"catalog": SKY, "instruments": [SMALL]}),
     (rs.design.LossOptions, {}),
@@ -78,7 +78,7 @@ SCORED_ON_SKY = QTable(
 )
 SCORE = {"table": SCORED_ON_SKY, "positions": "sky"}
 CLUSTERED = {"kind": "clustered", "cluster_size": 3, "cluster_scale": 0.1 * DEG}
-SERVED = {"field": SKY, "method": "max_density"}
+SERVED = {"catalog": SKY, "method": "max_density"}
 POISSON = {"catalog": "poisson"}
 # arguments that have no effect on the result of these calls
 NOT_LOOKED_AT = {
@@ -102,13 +102,13 @@ ALSO = {
     "synthetic_catalog-cluster_scale": CLUSTERED,
     "find_collisions-theta": {"tips": None, "phi": [0, 0, 0] * DEG},
     "find_collisions-phi": {"tips": None, "theta": [0, 0, 0] * DEG},
-    "collision_probability-center": {"focal_plane": SMALL, "targets": SKY},
+    "collision_probability-center": {"instrument": SMALL, "targets": SKY},
     "collision_probability-density": {"method": "quadrature"},
     "collision_probability-variant": {"method": "closed_form"},
     "RandomTargets-min_separation": {"kind": "poisson_disc"},
     "plan_tile-epoch": {"catalog": MOVING},
     "plan_survey-epoch": {"catalog": MOVING},
-    "potential_assignments-epoch": {"points": MOVING},
+    "potential_assignments-epoch": {"catalog": MOVING},
     "selection_probabilities-epoch": {"catalog": MOVING},
     "score_tile-center": SCORE,
     "score_tile-position_angle": SCORE,

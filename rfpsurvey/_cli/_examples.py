@@ -100,9 +100,3 @@ Examples:
   rfpsurvey probability moons --estimand independent --density shared
   rfpsurvey probability lamost --targets stars.fits --output map.fits --plot map.png
 """
-
-REPRODUCE_EXAMPLES = """\b
-Examples:
-  rfpsurvey reproduce small
-  rfpsurvey reproduce all --quick --folder quick --report quick.html
-"""

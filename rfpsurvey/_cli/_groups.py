@@ -9,9 +9,12 @@ from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey._cli._keys import Located, Part
-from rfpsurvey.allocation import ALLOCATORS
-from rfpsurvey.errors import InputError
+from rfpsurvey._methods import help_of
+from rfpsurvey.allocation import METHODS
+from rfpsurvey.errors import InputError, listed
 
+AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
+JOINTLY = listed(name for name, one in METHODS.items() if one.plans_jointly)
 Text = str | int | float
 Moment = str | float | Time | None
 
@@ -194,7 +197,7 @@ class ConstraintKeys:
         takes precedence over all others), or 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover).
     """
 
-    allocator: Annotated[str, f"Allocator: {', '.join(ALLOCATORS)}, or an allocator of an installed package."] = (
+    allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (
         rs.AllocationOptions.allocator
     )
     constraints: list[str] | None = None
@@ -249,7 +252,8 @@ Lost = Annotated[
 Order = Annotated[
     str,
     "Order in which tiles are planned. color: one pass after the other; tiles of a pass that do not overlap are "
-    "planned in parallel. given: the order of the table. joint: all tiles together, with the allocator optimal.",
+    "planned in parallel. given: the order of the table. joint: all tiles together, with the allocator "
+    + f"{JOINTLY}.",
 ]
 
 

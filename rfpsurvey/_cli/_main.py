@@ -29,8 +29,6 @@ COMMANDS = {
     "instruments.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
     "probability": "Estimate the probability that arms collide, with a confidence interval.",
-    "reproduce": "Repeat the experiments of Chen et al. (2024), arXiv:2409.07288, and compare the results with the "
-    "paper.",
     "score": "Find the collisions in an assignment that was made by another program.",
     "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "
     "observed.",
@@ -54,6 +52,11 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx, name: str):
         """Import a command and return it; return None if there is no command of this name."""
+        if name == "reproduce":
+            raise rs.InputError(
+                "the experiments of Chen et al. (2024) are no longer part of the package; in a copy of the repository, "
+                "python docs/reproduction runs them with the same options"
+            )
         if name not in COMMANDS:
             return None
         # Imported objects exist until the program ends. Excluding them from garbage collection saves time.

@@ -9,7 +9,7 @@ from pathlib import Path
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app
+from rfpsurvey._cli import _app, _groups
 from rfpsurvey._cli._print import files, print_table
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
@@ -148,7 +148,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print("visits and completeness after each pass:")
     print_table(survey.completeness)
     if s["collision_rate"] > MANY:
-        print("many arms collide: --allocator repair or --allocator optimal removes collisions")
+        print(f"many arms collide; these allocators avoid collisions: {_groups.AVOIDING}")
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 

@@ -15,7 +15,8 @@ from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located
 from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
-from rfpsurvey.compare import parts_of
+from rfpsurvey.compare import COMPARED, parts_of
+from rfpsurvey.errors import listed
 from rfpsurvey.plot import draw_instruments
 
 
@@ -33,8 +34,6 @@ class CompareKeys:
         Number of synthetic targets per deg2, in place of the number per positioner.
     n_realizations : int, optional
         Number of synthetic fields per instrument. By default, 4.
-    allocators : list[str], optional
-        Allocators to compare. By default, the allocators lamost and optimal are used.
     """
 
     instruments: Annotated[list[str] | None, Located()] = None
@@ -48,7 +47,9 @@ class CompareKeys:
     targets_per_positioner: float | None = None
     density: float | None = None
     n_realizations: int | None = None
-    allocators: list[str] | None = None
+    allocators: Annotated[
+        list[str] | None, f"Allocators to compare. By default, the allocators {listed(COMPARED)} are used."
+    ] = None
     rng: _groups.Seed = 0
     workers: _groups.Workers = 1
 
@@ -80,7 +81,7 @@ def compare(keys: CompareKeys) -> None:
             "poisson" if keys.catalog.path is None else _app.read_catalog(keys.catalog),
             models or None,
             center=_app.parse_center(keys.center),
-            allocators=keys.allocators or ("lamost", "optimal"),
+            allocators=keys.allocators or COMPARED,
             targets_per_positioner=keys.targets_per_positioner,
             density=None if keys.density is None else keys.density / u.deg**2,
             n_realizations=keys.n_realizations,

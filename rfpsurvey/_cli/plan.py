@@ -80,7 +80,7 @@ def plan(keys: PlanKeys, given) -> None:
             allocator=options,
             conditions=conditions,
             projection=keys.projection,
-            progress=options.allocator in ("sdss", "optimal") and sys.stderr.isatty(),
+            progress=options.method.searches and sys.stderr.isatty(),
             rng=keys.rng,
         )
         ended_early = interrupted.is_set()

@@ -12,7 +12,8 @@ from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._executors import released
 from rfpsurvey.catalog import is_example
-from rfpsurvey.probability import Precision, RandomTargets
+from rfpsurvey.errors import listed
+from rfpsurvey.probability import METHODS, QUEUEING, Precision, RandomTargets
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,6 @@ class ProbabilityKeys:
 
     Parameters
     ----------
-    method : str, optional
-        Method: conditional, monte_carlo, quadrature, closed_form, overlap_ratio, close_pair, a method of an installed
-        package, or auto, which selects the fastest method with an error estimate.
     estimand : str, optional
         Definition of the collision probability, for the method auto: allocated (an allocator assigns the targets; the
         default) or independent (each positioner draws its own target).
@@ -56,9 +54,13 @@ class ProbabilityKeys:
     catalog: _groups.CatalogKeys
     precision: Annotated[dict, Part(Precision)]
     output: _groups.TableOutputKeys
-    method: str = "auto"
+    method: Annotated[
+        str,
+        f"Method: {listed(METHODS)}, a method of an installed package, or auto, which selects the fastest method with "
+        "an error estimate.",
+    ] = "auto"
     estimand: str | None = None
-    allocator: str = "balanced"
+    allocator: str = QUEUEING
     density: str | None = None
     dynamic: float = 0.0
     rng: _groups.Seed = 0

@@ -2,14 +2,17 @@
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 import astropy.units as u
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _examples, _groups, _print, _surveys
 from rfpsurvey._cli._command import Given, command
+from rfpsurvey._methods import help_of
 from rfpsurvey.allocation import given_options
 from rfpsurvey.region import Region
+from rfpsurvey.tiling import METHODS
 
 
 @dataclass(frozen=True)
@@ -40,12 +43,8 @@ class TileKeys:
         the targets inside the region are used.
     exclude : list[Region], optional
         Regions to exclude; the targets and the area inside are ignored.
-    method : str, optional
-        Method of placing tiles: hexagonal or spiral (coverings without gaps); max_density, density_gradient or
-        mean_shift (one tile after the other, as for LAMOST); sdss (network flow); or given (the tiles of the table of
-        centers).
     passes : int, optional
-        Number of passes, for the methods hexagonal and spiral.
+        Number of passes, for methods that cover the field.
     completeness : float, optional
         Stop placing tiles when this fraction of the requested visits (0 to 1) is reached.
     n_tiles : int, optional
@@ -65,7 +64,7 @@ class TileKeys:
     output: _groups.TableOutputKeys
     region: Region | None = None
     exclude: list[Region] | None = None
-    method: str = "hexagonal"
+    method: Annotated[str, f"Method of placing tiles: {help_of(METHODS)}."] = "hexagonal"
     passes: int = 1
     completeness: float | None = None
     n_tiles: int | None = None

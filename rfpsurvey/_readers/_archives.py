@@ -5,10 +5,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from rfpsurvey._readers._limits import sentence
+from rfpsurvey._readers._limits import reading
 from rfpsurvey.errors import InputError
-
-__all__ = ["read_arrays"]
 
 
 def read_arrays(file: BinaryIO, expected: dict[str, tuple[str, tuple]], what: object) -> dict[str, np.ndarray]:
@@ -29,20 +27,15 @@ def read_arrays(file: BinaryIO, expected: dict[str, tuple[str, tuple]], what: ob
     InputError
         If the file is not a NumPy archive, or if an array is missing or has another type or shape.
     """
-    try:
-        with zipfile.ZipFile(file) as archive:
-            stored = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            found = {}
-            for key, (dtype, shape) in expected.items():
-                name = key.removesuffix("?")
-                if name in stored:
-                    found[name] = _read_array(archive, stored[name], np.dtype(dtype), shape, f"{what}: array {name!r}")
-                elif name == key:
-                    raise InputError(f"{what}: the archive must contain the array {name!r}, got none")
-    except InputError:
-        raise
-    except Exception as error:  # damaged archives can cause any exception
-        raise InputError(f"{what} cannot be read as npz: {sentence(error)}") from None
+    with reading(what, "npz"), zipfile.ZipFile(file) as archive:
+        stored = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        found = {}
+        for key, (dtype, shape) in expected.items():
+            name = key.removesuffix("?")
+            if name in stored:
+                found[name] = _read_array(archive, stored[name], np.dtype(dtype), shape, f"{what}: array {name!r}")
+            elif name == key:
+                raise InputError(f"{what}: the archive must contain the array {name!r}, got none")
     return found
 
 

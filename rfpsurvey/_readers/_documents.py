@@ -7,8 +7,6 @@ from pathlib import Path
 from rfpsurvey._readers._limits import check_is_file, content_of, sentence
 from rfpsurvey.errors import InputError, short
 
-__all__ = ["check_size", "parse_json", "read_toml"]
-
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
 # Integers in TOML have 64 bits. Larger integers in other documents can be seeds, but must be representable as floats.

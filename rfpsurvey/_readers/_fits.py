@@ -3,17 +3,17 @@
 import io
 import re
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from astropy.table import Column, Table
 
-from rfpsurvey._readers._limits import open_content, sentence
+from rfpsurvey._readers._limits import open_content, reading
 from rfpsurvey._readers._plain_fits import read_plain
 from rfpsurvey.errors import InputError, listed, short, warn
-
-__all__ = ["META_KEY", "read_all_fits", "read_fits", "read_fits_bytes", "read_fits_units"]
 
 BLOCK, CARD = 2880, 80
 MOST_CARDS, MOST_UNITS, MOST_FIELDS = 100_000, 1000, 999
@@ -30,15 +30,25 @@ def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "") -> Tab
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
     by rfpsurvey. The warning ends with ``remedy``, which describes how to read another table.
     """
-    with open_content(path) as file:
-        found = _find_tables(file, path)
-        table, n_rows = _read(file, next(iter(found)) if hdu is None else _choose(found, hdu, path))
-        if hdu is None and len(found) > 1 and META_KEY not in table.meta:
-            text = f"{path}: the file has {len(found)} tables, and only the first one was read: {_listed(found)}"
-            warn(text + remedy)
-    if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have {n_rows} rows, as its header states, got {len(table)}")
+    with open_content(path) as file, _open_units(file, path) as (units, found):
+        table = _table_of(units[next(iter(found)) if hdu is None else _choose(found, hdu, path)], path)
+    if hdu is None and len(found) > 1 and META_KEY not in table.meta:
+        text = f"{path}: the file has {len(found)} tables, and only the first one was read: {_listed(found)}"
+        warn(text + remedy)
     return table
+
+
+@contextmanager
+def _open_units(file: BinaryIO, path: object) -> Iterator[tuple]:
+    """Provide the header-data units of a file, and the numbers and names of those that are tables."""
+    from astropy.io import fits
+
+    found = _find_tables(file, path)
+    file.seek(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
+        with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
+            yield units, found
 
 
 def _choose(found: dict[int, str], hdu: int | str, path: Path) -> int:
@@ -65,36 +75,11 @@ def read_all_fits(path: Path) -> tuple[dict, list[Table]]:
 
     The ``meta`` of each table contains the keywords of its header.
     """
-    from astropy.io import fits
-
-    with open_content(path) as file:
-        numbers = _find_tables(file, path)
-        file.seek(0)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # ignore warnings about cards and units, as in `_read`
-            with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-                header = dict(units[0].header)
-                found = [_table_of(units[at]) for at in numbers]
-    for table, n_rows in found:
-        if len(table) != n_rows:
-            raise InputError(
-                f"{path}: each table must have as many rows as its header states ({n_rows}), got {len(table)} rows"
-            )
-    return header, [table for table, _ in found]
+    with open_content(path) as file, _open_units(file, path) as (units, found):
+        return dict(units[0].header), [_table_of(units[at], path) for at in found]
 
 
-def _read(file: BinaryIO, at: int) -> tuple[Table, int]:
-    """Return the table of a header-data unit, and the number of rows that its header states."""
-    from astropy.io import fits
-
-    file.seek(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
-        with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-            return _table_of(units[at])
-
-
-def _table_of(unit) -> tuple[Table, int]:
+def _table_of(unit, path) -> Table:
     table = Table.read(unit, format="fits", mask_invalid=False)
     for name, column in table.columns.items():
         if isinstance(column, Column) and not column.dtype.isnative:
@@ -103,7 +88,10 @@ def _table_of(unit) -> tuple[Table, int]:
         if table[name].dtype.kind == "U":
             values = np.asarray(table[name])
             values[...] = np.char.rstrip(values)  # versions of astropy before 8.0 keep trailing blanks
-    return table, unit.header["NAXIS2"]
+    n_rows = unit.header["NAXIS2"]
+    if len(table) != n_rows:
+        raise InputError(f"{path}: the table must have {n_rows} rows, as its header states, got {len(table)}")
+    return table
 
 
 def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarray, dict]:
@@ -111,23 +99,12 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
     plain = read_plain(content)
     if plain is not None:
         return plain
-    from astropy.io import fits
-
-    try:
-        file = io.BytesIO(content)
-        at = next(iter(_find_tables(file, name)))
-        file.seek(0)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with fits.open(file, memmap=False, character_as_bytes=False) as units:
-                table = units[at]
-                columns = [np.asarray(table.data[name]) for name in table.columns.names]
-                columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
-                return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)
-    except InputError:
-        raise
-    except Exception as error:  # astropy can raise any exception
-        raise InputError(f"{name} cannot be read as fits: {sentence(error)}") from error
+    file = io.BytesIO(content)
+    with reading(name, "fits"), _open_units(file, name) as (units, found):
+        table = units[next(iter(found))]
+        columns = [np.asarray(table.data[name]) for name in table.columns.names]
+        columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
+        return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)
 
 
 def read_fits_units(path: Path) -> dict:
@@ -137,28 +114,14 @@ def read_fits_units(path: Path) -> dict:
     is a tuple of the primary header and None. Rows are structured arrays in the byte order of the machine; their text
     has no trailing blanks.
     """
-    from astropy.io import fits
-
-    found = {}
-    with open_content(path) as file:
-        numbers = _find_tables(file, path)
-        file.seek(0)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                with fits.open(file, memmap=False, character_as_bytes=False) as units:
-                    found[None] = units[0].header.copy(), None
-                    for number in numbers:
-                        unit = units[number]
-                        names = unit.columns.names
-                        columns = [_native(np.asarray(unit.data[name])) for name in names]
-                        dtype = [(name, c.dtype, c.shape[1:]) for name, c in zip(names, columns, strict=True)]
-                        rows = np.empty(len(unit.data), dtype)
-                        for name, column in zip(names, columns, strict=True):
-                            rows[name] = column
-                        found[unit.name] = unit.header.copy(), rows
-        except Exception as error:  # astropy can raise any exception
-            raise InputError(f"{path} cannot be read as fits: {sentence(error)}") from error
+    with open_content(path) as file, reading(path, "fits"), _open_units(file, path) as (units, numbers):
+        found = {None: (units[0].header.copy(), None)}
+        for unit in [units[number] for number in numbers]:
+            columns = {name: _native(np.asarray(unit.data[name])) for name in unit.columns.names}
+            rows = np.empty(len(unit.data), [(name, c.dtype, c.shape[1:]) for name, c in columns.items()])
+            for name, column in columns.items():
+                rows[name] = column
+            found[unit.name] = unit.header.copy(), rows
     return found
 
 

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["find_names", "is_number"]
-
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
 DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
 # The names of the columns must be within this number of bytes from the beginning of the file.

@@ -5,25 +5,12 @@ import gzip
 import io
 import lzma
 import zlib
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
 from rfpsurvey.errors import InputError
-
-__all__ = [
-    "MOST_COLUMNS",
-    "check_is_file",
-    "check_width",
-    "content_of",
-    "entries_of",
-    "head_of",
-    "is_compressed",
-    "is_present",
-    "open_content",
-    "open_file",
-    "sentence",
-]
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 # Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than 10.
@@ -46,6 +33,19 @@ def sentence(error: Exception) -> str:
     if not text:
         return kind
     return text if isinstance(error, ValueError | OSError) else f"{kind}: {text}"
+
+
+@contextmanager
+def reading(what: object, kind: str) -> Iterator[None]:
+    """Convert all exceptions of a reader of another package to an InputError that begins with ``what``."""
+    try:
+        yield
+    except InputError:
+        raise
+    except RecursionError as error:
+        raise InputError(f"{what} cannot be read as {kind}: the file is nested too deeply") from error
+    except Exception as error:  # the readers can raise any exception
+        raise InputError(f"{what} cannot be read as {kind}: {sentence(error)}") from error
 
 
 def is_present(path: Path) -> bool:

@@ -12,8 +12,6 @@ import numpy as np
 from rfpsurvey._readers._limits import MOST_COLUMNS, check_width
 from rfpsurvey.errors import InputError
 
-__all__ = ["count_lines", "line_number"]
-
 BLOCK = 2**22
 # Largest number of blank lines and comments in a file, in addition to ten such lines per row of the table.
 MOST_IDLE = 1_000_000

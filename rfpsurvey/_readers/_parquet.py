@@ -7,11 +7,9 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._readers._documents import parse_json
-from rfpsurvey._readers._limits import check_width, sentence
+from rfpsurvey._readers._limits import check_width, reading
 from rfpsurvey._readers._quantities import with_quantities
 from rfpsurvey.errors import InputError
-
-__all__ = ["import_parquet", "read_parquet", "table_of_arrow"]
 
 # The memory of the values of all rows is limited to MOST_RATIO times the size of the file or to FREE bytes, whichever
 # is larger. MOST_RATIO is large because repeated values take little space in the file.
@@ -35,7 +33,7 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
     are omitted.
     """
     parquet, reads_all = import_parquet(), names is None
-    try:
+    with reading(path, "parquet"):
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             n_rows, schema, size = file.metadata.num_rows, file.schema_arrow, path.stat().st_size
             names = [name for name in names or schema.names if _is_plain(schema.field(name).type)]
@@ -48,10 +46,6 @@ def read_parquet(path: Path, names: list[str] | None = None) -> Table:
             raise InputError(f"{path}: the table must have {n_rows} rows, got {content.num_rows}")
         table = _with_units(_to_table(content, names, path), schema.metadata or {}, f"{path}: ")
         return _with_index(table, schema.metadata or {}) if reads_all else table
-    except InputError:
-        raise
-    except Exception as error:  # pyarrow can raise any exception
-        raise InputError(f"{path} cannot be read as parquet: {sentence(error)}") from error
 
 
 def table_of_arrow(content: object) -> Table:
@@ -63,27 +57,14 @@ def table_of_arrow(content: object) -> Table:
 
 def _is_plain(kind) -> bool:
     """Return whether NumPy can represent a column of this Arrow type."""
-    from pyarrow import types
+    from pyarrow import BaseExtensionType, types
 
     if types.is_dictionary(kind):
         kind = kind.value_type
-    tests = (
-        "boolean",
-        "integer",
-        "floating",
-        "decimal",
-        "string",
-        "large_string",
-        "binary",
-        "large_binary",
-        "fixed_size_binary",
-        "timestamp",
-        "date",
-        "null",
-        "string_view",
-        "binary_view",
-    )
-    return any(getattr(types, f"is_{name}", lambda _: False)(kind) for name in tests)
+    if isinstance(kind, BaseExtensionType):
+        return False
+    others = ("nested", "duration", "time", "interval", "run_end_encoded")
+    return not any(getattr(types, f"is_{name}")(kind) for name in others)
 
 
 def _to_table(content, names: list[str], path: Path | None) -> Table:

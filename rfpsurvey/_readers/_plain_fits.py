@@ -4,8 +4,6 @@ import re
 
 import numpy as np
 
-__all__ = ["read_plain"]
-
 BLOCK, CARD = 2880, 80
 PRIMARY = b"SIMPLE  =                    T", b"NAXIS   =                    0", b"XTENSION= 'BINTABLE'"
 TYPES = {"L": "u1", "B": "u1", "I": ">i2", "J": ">i4", "K": ">i8", "E": ">f4", "D": ">f8"}

@@ -8,8 +8,6 @@ from astropy.units import dimensionless_unscaled
 
 from rfpsurvey.errors import warn
 
-__all__ = ["with_quantities", "without_unit"]
-
 MOST_EXACT = 2**53
 
 

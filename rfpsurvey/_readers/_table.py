@@ -8,7 +8,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import META_KEY, read_all_fits, read_fits
-from rfpsurvey._readers._limits import check_is_file, check_width, sentence
+from rfpsurvey._readers._limits import check_is_file, check_width, reading
 from rfpsurvey._readers._parquet import read_parquet
 from rfpsurvey._readers._quantities import with_quantities
 from rfpsurvey.errors import InputError, refusal, short
@@ -80,20 +80,12 @@ def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: st
     if hdu is not None and (isinstance(hdu, bool) or not isinstance(hdu, int | np.integer | str)):
         raise refusal("hdu must be the number or the name of a table", hdu)
     check_is_file(path)
-    try:
-        options = (hdu, remedy) if FORMATS[suffix] == "fits" else ()
-        if hdu is not None and not options:
-            raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
-        table = with_quantities(READERS[FORMATS[suffix]](path, *options), f"{path}: ")
-        for name in table.colnames:
-            _make_text(table, name, path)
-        check_size(table.meta, path)
-    except InputError:
-        raise
-    except RecursionError as error:
-        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: the file is nested too deeply") from error
-    except Exception as error:  # the readers can raise any exception
-        raise InputError(f"{path} cannot be read as {FORMATS[suffix]}: {sentence(error)}") from error
+    is_fits = FORMATS[suffix] == "fits"
+    if hdu is not None and not is_fits:
+        raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
+    with reading(path, FORMATS[suffix]):
+        table = READERS[FORMATS[suffix]](path, *((hdu, remedy) if is_fits else ()))
+        table = _checked(table, path)
     if META_KEY in table.meta:
         table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")
     return table
@@ -107,19 +99,21 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     """
     path = to_path(path)
     check_is_file(path)
-    try:
+    with reading(path, "fits"):
         header, tables = read_all_fits(path)
-        tables = [with_quantities(table, f"{path}: ") for table in tables]
-        for table in tables:
-            for name in table.colnames:
-                _make_text(table, name, path)
-            table.meta = _keywords(table.meta)
-            check_size(table.meta, path)
-    except InputError:
-        raise
-    except Exception as error:  # the readers can raise any exception
-        raise InputError(f"{path} cannot be read as fits: {sentence(error)}") from error
+        tables = [_checked(table, path) for table in tables]
+    for table in tables:
+        table.meta = _keywords(table.meta)
     return _keywords(header), tables
+
+
+def _checked(table: Table, path: Path) -> QTable:
+    """Return a table with quantities and text, after a check of its size."""
+    table = with_quantities(table, f"{path}: ")
+    for name in table.colnames:
+        _make_text(table, name, path)
+    check_size(table.meta, path)
+    return table
 
 
 def _keywords(header: dict) -> dict:

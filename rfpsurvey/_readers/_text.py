@@ -13,8 +13,6 @@ from rfpsurvey._readers._limits import content_of
 from rfpsurvey._readers._lines import count_lines, line_number
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["read_csv", "read_ecsv"]
-
 MOST_HEADER = 2**18
 MOST_CELLS = 100_000
 MARK = "x"  # with this prefix, a number is read as text

@@ -16,8 +16,6 @@ from astropy.table import Table
 from rfpsurvey._readers._limits import MOST_COLUMNS, MOST_PADDING, open_content
 from rfpsurvey.errors import InputError
 
-__all__ = ["read_votable"]
-
 SIZES = {
     "boolean": 1,
     "bit": 1 / 8,

@@ -8,13 +8,14 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import brief
+from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator, name_of_best
 from rfpsurvey.allocation._options import AllocationOptions, as_options
-from rfpsurvey.allocation._plugin import packages
+from rfpsurvey.allocation._plugin import find_allocator, packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
-from rfpsurvey.allocation._uses import ALLOCATORS, OPTIONS, given_options, warn_of_parked, warn_of_unused_options
+from rfpsurvey.allocation._uses import given_options, warn_of_parked, warn_of_unused_options
 
 if TYPE_CHECKING:
     from rfpsurvey.allocation._weighted import (
@@ -27,14 +28,15 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "ALLOCATORS",
     "IDLE_REASONS",
     "KINDS",
+    "METHODS",
     "OPTIONS",
     "Allocation",
     "AllocationAnswer",
     "AllocationOptions",
     "AllocationProblem",
+    "Allocator",
     "GivenPlan",
     "IdleReason",
     "IdleReasons",
@@ -52,10 +54,12 @@ __all__ = [
     "assign",
     "brief",
     "end_on_interrupt",
+    "find_allocator",
     "find_idle_reasons",
     "given_options",
     "hint_of_name",
     "id_numbers",
+    "name_of_best",
     "packages",
     "sentences",
     "service_order",

@@ -13,7 +13,7 @@ from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._options import AllocationOptions, as_options
-from rfpsurvey.allocation._plugin import find_method
+from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
@@ -211,7 +211,7 @@ def assign(
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
-    answer = find_method(options.allocator)(problem)
+    answer = find_allocator(options.allocator).function(problem)
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
@@ -311,20 +311,20 @@ def _make_start(
     """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem."""
     start = problem.options.start
     if isinstance(start, str):
-        return find_method(start)(problem)
+        return find_allocator(start).function(problem)
     rows = slice(None) if order is None else order
     plane, points = problem.focal_plane, problem.xy[:n_given]
     same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)
     same = same and np.array_equal(start.in_reach[rows], in_reach)
-    same = same and np.array_equal(start.xy.to_value(u.mm)[:n_given][rows], points, equal_nan=True)
+    same = same and np.array_equal(start.xy_mm[:n_given][rows], points, equal_nan=True)
     if same:
         own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
         columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
-        r = np.hypot(*(start.tips.to_value(u.mm)[own] - columns.xy[own]).T)
+        r = np.hypot(*(start.tips_mm[own] - columns.xy[own]).T)
         slack, (inner, outer) = columns.reach_slack, columns.edges
         same = not ((r > outer[own] + slack) | (r < inner[own] - slack)).any()
         side = np.where(start.handedness[own] == "left", -1.0, 1.0)
-        tips = start.tips.to_value(u.mm)[own]
+        tips = start.tips_mm[own]
         same = same and (columns.poses_free or columns.poses_allowed(own, tips, side).all())
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
@@ -362,9 +362,9 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
         "target_of_positioner": target_of,
         "positioner_of_target": positioner_of,
         "handedness": elbow_names(plane.arrays.sides(tips, fiber=fiber)) if elbows is None else elbows,
-        "tips": tips << u.mm,
+        "tips_mm": tips,
         "fiber_type": types,
-        "xy": points << u.mm,
+        "xy_mm": points,
         "n_given": n,
         "target_fiber_type": problem.fiber_type[rows] if problem.several_fiber_types else None,
         "queues": answer.queues,
@@ -384,8 +384,8 @@ def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
 def _in_given_order(found: dict, order: np.ndarray) -> dict:
     """Return the attributes of an `Allocation` for targets in catalog order; added sky positions remain last."""
     n = len(order)
-    row_of = np.append(np.append(order, np.arange(n, len(found["xy"]))), -1)
-    columns = {name: found[name] for name in ("positioner_of_target", "xy", "target_fiber_type")}
+    row_of = np.append(np.append(order, np.arange(n, len(found["xy_mm"]))), -1)
+    columns = {name: found[name] for name in ("positioner_of_target", "xy_mm", "target_fiber_type")}
     given = {name: None if values is None else _scatter(values, row_of[:-1]) for name, values in columns.items()}
     queues = found["queues"] and (found["queues"][0], row_of[found["queues"][1]])
     return {**found, **given, "target_of_positioner": row_of[found["target_of_positioner"]], "queues": queues}

@@ -30,8 +30,8 @@ class Allocation:
         Row of the positioner of each target, -1 if no positioner observes the target.
     handedness : ndarray of str, shape (n_positioners,)
         Handedness of each arm, "right" or "left".
-    tips : Quantity, shape (n_positioners, 2)
-        Position of each fiber; NaN for positioners without a target.
+    tips_mm : ndarray of float, shape (n_positioners, 2)
+        Position of each fiber in mm; NaN for positioners without a target. The property ``tips`` has units.
     fiber_type : ndarray of str, shape (n_positioners,)
         Fiber type that each positioner uses.
     in_reach : ndarray of bool, shape (n_given,)
@@ -40,9 +40,9 @@ class Allocation:
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     seconds : dict of str to float
         Computing times in seconds: ``reach`` (finding the targets in reach) and ``allocation`` (all later steps).
-    xy : Quantity, shape (n_targets, 2)
-        Positions on the focal plane: first all given targets, then the observed sky positions in gaps between the
-        targets.
+    xy_mm : ndarray of float, shape (n_targets, 2)
+        Positions on the focal plane in mm: first all given targets, then the observed sky positions in gaps between the
+        targets. The property ``xy`` has units.
     n_given : int
         Number of given targets.
     target_fiber_type : ndarray of str, shape (n_targets,), or None
@@ -73,18 +73,28 @@ class Allocation:
     target_of_positioner: np.ndarray
     positioner_of_target: np.ndarray
     handedness: np.ndarray
-    tips: u.Quantity
+    tips_mm: np.ndarray
     fiber_type: np.ndarray
     in_reach: np.ndarray
     parked_obstacles: bool
     seconds: dict
-    xy: u.Quantity
+    xy_mm: np.ndarray
     n_given: int
     target_fiber_type: np.ndarray | None
     queues: tuple[np.ndarray, np.ndarray] | None
     levels: tuple[Level, ...]
     unmet: tuple[Shortfall, ...]
     meta: dict
+
+    @property
+    def tips(self) -> u.Quantity:
+        """Position of each fiber; NaN for positioners without a target."""
+        return self.tips_mm << u.mm
+
+    @property
+    def xy(self) -> u.Quantity:
+        """Positions of the targets on the focal plane."""
+        return self.xy_mm << u.mm
 
     @property
     def n_reachable(self) -> int:
@@ -143,7 +153,7 @@ class Allocation:
         """
         return place_arms(
             focal_plane,
-            self.tips,
+            self,
             handedness=self.handedness,
             fiber_type=self.fiber_type,
             parked_obstacles=self.parked_obstacles,

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from rfpsurvey._kernels import arms
 from rfpsurvey.allocation._problem import AllocationProblem
 
 __all__ = ["place_segments"]
@@ -17,17 +16,12 @@ def place_segments(
     target, and the elbow (+1: right, -1: left) for each segment. ``idle`` contains the indices of the segments of idle
     arms, one for each positioner of the focal plane; the targets of these segments are ignored.
     """
-    columns = problem.focal_plane.arrays
-    points, segments = np.full((len(own), 2), np.nan), np.empty((4, len(own)))
-    real = np.ones(len(own), dtype=bool)
+    columns, real = problem.focal_plane.arrays, np.ones(len(own), dtype=bool)
     if idle is not None:
         real[idle] = False
+    points = np.full((len(own), 2), np.nan)
     points[real] = problem.xy[target[real]]
-    fiber = problem.fiber_of(own, target)
-    arms.place(points, columns.geometry_of(own, fiber), side, segments)
-    cosine, sine = columns.angles_of(own, fiber)
+    segments = columns.segments_of(own, problem.fiber_of(own, target), points, side)
     if idle is not None:
-        segments[:, idle] = columns.idle(problem.parked_obstacles).segments
-        cosine[idle], sine[idle] = columns.angles
-    arms.shape(segments, columns.model, columns.length, cosine, sine)
+        segments[:, idle] = columns.idle_segments(problem.parked_obstacles)
     return segments

@@ -1,22 +1,61 @@
-"""The built-in allocators: functions that take an allocation problem and return its solution."""
+"""The built-in allocators: functions that take an allocation problem and return its solution, and their records."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["METHODS", "with_cost"]
+__all__ = ["COUNTS", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
+
+COUNTS = ("exactly", "goal", "no")
+
+
+@dataclass(frozen=True)
+class Allocator(Method):
+    """An allocator, and the properties of its plans; the default values are those of a function without a record."""
+
+    avoids_collisions: bool = False
+    """Whether no arm with a target collides with another arm or an obstacle."""
+    searches: bool = False
+    """Whether a search, which ends at the time limit at the latest, proves that no other plan is better."""
+    counts: str = "no"
+    """Whether the plan meets minimum and maximum numbers of targets ``exactly``, as a ``goal``, or not (``no``)."""
+    makes_queues: bool = False
+    """Whether the allocator makes a queue of targets for each positioner."""
+    uses_priorities: bool = True
+    """Whether targets with a larger priority are more important."""
+    breaks_ties: bool = False
+    """Whether targets are sorted by a hash before the search, so that their order has no influence."""
+    plans_jointly: bool = False
+    """Whether a joint plan of a survey can replace the allocator."""
+
+    def __post_init__(self):
+        for name in ("avoids_collisions", "searches", "makes_queues", "uses_priorities"):
+            check_switch(getattr(self, name), name)
+        check_choice(self.counts, COUNTS, "value of counts")
+
+    @property
+    def improves(self) -> bool:
+        """Whether the allocator improves the plan of another allocator."""
+        return self.options is not None and "start" in self.options
 
 
 def balanced(problem: AllocationProblem) -> AllocationAnswer:
-    """Distribute targets to queues of nearly equal length, and draw one target from each queue."""
+    """Distribute targets to queues of nearly equal length, and draw one target from each queue.
+
+    Each science target, in catalog order, is added to the shortest queue among the positioners that reach it; ties are
+    decided by the distance, then by the row of the positioner. One target of each queue is drawn uniformly and
+    observed. Priorities and requirements are ignored.
+    """
     reach = problem.only(problem.science)
     count = np.empty(reach.n_positioners, dtype=np.int64)
     owner_of = np.empty(len(problem.rank), dtype=np.int64)
@@ -33,6 +72,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
     """Assign the targets of one class after the other; in each class, assign the closest pairs first.
 
     If subpriorities are given, assign each target of a class, in order of subpriority, to the closest free positioner.
+    Requirements are ignored.
     """
     reach, rank, _ = _in_order(problem)
     if problem.subpriority is not None:
@@ -48,7 +88,14 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the targets of one class after the other; in each round, every free positioner nominates one target."""
+    """Assign the targets of one class after the other; in each round, every free positioner nominates one target.
+
+    In each class, every free positioner nominates its nearest unassigned target, until no nominations are possible. If
+    several positioners nominate a target, the target is assigned to the positioner with the fewest unassigned targets
+    (of any class) in reach; ties are decided by the distance, then by the row of the positioner. The requirements are
+    then met one after the other: first by idle positioners, then by positioners that give up the least important
+    targets.
+    """
     reach, rank, n_ranks = _in_order(problem)
     indptr, target, r2, in_reach = _best(problem, reach, rank)
     n, m = reach.n_positioners, len(problem.rank)
@@ -63,7 +110,8 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
 def sdss(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
 
-    If subpriorities are given, the last step maximizes the sum of the subpriorities instead.
+    The distances are those from the centers of the positioners; arms may collide. If subpriorities are given, the last
+    step maximizes the sum of the subpriorities instead.
     """
     return _search(problem, collide=False, integral=False, squared_cost=True)
 
@@ -71,13 +119,16 @@ def sdss(problem: AllocationProblem) -> AllocationAnswer:
 def optimal(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, such that no arm with a target collides.
 
-    If subpriorities are given, the last step maximizes the sum of the subpriorities.
+    The optimum is proven. An arm with a target avoids all other arms and obstacles, and idle arms that are obstacles:
+    arms of parked positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. Among
+    plans of equal value, a plan in which few idle arms collide with each other is preferred; idle arms may still
+    collide with obstacles. If subpriorities are given, the last step maximizes the sum of the subpriorities.
     """
     return _search(problem, collide=True, squared_cost=problem.subpriority is not None)
 
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
-    """Remove the collisions of the plan of another allocator by local moves."""
+    """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
     candidates = find_candidates(problem, keep_target=before)
@@ -92,15 +143,47 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
-METHODS = {
-    "balanced": balanced,
-    "nearest": nearest,
-    "lamost": lamost,
-    "sdss": sdss,
-    "optimal": optimal,
-    "repair": repair,
-}
-"""Allocators by name: functions that take an allocation problem and return its solution."""
+_COMMON = ("required", "subpriority", "requirements")
+_SEARCH = (*_COMMON, "objective", "time_limit")
+METHODS = table_of(
+    Allocator(
+        "balanced", balanced, ("subpriority", "rng"), "ignores priorities", makes_queues=True, uses_priorities=False
+    ),
+    Allocator("nearest", nearest, ("required", "subpriority")),
+    Allocator("lamost", lamost, _COMMON, "the rule of LAMOST", counts="goal"),
+    Allocator("sdss", sdss, _SEARCH, "network flow", searches=True, counts="exactly"),
+    Allocator(
+        "optimal",
+        optimal,
+        _SEARCH,
+        "a proven optimum without collisions",
+        avoids_collisions=True,
+        searches=True,
+        counts="exactly",
+        breaks_ties=True,
+        plans_jointly=True,
+    ),
+    Allocator(
+        "repair",
+        repair,
+        (*_COMMON, "start"),
+        "lamost, followed by local moves that remove collisions",
+        avoids_collisions=True,
+        counts="goal",
+    ),
+)
+"""Built-in allocators by name.
+
+The options of an allocator do not include the options that affect the results of every allocator:
+``parked_obstacles``, ``keep_out`` and, if a requirement counts sky positions, ``sky_separation``.
+"""
+OPTIONS = (*dict.fromkeys(name for one in METHODS.values() for name in one.options), "parked_obstacles")
+"""Options that not all allocators, or not all instruments, use."""
+
+
+def name_of_best() -> str:
+    """Return the name of the allocator that assigns the largest number of targets if collisions are ignored."""
+    return next(name for name, one in METHODS.items() if one.searches and not one.avoids_collisions)
 
 
 def _search(problem, **options):

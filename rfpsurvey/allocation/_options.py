@@ -7,12 +7,15 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._plugins import find_function, name_of
+from rfpsurvey._methods import describe_methods
+from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
+from rfpsurvey.allocation._methods import METHODS, Allocator
+from rfpsurvey.allocation._plugin import find_allocator, find_improving
 from rfpsurvey.allocation._requirements import Requirement, as_requirements
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
-from rfpsurvey.allocation._uses import ALLOCATORS, ONLY_SOME, given_options, uses_with
+from rfpsurvey.allocation._uses import given_options
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -26,20 +29,21 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.region import Region
 
-__all__ = ["ALLOCATORS", "GROUP", "OBJECTIVES", "AllocationOptions", "as_options"]
+__all__ = ["OBJECTIVES", "AllocationOptions", "as_options"]
 
 SEPARATION = (
     "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky such as "
     "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
 )
 OBJECTIVES = ("priority", "count")
-GROUP = "rfpsurvey.allocators"
-"""Entry-point group by which packages add allocators."""
+ONLY_SOME = ("objective", "time_limit", "start")
+"""Options that have their default values in the record of a plan whose allocator does not use them."""
 # ``repr`` shortens lists of more than this number of values.
 MOST_SHOWN = 20
 
 
 @check_keywords
+@describe_methods(METHODS)
 @dataclass(frozen=True)
 class AllocationOptions:
     """Options of an allocation: the allocator, and the constraints and requirements of each plan.
@@ -49,23 +53,10 @@ class AllocationOptions:
 
     Parameters
     ----------
-    allocator : {"balanced", "nearest", "lamost", "sdss", "optimal", "repair"} or str or callable, optional
-        Targets with the same priority form a class, and all allocators except ``balanced`` assign the class of the
-        highest priority first. ``balanced``: each science target, in catalog order, is added to the shortest queue
-        among the positioners that reach it; ties are decided by the distance, then by the row of the positioner. One
-        target of each queue is drawn uniformly and observed. Priorities are ignored. ``nearest``: in each class, pairs
-        of a positioner and a target are assigned in the order of their distance. ``lamost``: in each class, every free
-        positioner nominates its nearest unassigned target, until no nominations are possible. If several positioners
-        nominate a target, the target is assigned to the positioner with the fewest unassigned targets (of any class) in
-        reach; ties are decided by the distance, then by the row of the positioner. The requirements are then met one
-        after the other: first by idle positioners, then by positioners that give up the least important targets.
-        ``sdss``: network flow maximizes the number of targets, one class after the other, and then minimizes the sum of
-        squared distances from the centers of the positioners; arms may collide. ``optimal``: the number of targets is
-        maximized, one class after the other, such that no arm with a target collides with a different arm or an
-        obstacle; the optimum is proven. An arm with a target also avoids idle arms that are obstacles: arms of parked
-        positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. Among plans of equal
-        value, a plan in which few idle arms collide with each other is preferred; idle arms may still collide with
-        obstacles. ``repair``: local moves remove the collisions of the plan ``start``.
+    allocator : str or callable, optional
+        Targets with the same priority form a class. Allocators that use priorities assign the class of the highest
+        priority first.
+        {methods}
         Any other name refers to an allocator that an installed package provides. A function is called with an
         `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
@@ -152,11 +143,12 @@ class AllocationOptions:
     subpriority: int | str | None = None
 
     def __post_init__(self):
-        check_allocator(self.allocator)
+        find_allocator(self.allocator)
         if not hasattr(self.start, "target_of_positioner"):
             if not isinstance(self.start, str):
                 raise refusal("start must be an Allocation or the name of an allocator", self.start, str)
-            check_allocator(self.start, [name for name in ALLOCATORS if name != "repair"], "allocator to start with")
+            starts = {name: one for name, one in METHODS.items() if not one.improves}
+            find_allocator(self.start, what="allocator to start with", known=starts)
         check_choice(self.objective, OBJECTIVES, "objective")
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
         if self.sky_separation is not None:
@@ -205,6 +197,11 @@ class AllocationOptions:
     def name(self) -> str:
         """Name of the allocator."""
         return name_of(self.allocator)
+
+    @property
+    def method(self) -> Allocator:
+        """Record of the allocator: the options that it uses, and properties of its plans."""
+        return find_improving(self.allocator, self.start)
 
     @cached_property
     def circles(self) -> np.ndarray:
@@ -266,15 +263,13 @@ class AllocationOptions:
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)
-        used = uses_with(self).get(self.allocator, ONLY_SOME) if isinstance(self.allocator, str) else ONLY_SOME
-        unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if name not in used}
+        unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if not self.method.uses(name)}
         return replace(self, requirements=requirements, sky_separation=separation, **unused)
 
     @property
     def breaks_ties(self) -> bool:
         """Whether a hash decides between plans that are equally good, so that the order of targets has no influence."""
-        start = self.start if self.allocator == "repair" and isinstance(self.start, str) else None
-        return self.subpriority is None and "optimal" in (self.allocator, start)
+        return self.subpriority is None and self.method.breaks_ties
 
     @property
     def record(self) -> dict:
@@ -299,12 +294,6 @@ class AllocationOptions:
 def as_options(given: object) -> AllocationOptions:
     """Return the given options; if only an allocator is given, return the default options with this allocator."""
     return given if isinstance(given, AllocationOptions) else AllocationOptions(given)
-
-
-def check_allocator(given: object, known=ALLOCATORS, what: str = "allocator") -> None:
-    """Raise an error unless an allocator is built in, is provided by an installed package, or is a function."""
-    if not (isinstance(given, str) and given in known):
-        find_function(GROUP, given, known, what)
 
 
 def _shown(value: object) -> str:

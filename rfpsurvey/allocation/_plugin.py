@@ -1,36 +1,54 @@
 """Find allocators, and check the return values of allocators that are not built in."""
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
 
-from rfpsurvey._plugins import Plugin, find_function, find_plugin, name_of
+from rfpsurvey._plugins import Plugin, find_function, find_plugin
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation._answer import AllocationAnswer
-from rfpsurvey.allocation._methods import METHODS
-from rfpsurvey.allocation._options import GROUP, AllocationOptions
+from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.allocation._uses import ALLOCATORS
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["find_method", "packages"]
+__all__ = ["find_allocator", "find_improving", "packages"]
 
+GROUP = "rfpsurvey.allocators"
+"""Entry-point group by which packages add allocators."""
 ELBOWS = ("right", "left")
+DECLARED = {field.name for field in fields(Allocator)} - {"name", "function", "breaks_ties", "plans_jointly"}
+"""Fields of an `Allocator` that a function which is not built in can declare as attributes."""
 
 
-def find_method(given: str | Callable) -> Callable[[AllocationProblem], AllocationAnswer]:
-    """Return the function that runs an allocator; the allocator is given by its name or as a function."""
-    if isinstance(given, str) and given in METHODS:
-        return METHODS[given]
-    return partial(_ask, find_function(GROUP, given, ALLOCATORS, "allocator"))
+def find_allocator(given: str | Callable, *, what: str = "allocator", known: dict = METHODS) -> Allocator:
+    """Return an allocator that is given by its name or as a function; ``known`` are the allowed built-in allocators."""
+    if isinstance(given, str) and given in known:
+        return known[given]
+    plugin = find_function(GROUP, given, known, what)
+    with plugin.answering():
+        declared = {name: getattr(plugin.value, name) for name in DECLARED if hasattr(plugin.value, name)}
+        for name in declared.get("options") or ():
+            check_choice(name, OPTIONS, "option of an allocator")
+        return Allocator(**{"name": plugin.name, "function": partial(_ask, plugin), "options": None, **declared})
 
 
-def packages(options: AllocationOptions) -> dict[str, str]:
+def find_improving(given: str | Callable, start: object) -> Allocator:
+    """Return an allocator; if it improves the plan of another allocator, it also has the properties of the other."""
+    found = find_allocator(given)
+    if not (found.improves and isinstance(start, str)):
+        return found
+    other = find_allocator(start)
+    options = None if other.options is None else {*found.options, *other.options}
+    return replace(found, options=options, breaks_ties=found.breaks_ties or other.breaks_ties)
+
+
+def packages(options) -> dict[str, str]:
     """Return the names and versions of the packages that provide the allocators ``allocator`` and ``start``."""
-    found, own = {}, name_of(options.allocator)
-    for name in (options.allocator, options.start) if own == "repair" or own not in METHODS else ():
+    found, uses_start = {}, find_allocator(options.allocator).uses("start")
+    for name in (options.allocator, options.start) if uses_start else (options.allocator,):
         if isinstance(name, str) and name not in METHODS:
             found.update(find_plugin(GROUP, name, METHODS, "allocator").software)
     return found

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
+from rfpsurvey import allocation  # its names are used later, because the options import the allocators
 from rfpsurvey._units import exact_text, locked
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._clock import now
-from rfpsurvey.allocation._options import AllocationOptions
 from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
@@ -109,7 +109,7 @@ class AllocationProblem:
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
     is_required: np.ndarray | None = None
-    options: AllocationOptions = field(default_factory=AllocationOptions)
+    options: "allocation.AllocationOptions" = field(default_factory=lambda: allocation.AllocationOptions())
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None

@@ -3,7 +3,6 @@
 from enum import IntEnum
 from typing import NamedTuple
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey.allocation._allocation import Allocation
@@ -128,7 +127,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     is_idle = np.zeros(n, dtype=bool)
     is_idle[idle] = True
     types = allocation.target_fiber_type
-    xy = allocation.xy.to_value(u.mm)[:given]
+    xy = allocation.xy_mm[:given]
     reach = focal_plane.arrays.reach(xy, None if types is None else types[:given])
     reach = reach.where(is_idle[reach.owner])
     n_in_reach = np.bincount(reach.owner, minlength=n)
@@ -150,7 +149,7 @@ def _attempts(plane, allocation, arms, reach):
     """Return the positioner, the target, and the colliding arms and obstacles of each attempt."""
     problem = AllocationProblem(
         plane,
-        allocation.xy.to_value(u.mm)[: allocation.n_given],
+        allocation.xy_mm[: allocation.n_given],
         reach,
         np.zeros(allocation.n_given, dtype=np.int64),
         (0.0,),

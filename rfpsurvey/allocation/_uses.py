@@ -1,58 +1,20 @@
-"""The options that each allocator uses, and warnings about options without effect."""
+"""Warnings about options of an allocation without effect."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 
 from rfpsurvey._units import is_seed_given
+from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation._plugin import find_improving
 from rfpsurvey.errors import warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = [
-    "ALLOCATORS",
-    "ONLY_SOME",
-    "OPTIONS",
-    "USES",
-    "given_options",
-    "uses_with",
-    "warn_of_parked",
-    "warn_of_unused_options",
-]
-
-_COMMON = ("required", "subpriority", "requirements")
-_SEARCH = ("objective", "time_limit")
-USES: dict[str, Collection[str]] = {
-    "balanced": ("subpriority", "rng"),
-    "nearest": ("required", "subpriority"),
-    "lamost": _COMMON,
-    "sdss": (*_COMMON, *_SEARCH),
-    "optimal": (*_COMMON, *_SEARCH),
-    "repair": (*_COMMON, "start"),
-}
-"""Names of the options that each built-in allocator uses.
-
-The table does not contain the options that affect the results of every allocator: ``parked_obstacles``, ``keep_out``
-and, if a requirement counts sky positions, ``sky_separation``. The allocator ``repair`` also uses the options of the
-allocator from which it starts.
-"""
-ALLOCATORS = tuple(USES)
-"""Built-in allocators."""
-OPTIONS = (*_COMMON, *_SEARCH, "start", "rng", "parked_obstacles")
-"""Options that not all allocators, or not all instruments, use."""
-ONLY_SOME = (*_SEARCH, "start")
-"""Options that have their default values in the record of a plan whose allocator does not use them."""
+__all__ = ["given_options", "warn_of_parked", "warn_of_unused_options"]
 
 
 def given_options(options: object) -> list[str]:
     """Return the names of the fields of a dataclass, except the first field, that do not have their default values."""
     return [one.name for one in fields(options)[1:] if getattr(options, one.name) != one.default]
-
-
-def uses_with(options) -> dict[str, Collection[str]]:
-    """Return the names of the options that each allocator uses with the given value of ``start``."""
-    if isinstance(options.start, str) and options.start not in USES:
-        return {name: used for name, used in USES.items() if name != "repair"}  # a plugin may use every option
-    more = USES[options.start] if isinstance(options.start, str) else ()
-    return {**USES, "repair": {*USES["repair"], *more}}
 
 
 def warn_of_unused_options(
@@ -75,7 +37,8 @@ def warn_of_unused_options(
     independent = ("parked_obstacles", "keep_out", "sky_separation")
     given = [*(name for name in given_options(first) if name not in independent), *also]
     given += ["rng"] if is_seed_given(rng) else []
-    warn_of_unused(given, [one.allocator for one in options], uses_with(first), "allocator")
+    known = [find_improving(name, first.start) for name in METHODS]
+    warn_of_unused(given, [one.method for one in options], known, "allocator")
     if plane is not None and not first.parked_obstacles:
         warn_of_parked(plane)
 

@@ -16,8 +16,6 @@ from rfpsurvey.errors import InputError, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
 
-__all__ = ["benchmark_batches"]
-
 
 def benchmark_batches(
     instrument: str | Instrument | FocalPlane = "lamost",

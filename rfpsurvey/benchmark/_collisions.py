@@ -11,11 +11,13 @@ from astropy.table import MaskedColumn, QTable
 from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import reference
+from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import (
     METHODS,
+    CollisionMethod,
     Configuration,
     Found,
     closer_exactly,
@@ -27,8 +29,6 @@ from rfpsurvey.collision import (
 from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane
-
-__all__ = ["benchmark_collisions"]
 
 
 def every_pair(case: Configuration) -> Found:
@@ -56,13 +56,15 @@ def shapely(case: Configuration) -> Found:
     return keep_closer(case, first, second, distance(lines[first], lines[second]))
 
 
-COMPARED = {**METHODS, "every_pair": every_pair, "endpoints": endpoints, "shapely": shapely}
+COMPARED = METHODS | table_of(
+    CollisionMethod("every_pair", every_pair),
+    CollisionMethod("endpoints", endpoints),
+    CollisionMethod("shapely", shapely),
+)
 """All methods that `~rfpsurvey.benchmark.benchmark_collisions` can measure.
 
 The last three methods are not methods of `find_collisions`.
 """
-
-WITH_POINTS = {"sampled": (3, 5, 9, 17, 33, 65, 129), "sweep": (9, 65)}
 
 
 def benchmark_collisions(
@@ -137,13 +139,13 @@ def benchmark_collisions(
     if not (isinstance(seconds, int | float) and seconds >= 0):
         raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)
-    runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in WITH_POINTS.get(m, (2,)))]
+    runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in COMPARED[m].numbers_of_points or (2,))]
     cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
     found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
     rows = [
-        {"method": m, "n_points": n if m in WITH_POINTS else -1, **_errors(truth, found[m, n])}
-        | {"device": "GPU" if m == "cuda" else "CPU", "time": np.median(times[m, n])}
+        {"method": m, "n_points": n if COMPARED[m].numbers_of_points else -1, **_errors(truth, found[m, n])}
+        | {"device": COMPARED[m].device, "time": np.median(times[m, n])}
         for m, n in runs
     ]
     table = QTable({name: [row[name] for row in rows] for name in ("method", "n_points", "device", "time")})
@@ -176,7 +178,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
                 results = []
                 for case in (replace(case, n_points=run[1]) for case in cases):
                     start = perf_counter()
-                    results.append(COMPARED[run[0]](case))
+                    results.append(COMPARED[run[0]].function(case))
                     times[run].append(perf_counter() - start)
                 if turn == 0:
                     found[run] = results
@@ -232,7 +234,7 @@ def _check_methods(methods):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()
     if methods is None:
-        return [m for m in COMPARED if m not in gone and (m != "cuda" or has_gpu())]
+        return [m for m, one in COMPARED.items() if m not in gone and (one.device == "CPU" or has_gpu())]
     names = list(dict.fromkeys(check_choice(m, COMPARED, "method") for m in methods))
     if gone & set(names):
         raise InputError("the method 'shapely' needs the package shapely, which is not installed")

@@ -10,8 +10,6 @@ import numpy as np
 
 from rfpsurvey.collision import place_arms
 
-__all__ = ["has_gpu", "processor", "provenance", "random_tips"]
-
 
 def random_tips(plane, rng):
     """Return the position (mm) of one random target for each positioner, uniformly distributed in its patrol area.

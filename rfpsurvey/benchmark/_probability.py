@@ -15,22 +15,7 @@ from rfpsurvey.benchmark._common import provenance
 from rfpsurvey.errors import InputError, check_whole, used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.probability import METHODS, Precision, collision_probability, find_method, make_source
-
-__all__ = ["benchmark_densities", "benchmark_probability"]
-
-EFFORTS = {
-    "overlap_ratio": [0],
-    "close_pair": [0],
-    "closed_form": [0],
-    "quadrature": [32, 64, 128, 256],
-    "monte_carlo": [16, 64, 256],
-    "conditional": [4, 16, 64],
-}
-
-
-WITHOUT_OUTLINES = ("close_pair", "closed_form")
-"""Methods that do not support outlines of arms."""
+from rfpsurvey.probability import METHODS, QUEUEING, Precision, collision_probability, find_method, make_source
 
 
 def benchmark_probability(
@@ -92,10 +77,10 @@ def benchmark_probability(
     plane = as_focal_plane(instrument)
     if efforts is None:
         outlined = plane.positioner.outline is not None
-        efforts = {name: n for name, n in EFFORTS.items() if not (outlined and name in WITHOUT_OUTLINES)}
+        efforts = {name: one.efforts for name, one in METHODS.items() if one.supports_outlines or not outlined}
     if not isinstance(efforts, Mapping) or not efforts:
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
-    estimands = {method: find_method(method, METHODS)[1] for method in efforts}
+    estimands = {method: find_method(method, METHODS).estimand for method in efforts}
     runs = [(method, n) for method, numbers in efforts.items() for n in numbers]
     check_whole(repeats, "repeats")
     rng = to_generator(rng)
@@ -204,7 +189,7 @@ def benchmark_densities(
         options = {"method": "quadrature", "density": density, "precision": precision}
         found[density] = collision_probability(plane, rng=rng, **options)
     source = make_source(plane, model)
-    queues = [allocate(plane, source.draw(rng) * u.mm, allocator="balanced", rng=rng) for _ in range(n_allocations)]
+    queues = [allocate(plane, source.draw(rng) * u.mm, allocator=QUEUEING, rng=rng) for _ in range(n_allocations)]
     found["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
     true = found["allocated"].value
     rows = [

@@ -12,8 +12,6 @@ from rfpsurvey.catalog._extra import result_name
 from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 
-__all__ = ["CatalogArrays"]
-
 
 class CatalogArrays:
     """The columns of a catalog as read-only arrays without units, which are computed on first use and then stored.

@@ -22,8 +22,6 @@ from rfpsurvey.catalog._motion import move_coordinates, moving
 from rfpsurvey.catalog._time import known_epochs, to_time
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, number_of, refusal, warn
 
-__all__ = ["Catalog"]
-
 _PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
 
 
@@ -51,8 +49,8 @@ class Catalog:
     fiber_type : array_like of str, shape (n,), optional
         Fiber type that each target requires; ``""`` means any type.
     visits : array_like of int, shape (n,), optional
-        Number of visits (observations) that each target requires, 0 to 255; by default 1. Science targets with 0 visits
-        are not assigned, except required targets.
+        Number of visits (observations) that each target requires, 0 to 255; by default 1. Targets of any kind with 0
+        visits are not assigned, but at least one visit of each required target (`AllocationOptions`) is requested.
     epoch : Time, optional
         Epoch of the positions, scalar or shape (n,); by default ``coord.obstime``.
     meta : dict, optional

@@ -11,8 +11,6 @@ from rfpsurvey._units import rows_of, to_labels, to_numbers, to_plain
 from rfpsurvey.catalog._survey_formats import SurveyFormat, find_format
 from rfpsurvey.errors import InputError, check_choice, listed, refusal, short, warn
 
-__all__ = ["ROLES", "Finder"]
-
 # A role is the meaning of a column, such as "ra". For each role: the common names of its column, in order of preference
 # (case is ignored), and the beginning of the UCD of its column.
 ROLES = {

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-__all__ = ["add_stored_columns"]
-
 
 def add_stored_columns(digest, path: Path, names: list[str]) -> None:
     """Update a ``hashlib`` digest with the types and the stored bytes of the given columns of a Parquet file."""

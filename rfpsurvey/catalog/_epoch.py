@@ -9,8 +9,6 @@ from rfpsurvey.catalog._motion import moving
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import warn
 
-__all__ = ["choose_epoch", "epoch_text"]
-
 
 def choose_epoch(
     catalog: Catalog, epoch: object, times: Time | None, *, whole: bool = True

@@ -9,8 +9,6 @@ from rfpsurvey import _io
 from rfpsurvey.catalog._packed import unpack
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["EXAMPLES", "PREFIX", "is_example", "path_and_name", "read_table"]
-
 PREFIX = "example:"
 EXAMPLES = {"anticenter": "tycho2_anticenter_r5.ecsv"}
 # The first folder is in the wheel, where data/wheel.py writes it. The second folder is in the source tree.

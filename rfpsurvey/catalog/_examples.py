@@ -4,8 +4,6 @@ from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._example_files import EXAMPLES, PREFIX
 from rfpsurvey.errors import check_choice, check_keywords
 
-__all__ = ["example_catalog"]
-
 
 @check_keywords
 def example_catalog(name: str = "anticenter") -> Catalog:

@@ -11,8 +11,6 @@ from astropy.utils.shapes import ShapedLikeNDArray
 from rfpsurvey._readers import without_unit
 from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
-__all__ = ["RESERVED", "extra_columns", "pick_columns", "result_name"]
-
 RESERVED = frozenset(
     (
         *("id", "target_id", "target_row", "tile", "positioner", "spectrograph", "fiber_type", "kind", "category"),

@@ -7,8 +7,6 @@ from rfpsurvey._readers import table_of_arrow
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.errors import InputError, InputTypeError, short
 
-__all__ = ["as_table", "is_table"]
-
 
 def is_table(given: object) -> bool:
     """Return whether an object is a table of astropy or of another package."""

@@ -6,8 +6,6 @@ from rfpsurvey._readers import content_of, is_present
 from rfpsurvey.catalog._time import to_time
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["columns_and_rows", "main_table", "properties_of"]
-
 PROPERTIES = ("hats.properties", "properties")
 COLLECTION = "collection.properties"
 MOST_PROPERTIES = 2**20

@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey._kernels import zones
 
-__all__ = ["SkyIndex", "half_chord_squared"]
-
 # Largest number of zones, and mean number of directions in a square whose side is the height of a zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0

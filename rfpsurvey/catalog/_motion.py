@@ -6,8 +6,6 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_lonlat
 
-__all__ = ["move", "move_coordinates", "move_vectors", "moving"]
-
 
 def moving(coord: SkyCoord) -> np.ndarray:
     """Return whether each target has a known proper motion that differs from 0."""

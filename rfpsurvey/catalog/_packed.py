@@ -6,8 +6,6 @@ import lzma
 
 import numpy as np
 
-__all__ = ["unpack"]
-
 
 def unpack(packed: bytes) -> str:
     """Convert the bytes of a packed catalog to the text of an ECSV file."""

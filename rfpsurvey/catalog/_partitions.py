@@ -20,8 +20,6 @@ from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
 from rfpsurvey.catalog._tables import catalog_roles
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short, warn
 
-__all__ = ["PartitionedCatalog", "as_catalog", "partition_catalog"]
-
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
 

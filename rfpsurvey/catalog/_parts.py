@@ -17,8 +17,6 @@ from rfpsurvey.catalog._digest import add_stored_columns
 from rfpsurvey.catalog._tables import EQUATORIAL
 from rfpsurvey.errors import InputError, listed
 
-__all__ = ["Partitions", "read_or_name"]
-
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
 ROLES = (
     "id",

@@ -8,8 +8,6 @@ import numpy as np
 
 from rfpsurvey.errors import warn
 
-__all__ = ["COUNTS", "SurveyFormat", "find_format", "is_unusable", "kinds_and_visits"]
-
 # Columns of DESI with numbers of visits. In desitarget, -1 means that no number was set, because the target is only a
 # standard star or a sky position, or cannot be observed in the conditions of the file.
 COUNTS = ("numobs_init", "numobs_more")

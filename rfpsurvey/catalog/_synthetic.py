@@ -11,8 +11,6 @@ from rfpsurvey._units import to_center, to_generator, to_lonlat, to_scalar, to_u
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
-__all__ = ["synthetic_catalog"]
-
 MOST = 1e9  # largest number of targets, because larger catalogs would not fit into memory
 
 

@@ -15,8 +15,6 @@ from rfpsurvey.catalog._survey_formats import COUNTS, find_format, is_unusable, 
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
 
-__all__ = ["EQUATORIAL", "PER_TARGET", "catalog_roles", "catalog_table", "has_units", "read_columns"]
-
 PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "subpriority")
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 

@@ -11,8 +11,6 @@ from astropy.utils.masked import Masked
 from rfpsurvey._units import rows_of
 from rfpsurvey.errors import InputError, refusal, short
 
-__all__ = ["known_epochs", "to_moment", "to_time"]
-
 FIRST, LAST = 1700, 2300
 DATED = Time, date, np.datetime64
 

@@ -4,13 +4,14 @@ from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
-from rfpsurvey.collision._methods import METHODS, Configuration, Found, keep_closer, near_pairs
+from rfpsurvey.collision._methods import METHODS, CollisionMethod, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
     "METHODS",
     "Arms",
     "CollisionCounts",
+    "CollisionMethod",
     "CollisionReport",
     "Configuration",
     "Found",

@@ -12,21 +12,6 @@ from rfpsurvey._units import to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_switch
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = [
-    "Arms",
-    "capsule_angles",
-    "check_arms",
-    "check_plane",
-    "check_tips",
-    "joints_free",
-    "nearest_distance",
-    "place_arms",
-    "pose_tips",
-    "to_columns",
-    "to_sides",
-    "to_tips",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Arms:
@@ -168,8 +153,8 @@ def check_arms(plane, posed):
 
 
 def to_tips(tips, n):
-    """Return tips in mm, one row for each positioner."""
-    points = to_points_mm(tips, "tips")
+    """Return the tips of an allocation, or tips with units, in mm, one row for each positioner."""
+    points = tips.tips_mm if hasattr(tips, "tips_mm") else to_points_mm(tips, "tips")
     if len(points) != n:
         raise InputError(f"tips must have a row for each of the {n} positioners, got {len(points)}")
     return points

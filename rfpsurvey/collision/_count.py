@@ -14,8 +14,6 @@ from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_c
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, number_of, short
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["CollisionCounts", "count_collisions", "make_setup", "make_workspace", "queue_segments"]
-
 CHUNK = 64
 """Number of configurations per task. Random draws depend on this number, but not on the number of workers."""
 GPU_CHUNK = 2048
@@ -243,7 +241,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that draws configurations and counts their collisions, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(
-            "configurations can be drawn only from the queues of the allocator 'balanced', got the allocator "
+            "configurations can be drawn only from an allocation with queues, got an allocation by "
             f"{allocation.allocator!r}"
         )
     if len(allocation.target_of_positioner) != len(plane):
@@ -258,8 +256,7 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     indptr, entries = queue_segments(plane, allocation)
     setup = make_setup(plane.arrays, allocation.parked_obstacles)
     sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
-    idle = setup.idle.copy()
-    arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
+    idle = plane.arrays.idle_segments(allocation.parked_obstacles)
     return partial(_score_draws, plane, setup, idle, indptr, entries), (sizes, to_spawner(rng).spawn(len(sizes)))
 
 
@@ -277,17 +274,15 @@ def queue_segments(plane, allocation):
     """
     indptr, target = allocation.queues
     own = np.repeat(np.arange(len(plane)), np.diff(indptr))
-    points = to_mm(allocation.xy, "xy")[target]
+    points = allocation.xy_mm[target]
     columns, fiber = plane.arrays, plane.arrays.first_index[own]
     if allocation.target_fiber_type is not None:
         fiber = columns.index_of(allocation.target_fiber_type[target], own)
-    segments, geometry = np.empty((4, len(own))), columns.geometry_of(own, fiber)
     far = np.empty(len(own), dtype=bool)
-    if arms.check(points, geometry, columns.bounds_of(own, fiber), np.empty_like(far), far):
+    geometry, bounds = columns.geometry_of(own, fiber), columns.bounds_of(own, fiber)
+    if arms.check(points, geometry, bounds, np.empty_like(far), far):
         raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
-    arms.place(points, geometry, columns.sides(points, own, fiber), segments)
-    arms.shape(segments, columns.model, columns.length, *columns.angles_of(own, fiber))
-    return indptr, segments
+    return indptr, columns.segments_of(own, fiber, points)
 
 
 def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:

@@ -12,14 +12,6 @@ import numpy as np
 
 from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
 
-__all__ = [
-    "arms_closer_exactly",
-    "closer_exactly",
-    "distance_exactly",
-    "outlines_closer_exactly",
-    "touches_exactly",
-]
-
 
 def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
     """Return whether two arms are closer than the minimum separation, without rounding.

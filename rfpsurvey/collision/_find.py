@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
+from rfpsurvey._methods import describe_methods
 from rfpsurvey.collision._arms import (
     Arms,
     capsule_angles,
@@ -22,13 +23,12 @@ from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["find_collisions", "touching"]
-
 MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
 
 
 @check_keywords
+@describe_methods(METHODS)
 def find_collisions(
     focal_plane: FocalPlane,
     tips: object = None,
@@ -66,15 +66,9 @@ def find_collisions(
     parked_obstacles : bool, optional
         Whether positioners that have no target and arms of equal length are parked and count as obstacles. Positioners
         that have no target and arms of unequal length avoid all other arms and are ignored.
-    method : {"exact", "sampled", "sweep", "scipy", "cuda"}, optional
-        ``exact``: distances with a proven error limit, and rational arithmetic for pairs whose result this error could
-        change. ``sampled``: the smallest distance between ``n_points`` points on one arm and ``n_points`` points on the
-        other arm. This method misses some pairs that are only slightly closer than D, and also some crossings if
-        n_points <= 1 + length of the arm / (sqrt(2) D). ``sweep``: the distance between the areas that the two arms
-        sweep on the way from their parked poses to the given poses; each area is sampled by ``n_points`` poses. Both
-        joints rotate at the same time, in the shorter direction (regardless of hard stops). There are no false
-        negatives, but many false positives. ``scipy``: slow minimization of the distance by SciPy. ``cuda``: the
-        method ``exact``, with distances computed on a GPU (requires ``rfpsurvey[cuda]``).
+    method : str, optional
+        Method that finds the pairs whose distance is smaller than the minimum separation D.
+        {methods}
     n_points : int, optional
         Number of points on each arm (``sampled``), or number of poses of each arm on its path (``sweep``), from 2 to
         10,000.
@@ -109,8 +103,11 @@ def find_collisions(
     >>> rs.find_collisions(plane, [[12, 0], [14, 0]] * u.mm)
     <CollisionReport: 1 pair of arms, 0 with obstacles, 2 of 2 positioners in collision>
     """
-    find = METHODS[check_choice(method, METHODS, "collision method")]
+    chosen = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
+    if focal_plane.positioner.outline is not None and not chosen.supports_outlines:
+        able = " or ".join(repr(name) for name, one in METHODS.items() if one.supports_outlines)
+        raise InputError(f"the method for arms with an outline must be {able}, got {method!r}")
     check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
     ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
@@ -118,12 +115,12 @@ def find_collisions(
         raise InputError(f"an Allocation or Arms already determines the poses; do not give {', '.join(given)}")
     if hasattr(tips, "target_of_positioner"):
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
-        tips, parked_obstacles = tips.tips, tips.parked_obstacles
+        parked_obstacles = tips.parked_obstacles
     check_switch(parked_obstacles, "parked_obstacles")
     segments, assigned, parked, poses = _posed_segments(focal_plane, tips, given, parked_obstacles)
     nothing_can_touch = len(focal_plane.arrays.runs) == 0
     first, second, distances, n_borderline = (
-        NOTHING if nothing_can_touch else find(Configuration(focal_plane, segments, int(n_points), poses))
+        NOTHING if nothing_can_touch else chosen.function(Configuration(focal_plane, segments, int(n_points), poses))
     )
     order = np.argsort(first * len(focal_plane) + second)
     pairs = np.column_stack([first[order], second[order]])

@@ -14,8 +14,6 @@ except ImportError as error:
         f"the method 'cuda' needs the package numba-cuda; use pip install 'rfpsurvey[cuda]' ({error})"
     ) from None
 
-__all__ = ["find_pairs", "make_scorer"]
-
 
 def find_pairs(segments, pairs, limits):
     """Return (first, second, squared distance) of all pairs of arms that collide or are borderline."""

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import arms, collisions, reference
+from rfpsurvey._methods import Method, table_of
 from rfpsurvey.collision._arms import Arms
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly
-from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["METHODS", "Configuration", "Found", "keep_closer", "near_pairs"]
+__all__ = ["METHODS", "CollisionMethod", "Configuration", "Found", "keep_closer", "near_pairs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,20 @@ class Found(NamedTuple):
     n_borderline: int | None = None
 
 
+@dataclass(frozen=True)
+class CollisionMethod(Method):
+    """A method that finds colliding pairs; the function takes a `Configuration` and returns a `Found`."""
+
+    supports_outlines: bool = False
+    """Whether arms may have outlines."""
+    device: str = "CPU"
+    """Device that computes the distances."""
+    numbers_of_points: tuple[int, ...] = ()
+    """Values of ``n_points`` for which a benchmark measures the method; empty if the method does not use points."""
+
+
 def exact(case: Configuration) -> Found:
-    """Find colliding pairs by distances with a proven error limit; rational arithmetic decides borderline pairs."""
+    """Compute distances with a proven error limit; rational arithmetic decides pairs for which the error matters."""
     columns = case.plane.arrays
     halves, first, second = _scratch(case)
     squared = np.empty(len(first))
@@ -48,8 +60,11 @@ def exact(case: Configuration) -> Found:
 
 
 def sampled(case: Configuration) -> Found:
-    """Find colliding pairs by the distances between ``n_points`` points on each arm; this method misses some pairs."""
-    _require_segments(case, "sampled")
+    """Compute the smallest distance between ``n_points`` points on one arm and ``n_points`` points on the other arm.
+
+    The method misses some pairs that are only slightly closer than D, and also some crossings if n_points <= 1 + length
+    of the arm / (sqrt(2) D).
+    """
     first, second = near_pairs(case)
     squared = np.empty(len(first))
     reference.sampled(case.segments, first, second, case.n_points, squared)
@@ -57,13 +72,16 @@ def sampled(case: Configuration) -> Found:
 
 
 def sweep(case: Configuration) -> Found:
-    """Find pairs of arms by the distance between the areas that the arms sweep from their parked poses."""
-    _require_segments(case, "sweep")
+    """Compute the distance between the areas that two arms sweep on the way from their parked poses to the given poses.
+
+    Each area is sampled by ``n_points`` poses. Both joints rotate at the same time, in the shorter direction
+    (regardless of hard stops). There are no false negatives, but many false positives.
+    """
     plane, posed = case.plane, case.poses()
     pairs = plane.arrays.neighbors[posed.present[plane.arrays.neighbors].all(axis=1)]
     first, second = pairs.T.copy()
     poses = np.empty((case.n_points, *case.segments.shape))
-    # Both joints rotate at the same time, in the shorter direction. Idle arms remain parked.
+    # Idle arms remain parked.
     columns = plane.arrays.using(posed.fiber)
     start = np.array(columns.from_joints(*columns.home))
     end = np.array(columns.from_joints(posed.theta, posed.phi))
@@ -82,10 +100,9 @@ def sweep(case: Configuration) -> Found:
 
 
 def scipy(case: Configuration) -> Found:
-    """Find pairs with SciPy, by bounded least squares over the positions of two points along the two arms."""
+    """Minimize the distance by SciPy, with bounded least squares over two points along the two arms; slow."""
     from scipy.optimize import lsq_linear
 
-    _require_segments(case, "scipy")
     first, second = near_pairs(case)
     distances = np.empty(len(first))
     for k in range(len(first)):
@@ -97,15 +114,20 @@ def scipy(case: Configuration) -> Found:
 
 
 def cuda(case: Configuration) -> Found:
-    """Find pairs with the method ``exact``, with distances computed on a GPU."""
+    """Use the method ``exact``, with distances computed on a GPU (requires ``rfpsurvey[cuda]``)."""
     from rfpsurvey.collision import _gpu
 
-    _require_segments(case, "cuda")
     return _settle(case, *_gpu.find_pairs(case.segments, case.plane.arrays.neighbors, case.plane.arrays.limits))
 
 
-METHODS = {"exact": exact, "sampled": sampled, "sweep": sweep, "scipy": scipy, "cuda": cuda}
-"""Methods by name; each method is a function that takes a `Configuration` and returns a `Found`."""
+METHODS = table_of(
+    CollisionMethod("exact", exact, supports_outlines=True),
+    CollisionMethod("sampled", sampled, numbers_of_points=(3, 5, 9, 17, 33, 65, 129)),
+    CollisionMethod("sweep", sweep, numbers_of_points=(9, 65)),
+    CollisionMethod("scipy", scipy),
+    CollisionMethod("cuda", cuda, device="GPU"),
+)
+"""Methods by name."""
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:
@@ -140,12 +162,6 @@ def _settle(case, first, second, squared):
         first, second, squared = first[keep], second[keep], squared[keep]
     # the distances of outlines are computed with an offset; overlapping outlines have the distance 0
     return Found(first, second, np.maximum(np.sqrt(squared) - limits.outline.offset, 0.0), len(edge))
-
-
-def _require_segments(case, method):
-    """Raise an error if the arms have outlines, which only the method ``exact`` supports."""
-    if case.plane.positioner.outline is not None:
-        raise InputError(f"the method for arms with an outline must be 'exact', got {method!r}")
 
 
 def _capsule_angles(posed):

@@ -9,8 +9,6 @@ import numpy as np
 from rfpsurvey._display import to_html
 from rfpsurvey.errors import number_of
 
-__all__ = ["CollisionReport"]
-
 
 @dataclass(frozen=True, eq=False)
 class CollisionReport:

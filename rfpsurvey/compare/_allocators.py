@@ -10,9 +10,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
-from rfpsurvey.allocation import ALLOCATORS, OPTIONS, AllocationOptions, warn_of_unused_options
+from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, name_of_best, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import BLIND, allocators_of, on_kind
+from rfpsurvey.compare._fields import allocators_of, on_kind
 from rfpsurvey.errors import RfpsurveyWarning, check_switch, used_elsewhere
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import Tile, plan_tile
@@ -94,10 +94,11 @@ def compare_allocators(
     np.int64(0)
     """
     check_switch(return_tiles, "return_tiles")
-    methods = allocators_of(ALLOCATORS if allocators is None else allocators, options, others)
+    methods = allocators_of(list(METHODS) if allocators is None else allocators, options, others)
     instrument, catalog = as_instrument(instrument), as_catalog(catalog)
     tiles = {}
-    every = [replace(methods[0], allocator=BLIND), *methods]
+    best = replace(methods[0], allocator=name_of_best())
+    every = [best, *methods]
     warn_of_unused_options(every, instrument.focal_plane, others.get("rng", 0))
     for method in every:
         if method in tiles:
@@ -110,7 +111,7 @@ def compare_allocators(
             warnings.simplefilter("ignore", RfpsurveyWarning)
             tiles[method] = plan_tile(catalog, instrument, center, allocator=method, **others)
         log.info("planned by %s: %s", method.name, tiles[method])
-    blind = on_kind(tiles[replace(methods[0], allocator=BLIND)], "science")
+    blind = on_kind(tiles[best], "science")
     rows = [_row(method.name, tiles[method], blind) for method in methods]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[methods[0]].provenance

@@ -14,7 +14,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_with_progress
 from rfpsurvey._units import to_center, to_generator
-from rfpsurvey.allocation import ALLOCATORS, OPTIONS, AllocationOptions, as_options
+from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, as_options, name_of_best
 from rfpsurvey.catalog import Catalog, synthetic_catalog
 from rfpsurvey.errors import (
     InputError,
@@ -32,11 +32,9 @@ from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.tile import plan_tile
 
-__all__ = ["BLIND", "Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
+__all__ = ["Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
 
 SAMPLE = 100_000
-BLIND = "sdss"
-"""The allocator that ignores collisions and assigns the largest number of targets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +120,7 @@ def plan_fields(
     fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
 ) -> list[list[Plan]]:
     """Plan every field with the allocator that ignores collisions, then with each of ``allocators``."""
-    options = _for_instruments((replace(allocators[0], allocator=BLIND), *allocators), fields)
+    options = _for_instruments((replace(allocators[0], allocator=name_of_best()), *allocators), fields)
     asked = [options[field.instrument.name] for field in fields]
     return map_with_progress(executor, progress, "fields", partial(plan_field, others=others), fields, asked)
 
@@ -142,7 +140,7 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
     """Plan a field with each allocator, and return one `Plan` per allocator."""
     found = []
     for options in allocators:
-        if options.name in ALLOCATORS:
+        if options.name in METHODS:
             _compile(options.name, options.start)
         try:
             with used_elsewhere(*OPTIONS):  # allocators use different options

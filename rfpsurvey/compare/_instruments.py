@@ -11,9 +11,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import AllocationOptions, packages, warn_of_unused_options
+from rfpsurvey.allocation import AllocationOptions, name_of_best, packages, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import BLIND, Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
@@ -21,10 +21,9 @@ from rfpsurvey.tile import versions
 
 __all__ = ["PARTS", "compare_instruments", "parts_of"]
 
-ALLOCATORS = ("lamost", "optimal")
+COMPARED = ("lamost", "optimal")
 SYNTHETIC = ("poisson", "uniform")
 CONFIDENCE = 0.95
-WITHOUT_COLLISIONS = ("optimal", "repair")
 COMPARABLE = {
     "same targets per positioner": (
         "Each instrument observes its own synthetic targets; the number of targets per positioner in the "
@@ -85,7 +84,7 @@ def compare_instruments(
     instruments: Sequence[Instrument | str] | None = None,
     *,
     center: SkyCoord | str | None = None,
-    allocators: Sequence[str | Callable] = ALLOCATORS,
+    allocators: Sequence[str | Callable] = COMPARED,
     targets_per_positioner: float | None = None,
     density: u.Quantity | None = None,
     options: AllocationOptions | None = None,
@@ -189,7 +188,9 @@ def compare_instruments(
     """
     models = _models(instruments)
     methods = allocators_of(allocators, options, others)
-    warn_of_unused_options([replace(methods[0], allocator=BLIND), *methods], rng=0 if isinstance(catalog, str) else rng)
+    warn_of_unused_options(
+        [replace(methods[0], allocator=name_of_best()), *methods], rng=0 if isinstance(catalog, str) else rng
+    )
     facts = [_describe(model) for model in models]
     if density is not None and targets_per_positioner is not None:
         raise InputError("give targets_per_positioner or density, not both")
@@ -295,8 +296,8 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
     )
     probabilities = [plan.probability for plan in own]
     value, low, high = rate_interval(model.focal_plane, probabilities, CONFIDENCE)
-    if value == 0 and allocator.name in WITHOUT_COLLISIONS:
-        high = 0.0  # these allocators never allow a collision
+    if value == 0 and allocator.method.avoids_collisions:
+        high = 0.0
     counted = np.count_nonzero(~np.isnan(probabilities))
     number = int(model.focal_plane.arrays.usable.sum())
     half = model.field_radius.to_value(u.rad) / 2

@@ -3,13 +3,12 @@
 from rfpsurvey.design._around import design_improvements, explore_around
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._explore import explore_designs
-from rfpsurvey.design._losses import ESTIMANDS, METHODS, SURROGATE_ERROR
+from rfpsurvey.design._losses import METHODS, SURROGATE_ERROR
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._sensitivities import design_sensitivities
 
 __all__ = [
     "AXES",
-    "ESTIMANDS",
     "METHODS",
     "SURROGATE_ERROR",
     "LossOptions",

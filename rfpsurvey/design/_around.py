@@ -13,8 +13,6 @@ from rfpsurvey.design._start import start_of
 from rfpsurvey.errors import InputError, check_choice, check_whole
 from rfpsurvey.instrument import Instrument, as_instrument
 
-__all__ = ["design_improvements", "explore_around"]
-
 VARIED = ("central_arm", "ratio", "pitch")
 
 

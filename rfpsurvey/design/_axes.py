@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey._units import to_mm, to_plain
 from rfpsurvey.errors import InputError
 
-__all__ = ["AXES", "to_axes", "to_designs"]
-
 AXES = ("central_arm", "ratio", "pitch", "clearance")
 MOST = 10_000_000
 

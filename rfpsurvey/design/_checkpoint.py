@@ -15,8 +15,6 @@ from rfpsurvey.design._rows import ROW, digest_of, to_rows, to_table
 from rfpsurvey.errors import InputError
 from rfpsurvey.tile import versions
 
-__all__ = ["Checkpoint"]
-
 EVERY = 10.0  # seconds
 
 

@@ -19,8 +19,6 @@ from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
 from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
 
-__all__ = ["explore_designs", "scan"]
-
 CHUNK = 8
 """Number of designs that a process computes per task. Results do not depend on this number."""
 

@@ -5,8 +5,6 @@ from astropy.table import QTable
 
 from rfpsurvey.errors import InputError, check_choice
 
-__all__ = ["OBJECTIVES", "check_objectives", "on_front"]
-
 OBJECTIVES = {"coverage": "max", "loss": "min"}
 
 

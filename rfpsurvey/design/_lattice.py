@@ -9,8 +9,6 @@ import numpy as np
 from rfpsurvey.errors import InputError
 from rfpsurvey.positioner import Positioner
 
-__all__ = ["Lattice", "make_lattice"]
-
 MOST_REACH = 4.0
 """Largest reach of arms, in units of the pitch.
 

@@ -1,16 +1,19 @@
 """Methods that compute the fraction of fibers lost to collisions (the loss), for three definitions of the loss."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.allocation import AllocationOptions, allocate
+from rfpsurvey._methods import Method, table_of
+from rfpsurvey.allocation import AllocationOptions, allocate, name_of_best
 from rfpsurvey.design._lattice import Lattice
 from rfpsurvey.errors import used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability import (
     AXES,
+    QUEUEING,
     Source,
     collision_probability,
     interior_probability,
@@ -18,7 +21,7 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )
 
-__all__ = ["AUTOMATIC", "ESTIMANDS", "METHODS", "SURROGATE_ERROR", "USES", "Loss", "Skies", "cheapest", "in_box"]
+__all__ = ["ESTIMANDS", "METHODS", "SURROGATE_ERROR", "Loss", "LossMethod", "Skies", "automatic", "cheapest", "in_box"]
 
 N_POINTS = 256
 """Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""
@@ -31,6 +34,18 @@ CORE = 5.0
 
 Only the 91 positioners in this region are counted.
 """
+
+
+@dataclass(frozen=True)
+class LossMethod(Method):
+    """A method that computes the loss of a design; the function takes a `Lattice` and `Skies`."""
+
+    estimand: str = "independent"
+    """The definition of the loss."""
+    limited: bool = False
+    """Whether the parameters of a design must be within the range of the surrogate."""
+    automatic: bool = False
+    """Whether the method ``auto`` can select this method."""
 
 
 class Loss(NamedTuple):
@@ -60,22 +75,22 @@ class Skies(NamedTuple):
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """Compute the loss for independent targets by interpolation between precomputed values."""
+    """For ``independent``: interpolate between precomputed values."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
 
 
 def quadrature(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss for independent targets by integration over the targets of a positioner and its neighbors."""
+    """For ``independent``: integrate over the targets of a positioner and its neighbors."""
     return Loss(1.0, *interior_probability(lattice.shape, N_POINTS, skies.rng))
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss for allocated targets as an average over all configurations that the queues allow."""
+    """For ``allocated``: average over all configurations that the queues allow, exactly for each realization."""
 
     def look(points, plane, core):
-        assigned = core & (allocate(plane, points, allocator="balanced").target_of_positioner >= 0)
+        assigned = core & (allocate(plane, points, allocator=QUEUEING).target_of_positioner >= 0)
         if not assigned.any():
             return 0, 0, 0, 0
         probability = collision_probability(plane, targets=points, method="conditional").per_positioner
@@ -85,55 +100,39 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of the best plan without collisions, relative to the best plan that ignores collisions."""
+    """For ``collision_free``: compare the best plan without collisions with the best plan that ignores collisions."""
     return _compare(lattice, skies, "optimal")
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """Compute the loss of a plan by the allocator ``repair``, relative to the best plan that ignores collisions."""
+    """For ``collision_free``: compare a plan by the allocator ``repair`` with the best plan that ignores collisions."""
     return _compare(lattice, skies, "repair")
 
 
-METHODS = {
-    "surrogate": surrogate,
-    "quadrature": quadrature,
-    "conditional": conditional,
-    "optimal": optimal,
-    "repair": repair,
-}
+_SEARCH = ("n_skies", "time_limit", "rng")
+METHODS = table_of(
+    LossMethod("surrogate", surrogate, (), estimand="independent", limited=True, automatic=True),
+    LossMethod("quadrature", quadrature, ("rng",), estimand="independent", automatic=True),
+    LossMethod("conditional", conditional, ("n_skies", "rng"), estimand="allocated", automatic=True),
+    LossMethod("optimal", optimal, _SEARCH, estimand="collision_free", automatic=True),
+    LossMethod("repair", repair, _SEARCH, estimand="collision_free"),
+)
 """Methods by name: functions that return the loss of a design with given random targets."""
+ESTIMANDS = tuple(dict.fromkeys(one.estimand for one in METHODS.values()))
 
-ESTIMANDS = {
-    "surrogate": "independent",
-    "quadrature": "independent",
-    "conditional": "allocated",
-    "optimal": "collision_free",
-    "repair": "collision_free",
-}
 
-USES = {
-    "surrogate": (),
-    "quadrature": ("rng",),
-    "conditional": ("n_skies", "rng"),
-    "optimal": ("n_skies", "time_limit", "rng"),
-    "repair": ("n_skies", "time_limit", "rng"),
-}
-"""Names of the options that each method uses. The table does not contain the options that all methods use."""
-
-AUTOMATIC = {
-    "independent": ("surrogate", "quadrature"),
-    "allocated": ("conditional",),
-    "collision_free": ("optimal",),
-}
-"""Names of the methods from which `cheapest` selects, by estimand."""
+def automatic(estimand: str) -> list[LossMethod]:
+    """Return the methods from which `cheapest` selects; the fastest method is the first."""
+    return [one for one in METHODS.values() if one.automatic and one.estimand == estimand]
 
 
 def cheapest(estimand: str, lattice: Lattice) -> str:
     """Return the fastest method that is accurate enough for a design."""
-    if len(AUTOMATIC[estimand]) == 1:
-        return AUTOMATIC[estimand][0]
-    sure = in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
-    return "surrogate" if sure else "quadrature"
+
+    def sure():
+        return in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
+
+    return next(one.name for one in automatic(estimand) if not one.limited or sure())
 
 
 def in_box(lattice: Lattice) -> bool:
@@ -146,12 +145,13 @@ def _compare(lattice, skies, method):
     limit = skies.time_limit * u.s
 
     def look(points, plane, core):
-        options = {name: AllocationOptions(name, time_limit=limit) for name in ("sdss", method)}
-        with used_elsewhere():  # repair has no time limit
-            plans = {name: allocate(plane, points, allocator=one) for name, one in options.items()}
-        blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans.values())
-        unproven = any(plan.gap > 0 for name, plan in plans.items() if name != "repair")
-        return blind, blind - found, unproven, _gap(plans["sdss"], plans[method]) if method == "optimal" else np.nan
+        options = {name: AllocationOptions(name, time_limit=limit) for name in (name_of_best(), method)}
+        with used_elsewhere():  # some allocators have no time limit
+            plans = [allocate(plane, points, allocator=one) for one in options.values()]
+        blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans)
+        proves = [one.method.searches for one in options.values()]
+        unproven = any(plan.gap > 0 for plan, proven in zip(plans, proves, strict=True) if proven)
+        return blind, blind - found, unproven, _gap(*plans) if all(proves) else np.nan
 
     return _over_skies(lattice, skies, look, whole=True)
 

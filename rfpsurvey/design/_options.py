@@ -7,18 +7,18 @@ from numbers import Number
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._methods import describe_methods
 from rfpsurvey._units import to_scalar
-from rfpsurvey.design._losses import AUTOMATIC, ESTIMANDS, METHODS, USES
+from rfpsurvey.design._losses import ESTIMANDS, METHODS, automatic
 from rfpsurvey.design._work import MOST_TARGETS
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_of_unused
-
-__all__ = ["LossOptions"]
 
 PER_POSITIONER = 4.0
 """Default number of targets per positioner."""
 
 
 @check_keywords
+@describe_methods(METHODS)
 @dataclass(frozen=True)
 class LossOptions:
     """Definition of the fraction of fibers that a design loses to collisions, and the method that computes it.
@@ -28,12 +28,11 @@ class LossOptions:
     estimand : {"independent", "allocated", "collision_free"}, optional
         Definition of the loss, see `~rfpsurvey.design.explore_designs`. By default, it is the definition that
         ``method`` uses; for the method ``auto``, it is ``independent``.
-    method : {"auto", "surrogate", "quadrature", "conditional", "optimal", "repair"}, optional
-        Method that computes the loss: ``surrogate`` or ``quadrature`` (for ``independent``), ``conditional`` (for
-        ``allocated``; exact for each realization), ``optimal`` (for ``collision_free``; a proven optimum) or ``repair``
-        (for ``collision_free``; local moves remove the collisions of a plan by the allocator ``lamost``). ``auto``
-        selects the fastest method that is accurate enough for a design: for ``independent``, ``surrogate`` if the
-        design is within the range of this method and the result is at least 0.01, otherwise ``quadrature``; for
+    method : str, optional
+        Method that computes the loss.
+        {methods}
+        ``auto`` selects the fastest method that is accurate enough for a design: for ``independent``, ``surrogate`` if
+        the design is within the range of this method and the result is at least 0.01, otherwise ``quadrature``; for
         ``allocated``, ``conditional``; for ``collision_free``, ``optimal``.
     targets_per_positioner : float, optional
         Mean number of Poisson-distributed targets per positioner; four by default.
@@ -41,10 +40,10 @@ class LossOptions:
         Number of Poisson-distributed targets per area of the focal plane, instead of ``targets_per_positioner``. The
         number of targets per positioner then increases with the pitch.
     n_skies : int, optional
-        Number of realizations of the targets over which ``conditional``, ``optimal`` and ``repair`` average the loss.
-        In each realization, 91 positioners are counted.
+        Number of realizations of the targets over which methods for allocated targets average the loss. In each
+        realization, 91 positioners are counted.
     time_limit : Quantity, optional
-        Time limit of each search for a plan by the method ``optimal``.
+        Time limit of each search for a plan.
 
     Raises
     ------
@@ -77,10 +76,10 @@ class LossOptions:
         """The estimand (definition of the loss), and the method that computes the loss."""
         check_choice(self.method, [*METHODS, "auto"], "method of design studies")
         if self.estimand is not None:
-            check_choice(self.estimand, set(ESTIMANDS.values()), "estimand")
+            check_choice(self.estimand, ESTIMANDS, "estimand")
         if self.method == "auto":
             return self.estimand or "independent", self.method
-        own = ESTIMANDS[self.method]
+        own = METHODS[self.method].estimand
         if self.estimand not in (None, own):
             raise InputError(f"the estimand must be {own!r} for the method {self.method!r}, got {self.estimand!r}")
         return own, self.method
@@ -95,7 +94,8 @@ class LossOptions:
         """
         estimand, method = self.question
         given = [name for name in ("n_skies", "time_limit") if getattr(self, name) != getattr(LossOptions, name)]
-        warn_of_unused([*given, *also], AUTOMATIC[estimand] if method == "auto" else [method], USES, "method")
+        chosen = automatic(estimand) if method == "auto" else [METHODS[method]]
+        warn_of_unused([*given, *also], chosen, METHODS.values(), "method")
 
     @property
     def targets(self) -> tuple[float, bool]:

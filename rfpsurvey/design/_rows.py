@@ -8,8 +8,6 @@ from astropy.table import QTable
 
 from rfpsurvey.design._axes import AXES
 
-__all__ = ["FIGURES", "ROW", "blank", "digest_of", "set_formats", "to_rows", "to_table"]
-
 UNITS = {
     **dict.fromkeys(("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation"), u.mm),
     **dict.fromkeys(("positioners_per_area", "usable_per_area"), u.cm**-2),

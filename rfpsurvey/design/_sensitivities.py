@@ -9,8 +9,6 @@ from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._rows import set_formats
 from rfpsurvey.errors import InputError, check_choice, check_keywords
 
-__all__ = ["design_sensitivities"]
-
 DEGREE = 4
 
 

@@ -9,8 +9,6 @@ from rfpsurvey.design._axes import AXES
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.instrument import Instrument, arm_facts
 
-__all__ = ["Start", "start_of"]
-
 SAME = 1e-9
 """Two designs are equal if the relative differences of their parameters are below this value."""
 

@@ -8,8 +8,6 @@ from rfpsurvey.design._lattice import make_lattice
 from rfpsurvey.design._losses import METHODS, Skies, cheapest, in_box
 from rfpsurvey.design._rows import blank
 
-__all__ = ["MOST_TARGETS", "Task"]
-
 MOST_TARGETS = 1000.0
 
 
@@ -51,10 +49,10 @@ class Task:
             row["reason"] = f"the number of targets per positioner exceeds {MOST_TARGETS:g}"
             return
         method = cheapest(self.estimand, lattice) if self.method == "auto" else self.method
-        if method == "surrogate" and not in_box(lattice):
-            row["reason"] = "the parameters are outside the range of the method 'surrogate'"
+        if METHODS[method].limited and not in_box(lattice):
+            row["reason"] = f"the parameters are outside the range of the method {method!r}"
             return
-        found = METHODS[method](lattice, Skies(each, self.n_skies, rng, self.time_limit))
+        found = METHODS[method].function(lattice, Skies(each, self.n_skies, rng, self.time_limit))
         row["method"] = method
         row["assigned"], row["loss"], row["loss_error"], row["n_unproven"], row["loss_gap"] = found
         row["usable"] = found.assigned * (1 - found.loss)

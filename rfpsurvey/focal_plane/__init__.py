@@ -5,6 +5,7 @@ from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._margins import LENGTHS, Margins
+from rfpsurvey.focal_plane._obstacles import with_circles
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
     "elbow_names",
     "hexagonal_cells",
     "on_footprint",
+    "with_circles",
 ]

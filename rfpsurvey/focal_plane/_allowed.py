@@ -4,15 +4,13 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import arms, collisions, conflicts
+from rfpsurvey._kernels import collisions, conflicts
 from rfpsurvey._units import locked
 from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import edges_exactly
 from rfpsurvey.focal_plane._kinematics import joints_allow
 from rfpsurvey.focal_plane._limits import find_limits
 from rfpsurvey.focal_plane._neighbors import pairs_within
-
-__all__ = ["AllowedPoses"]
 
 ROOM = 1 << 16
 
@@ -108,11 +106,8 @@ def _clear_of_broken(columns, own, points, side, fiber):
         return clear
     mine, side = own[rows], np.broadcast_to(side, len(own)).astype(float)[rows]
     fiber = columns.fiber_index[mine] if fiber is None else fiber[rows]
-    moved = np.empty((4, len(rows)))
-    arms.place(np.ascontiguousarray(points[rows]), columns.geometry_of(mine, fiber), side, moved)
-    arms.shape(moved, columns.model, columns.length, *columns.angles_of(mine, fiber))
-    fixed = np.ascontiguousarray(plane.arrays.idle(False).segments[:, broken])
-    arms.shape(fixed, columns.model, columns.length, *(angle[broken] for angle in plane.arrays.angles))
+    moved = columns.segments_of(mine, fiber, np.ascontiguousarray(points[rows]), side)
+    fixed = columns.idle_segments(False)[:, broken]
     owner = np.concatenate([mine, broken])
     order = np.argsort(owner, kind="stable")
     segments, owner = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), owner[order]

@@ -15,8 +15,7 @@ from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
 from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
 from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
-
-__all__ = ["FocalPlaneArrays"]
+from rfpsurvey.focal_plane._segments import ArmSegments
 
 IN_USE = (
     "eccentric_arm",
@@ -34,7 +33,7 @@ SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
 
 
-class FocalPlaneArrays(AllowedPoses):
+class FocalPlaneArrays(AllowedPoses, ArmSegments):
     """The columns of a focal plane as read-only arrays without units, in mm and radians.
 
     Each array is computed on first use and is then stored. Row i belongs to positioner i.

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
+from rfpsurvey._units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, listed, short
 from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
-
-__all__ = ["check_columns"]
 
 
 def check_columns(plane) -> None:
@@ -37,9 +35,7 @@ def check_columns(plane) -> None:
         if np.ndim(value) == 0 or len(value) != n or (value.ndim != 1 and name != "spectrograph"):
             raise InputError(f"{name} must have one value per positioner, shape ({n},), got {value.shape}")
         object.__setattr__(plane, name, value)
-    if len(np.unique(columns["id"])) < n:
-        names, counts = np.unique(columns["id"], return_counts=True)
-        raise InputError(f"id must be unique, but {names[counts > 1].tolist()[0]!r} occurs more than once")
+    check_unique(columns["id"], "id")
     blank = [name for name in columns["id"].tolist() if isinstance(name, str) and (not name or len(name.split()) != 1)]
     if blank:
         raise InputError(f"id must be text without blanks, because tables separate ids by blanks, got {blank[0]!r}")

@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._kernels import reach
 from rfpsurvey.focal_plane._reach import make_grid
 
-__all__ = ["Circles"]
-
 
 class Circles:
     """Circles in mm (columns x, y and radius), with a grid of cells that makes the search for circles fast."""

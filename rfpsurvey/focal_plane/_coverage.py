@@ -6,8 +6,6 @@ import scipy  # its subpackages are imported on first use
 from rfpsurvey._units import to_generator
 from rfpsurvey.errors import InputError, check_whole
 
-__all__ = ["find_coverage", "footprint_of", "on_footprint"]
-
 
 def footprint_of(plane) -> "scipy.spatial.ConvexHull":
     """Return the footprint of a focal plane in mm, the convex hull of the centers of the positioners."""

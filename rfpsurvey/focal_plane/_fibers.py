@@ -7,8 +7,6 @@ import numpy as np
 from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey._units import to_points_mm, to_radian
 
-__all__ = ["Fibers", "Joints", "edges_exactly", "patrol_radii"]
-
 
 class Fibers:
     """Distances and directions from the elbow to each fiber.

@@ -19,8 +19,6 @@ from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.focal_plane._neighbors import nearest_within
 from rfpsurvey.positioner import Positioner
 
-__all__ = ["FocalPlane"]
-
 
 @check_keywords
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey._kernels import arms
 
-__all__ = ["Idle", "find_idle"]
-
 
 @dataclass(frozen=True, eq=False)
 class Idle:

@@ -7,8 +7,6 @@ from rfpsurvey._kernels import arms
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
 from rfpsurvey.errors import InputError, check_choice, check_fiber_type
 
-__all__ = ["MODELS", "forward", "inverse", "joints_allow"]
-
 MODELS = {
     "elbow_to_tip": arms.ELBOW_TO_TIP,
     "capsule": arms.CAPSULE,

@@ -9,8 +9,6 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 
-__all__ = ["hexagonal_cells"]
-
 
 def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
     """Return centers in mm, shape (n, 2), and cells (q, k), shape (n, 2), of a hexagonal lattice."""

@@ -7,8 +7,6 @@ from rfpsurvey._kernels.outlines import OUTLINE_ERROR
 from rfpsurvey.focal_plane._obstacles import find_polygons
 from rfpsurvey.positioner import make_outline
 
-__all__ = ["find_limits", "find_obstacle_slack"]
-
 
 def find_limits(columns, extra: float = 0.0) -> collisions.Limits:
     """Return the minimum separation and the limits of rounding errors that the collision kernels require.

@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, refusal, short
 
-__all__ = ["FACTORS", "LENGTHS", "Margins", "check_margins"]
-
 LENGTHS = ("outer", "inner", "arms", "broken")
 """Names of the margins that are lengths."""
 FACTORS = ("broken_factor", "hidden_factor")

@@ -4,8 +4,6 @@ import numpy as np
 
 from rfpsurvey.focal_plane._reach import make_grid
 
-__all__ = ["both_ways", "find_runs", "nearest_within", "pairs_within"]
-
 
 def pairs_within(xy: np.ndarray, limit: float) -> np.ndarray:
     """Return the pairs (i, j) of centers whose distance is at most ``limit``, with i < j, sorted."""

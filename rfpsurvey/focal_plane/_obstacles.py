@@ -1,12 +1,13 @@
 """Fixed obstacles of a focal plane, which no arm may touch: circles and convex polygons."""
 
+from copy import copy
+
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels.outlines import NO_POLYGONS, Polygons
 from rfpsurvey._units import locked
 from rfpsurvey.positioner import convex_polygon, make_outline, with_normals
-
-__all__ = ["find_obstacle_pairs", "find_polygons", "to_polygons"]
 
 
 def to_polygons(given) -> tuple[np.ndarray, ...]:
@@ -39,3 +40,19 @@ def find_obstacle_pairs(columns) -> np.ndarray:
     apart = np.hypot(*(columns.xy[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
     limit = columns.arm_reach[:, None] + circles[None, :, 2] + columns.clearance
     return locked(np.ascontiguousarray(np.argwhere(apart < limit * (1 + 1e-12) + columns.touch_slack)))
+
+
+def with_circles(plane, circles: np.ndarray):
+    """Return the focal plane with more circles (x, y, radius in mm) that no arm may touch.
+
+    All arrays that do not depend on these circles are computed only once, for the original focal plane.
+    """
+    for name in ("joints", "grid", "runs", "limits", "annuli", "bounds", "angles", "offers", "n_sharing", "_idle"):
+        getattr(plane.arrays, name)
+    more, arrays = copy(plane), copy(plane.arrays)
+    circles = locked(np.vstack([arrays.obstacles, circles]))
+    for name in ("obstacle_pairs", "obstacle_slack"):
+        arrays.__dict__.pop(name, None)
+    arrays.__dict__.update(plane=more, obstacles=circles)
+    more.__dict__.update(arrays=arrays, obstacles=circles << u.mm)
+    return more

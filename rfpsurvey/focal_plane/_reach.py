@@ -12,8 +12,6 @@ from rfpsurvey._units import locked, to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane._fibers import edges_exactly
 
-__all__ = ["Reach", "accepted_types", "elbow_names", "find_reach", "make_grid", "sides"]
-
 # Number of targets that are tested together. A small number limits the memory for temporary arrays.
 BLOCK = 1 << 18
 

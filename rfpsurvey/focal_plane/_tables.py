@@ -11,8 +11,6 @@ from rfpsurvey.errors import InputError, InputTypeError, close_to, listed, warn
 from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.positioner import ArmOutline, Positioner
 
-__all__ = ["read_columns", "to_table"]
-
 JOINTS = {
     "zero_points": ("theta_zero", "phi_zero"),
     "theta_range": ("theta_min", "theta_max"),

@@ -12,8 +12,6 @@ from rfpsurvey.positioner import ARM_MODELS, ArmOutline
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["FULL_OUTLINE", "OUTLINE", "SEGMENT_CLEARANCE", "UNUSED", "ArmModels", "switch_inherited"]
-
 SECTION = "positioner."
 OUTLINE = "positioner.outline"
 FULL_OUTLINE = "positioner.full_outline"

@@ -12,8 +12,6 @@ from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["AsBuilt"]
-
 
 class AsBuilt:
     """Methods that `Instrument` inherits, which read instruments as built."""

@@ -24,8 +24,6 @@ from rfpsurvey.observing import (
 )
 from rfpsurvey.projection import FieldProjection, TangentPlane
 
-__all__ = ["ProjectionComparison", "choose_projection", "compare_projections"]
-
 # Default tolerance, as a fraction of the fiber diameter.
 FRACTION = 0.1
 # Numbers of points for which displacements are computed: centers of positioners, and points at the edge of the field.

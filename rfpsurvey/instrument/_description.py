@@ -16,8 +16,6 @@ from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
 
-__all__ = ["PRESETS", "build", "load"]
-
 PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 

@@ -14,15 +14,13 @@ import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import entries_of, head_of, read_table
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import check_unique, to_plain
 from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
-from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.instrument._desi_tables import number_rows, numbers, some, whole
 from rfpsurvey.positioner import ArmOutline
-
-__all__ = ["read", "recognizes"]
 
 N_POSITIONERS = 5000
 # Limits of possible values, in mm and deg.
@@ -199,7 +197,7 @@ def _centers(table, x, y, path):
 
 def _positioners(table, names, path):
     """Return the rows of a table that are positioners, and a sentence about the other rows."""
-    check_columns(table, names, path)
+    number_rows(table, names, path)
     kinds = np.char.strip(to_plain(table["DEVICE_TYPE"], f"{path}: column 'DEVICE_TYPE'").astype(str))
     rows = kinds == "POS"
     if not rows.any():
@@ -220,7 +218,5 @@ def _positioners(table, names, path):
             f"{path}: LOCATION must be 1000 {names[1]} + {names[2]}, got {ids[k]} for {names[1]} {petal[k]} and "
             f"{names[2]} {device[k]}"
         )
-    found, counts = np.unique(ids, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(f"{path}: LOCATION must be unique, but {found[counts > 1][0]} occurs more than once")
+    check_unique(ids, f"{path}: LOCATION")
     return table, others

@@ -5,8 +5,6 @@ import numpy as np
 
 from rfpsurvey.positioner import ArmOutline, divide_polygon
 
-__all__ = ["find_outline"]
-
 
 def find_outline(polygons: dict) -> ArmOutline:
     """Return the outline of a positioner from its exclusion polygons in CS5.

@@ -13,11 +13,9 @@ from rfpsurvey._readers import check_is_file, check_size, content_of, entries_of
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.instrument._desi_outline import find_outline
-from rfpsurvey.instrument._desi_tables import check_columns, numbers, some, whole
+from rfpsurvey.instrument._desi_tables import number_rows, numbers, some, whole
 from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.positioner import ArmOutline
-
-__all__ = ["find_conditions", "find_latest", "moment_of", "read_polygons"]
 
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
@@ -68,7 +66,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
     table = read_table(path)
-    check_columns(table, STATE, path)
+    number_rows(table, STATE, path)
     times = np.char.strip(to_plain(table["TIME"], f"{path}: column 'TIME'").astype(str))
     location = whole(table, "LOCATION", path)
     when = {text: moment_of(text, f"{path}: column 'TIME'") for text in np.unique(times).tolist()}

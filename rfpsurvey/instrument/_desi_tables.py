@@ -3,11 +3,10 @@
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import rows_of, to_plain
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, number_of
+from rfpsurvey._readers import is_number
+from rfpsurvey._units import check_columns, rows_of, to_plain
+from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
 from rfpsurvey.instrument._missing import is_missing
-
-__all__ = ["check_columns", "numbers", "some", "whole"]
 
 ROW = "_row"
 """Name of a column with the number of each row in the file, counted from 1."""
@@ -16,11 +15,9 @@ SPELLED = {"degrees": u.deg}
 """Names of units that desimodel writes and astropy does not accept."""
 
 
-def check_columns(table, names, path) -> None:
+def number_rows(table, names, path) -> None:
     """Raise an error if a table is empty or lacks a column; number the rows."""
-    for name in names:
-        if name not in table.colnames:
-            raise InputError(f"{path}: the table must have the column {name!r}, got {listed(table.colnames)}")
+    check_columns(table.colnames, names, f"{path}: the table")
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")
     table[ROW] = np.arange(1, len(table) + 1)
@@ -80,13 +77,5 @@ def some(ids, mask) -> str:
 def _example(values) -> str:
     if values.ndim != 1:
         return f"the shape {values.shape}"
-    text = [one for one in values.tolist() if not _is_number(one)]
+    text = [one for one in values.tolist() if not is_number(one)]
     return f"{values.dtype.name}" if not text else f"{text[0]!r}"
-
-
-def _is_number(value) -> bool:
-    try:
-        float(value)
-    except (TypeError, ValueError):
-        return False
-    return True

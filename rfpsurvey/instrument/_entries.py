@@ -10,8 +10,6 @@ import astropy.units as u
 from rfpsurvey.errors import InputError, check_choice, listed
 from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
 
-__all__ = ["NEED", "SECTIONS", "STATUSES", "check_description", "with_defaults"]
-
 STATUSES = ("published", "derived", "assumed")
 PARTS = ("value", "unit", "status", "source")
 NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")

@@ -9,8 +9,6 @@ import scipy  # its subpackages are imported on first use
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument._entries import STATUSES
 
-__all__ = ["arm_facts", "fact_texts", "field_angles", "find_facts"]
-
 N_POINTS = 2**18
 """Number of points at which coverage and multiplicity are computed; their standard errors are then below 0.001."""
 N_DIRECTIONS = 1440

@@ -38,8 +38,6 @@ from rfpsurvey.instrument._projections import Projections
 from rfpsurvey.instrument._states import LISTED, States, apply_entry, moments_at
 from rfpsurvey.projection import RadialMap
 
-__all__ = ["Instrument", "as_focal_plane", "as_instrument", "available_instruments", "every_instrument"]
-
 GROUP = "rfpsurvey.instruments"
 LAYOUTS = ("nominal", "as built")
 

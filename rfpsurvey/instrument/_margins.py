@@ -11,8 +11,6 @@ from rfpsurvey.focal_plane import Margins
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
 
-__all__ = ["PREFIX", "WithMargins"]
-
 PREFIX = "margins."
 """Beginning of the names of entries with published margins; a result depends on them only if the margins are used."""
 

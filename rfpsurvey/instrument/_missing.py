@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["is_missing"]
-
 CODES = np.array([99, 999, 9999, 99999, 999999], dtype=float)
 """Numbers that observatories write instead of missing values, with either sign."""
 

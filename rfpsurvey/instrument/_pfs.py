@@ -16,8 +16,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
 from rfpsurvey.instrument._pfs_map import N, nominal_centers, pfs_fibers
 
-__all__ = ["find_pfs_files", "read_pfs"]
-
 PATTERNS = {
     "dots": "black_dots_mm*.csv*",
     "fiducials": "fiducial_positions*.csv*",

@@ -5,12 +5,11 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._readers import check_is_file, content_of, read_table, sentence, to_path
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey._readers import check_is_file, content_of, is_number, read_table, sentence, to_path
+from rfpsurvey._units import check_columns, check_unique
+from rfpsurvey.errors import InputError
 from rfpsurvey.instrument._missing import is_missing
 from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
-
-__all__ = ["GOOD", "read_cobras", "read_dots", "read_fiducials", "read_interference", "to_paths"]
 
 N_FIDUCIALS = 96
 # Largest distance (mm) of a dot from the nominal center of its cobra; adjacent centers are 8 mm apart.
@@ -184,36 +183,25 @@ def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     table, columns = read_table(path), {}
     if len(table) == 0:
         raise InputError(f"{path}: the table must have at least one row, got none")
+    check_columns(table.colnames, names, f"{path}: the table")
     for name in names:
-        if name not in table.colnames:
-            raise InputError(f"{path}: the table must have the column {name!r}, got {listed(table.colnames)}")
         column = table[name]
         if np.asarray(column).dtype.kind not in "if":
             text = [str(v) for v in np.ma.asarray(column).compressed().tolist()]
-            strange = next((v for v in text if not _is_float(v)), text[0] if text else "no number")
+            strange = next((v for v in text if not is_number(v)), text[0] if text else "no number")
             raise InputError(f"{path}: the column {name!r} must hold numbers, got {strange!r}")
         columns[name] = np.ma.filled(np.ma.asarray(np.ma.asanyarray(column), dtype=float), np.nan)
     return columns
-
-
-def _is_float(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _check_ids(path, ids: np.ndarray, name: str, n: int) -> None:
     """Raise an error unless identifiers are the numbers 1 to n, without repetition."""
     if len(ids) != n:
         raise InputError(f"{path}: the file must have {n} rows, one for each {name} from 1 to {n}, got {len(ids)}")
-    values, counts = np.unique(ids, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(f"{path}: {name} must be unique, but {values[counts > 1][0]:g} occurs more than once")
-    if not np.array_equal(values, np.arange(1, n + 1)):
-        strange = values[~np.isin(values, np.arange(1, n + 1))][0]
-        raise InputError(f"{path}: {name} must be 1 to {n}, got {strange:g}")
+    check_unique(ids, f"{path}: {name}")
+    strange = ids[~np.isin(ids, np.arange(1, n + 1))]
+    if len(strange):
+        raise InputError(f"{path}: {name} must be 1 to {n}, got {strange[0]:g}")
 
 
 def _check_finite(path, values: np.ndarray, names: str) -> None:

@@ -8,8 +8,6 @@ import scipy  # its subpackages are imported on first use
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["N_COBRAS", "N", "cobra_ids", "nominal_centers", "pfs_engineering_fibers", "pfs_fibers"]
-
 N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # numbers of fields, of modules per field and of cobras per module
 N = N_FIELDS * N_MODULES * N_COBRAS
 PITCH = 8.0

@@ -6,8 +6,6 @@ from astropy.coordinates import SkyCoord
 from rfpsurvey.observing import ObservedField, ObservedPlane, ObservingConditions
 from rfpsurvey.projection import FieldProjection, TangentPlane, field_basis
 
-__all__ = ["Projections"]
-
 
 class Projections:
     """Methods that `Instrument` inherits, which return projections between sky and focal plane."""

@@ -16,12 +16,10 @@ import numpy as np
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import is_present, read_table
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._missing import is_missing
-
-__all__ = ["PRESETS", "read", "recognizes"]
 
 PRESETS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 TABLE = "positionerTable.csv"
@@ -88,10 +86,7 @@ class _Rows:
         """Number of each row in the file, counted from 1."""
         self.impossible: list[str] = []
         """Values that are not missing in the file, but count as missing."""
-        for name in names:
-            if name not in self.table.colnames:
-                got = listed(self.table.colnames)
-                raise InputError(f"{path}: the table must have the column {name!r}, got {got}")
+        check_columns(self.table.colnames, names, f"{path}: the table")
         if len(self.table) == 0:
             raise InputError(f"{path}: the table must have at least one row, got none")
 
@@ -172,10 +167,8 @@ class _Rows:
         self.keep(np.argsort(order, kind="stable"))
 
     def check_unique(self, name: str) -> None:
-        values, counts = np.unique(self.text(name), return_counts=True)
-        if (counts > 1).any():
-            raise InputError(f"{self.path}: column {name!r} must have unique values, got {values[counts > 1][0]} twice")
-        if "" in values:
+        check_unique(self.text(name), f"{self.path}: column {name!r}")
+        if "" in self.text(name):
             raise InputError(f"{self.path}: column {name!r} must have a value in each row, got an empty one")
 
     def rows_of(self, holes: np.ndarray) -> np.ndarray:

@@ -17,14 +17,12 @@ from astropy.table import Column, Table
 from astropy.time import Time
 
 from rfpsurvey._readers import is_number, read_table
-from rfpsurvey._units import to_labels, to_plain
+from rfpsurvey._units import check_columns, to_labels, to_plain
 from rfpsurvey.errors import InputError, InputUnitsError, check_choice, close_to, listed, short, warn
 from rfpsurvey.instrument._desi_state import moment_of
 
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
-
-__all__ = ["LISTED", "States", "apply_entry", "describe_states", "moments_at"]
 
 LISTED = "layout.states"
 """Name of the entry of a description that lists the states of positioners, or names a table of them."""
@@ -234,8 +232,7 @@ def _check_overlaps(rows: list[Row], what: str) -> None:
 def _rows(table: Table, what: str) -> list[Row]:
     """Return the rows of a table of states, or raise an error if a value is not valid."""
     names = table.colnames
-    if "id" not in names:
-        raise InputError(f"{what}: the table must have the column 'id', got {listed(names)}")
+    check_columns(names, ["id"], f"{what}: the table")
     for name in names:
         if name not in COLUMNS and (hint := close_to(name, set(COLUMNS) - set(names), 0.6)):
             warn(f"{what}: the column {name!r} is not used; {hint}")

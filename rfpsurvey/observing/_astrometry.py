@@ -13,8 +13,6 @@ from rfpsurvey._units import to_lonlat
 from rfpsurvey.errors import InputError
 from rfpsurvey.observing._conditions import RATE, ObservingConditions
 
-__all__ = ["Instants"]
-
 
 class Instants:
     """The sky at k instants: conversion of ICRS directions to observed directions.

@@ -16,8 +16,6 @@ from rfpsurvey.catalog import to_moment
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
 from rfpsurvey.observing._sites import as_site, location
 
-__all__ = ["RATE", "ObservingConditions", "as_hour_angle", "check_conditions"]
-
 LONGEST_DAYS = 0.5
 EXAMPLES = {
     "hour_angle": "-1.5 hourangle",

@@ -10,8 +10,6 @@ from rfpsurvey.observing._astrometry import Instants
 from rfpsurvey.observing._conditions import ObservingConditions
 from rfpsurvey.projection import FieldProjection, RadialMap
 
-__all__ = ["ObservedField"]
-
 # STEP: half the distance (rad) between the points whose images define the orientation of the field.
 # MOST_STEPS: largest number of iterations of the inverse projection.
 # ROUNDING: largest change of a unit vector that can be a rounding error.

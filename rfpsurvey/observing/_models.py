@@ -9,8 +9,6 @@ from rfpsurvey.observing._conditions import ObservingConditions
 from rfpsurvey.observing._field import ObservedField
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["MODELS", "displacements", "field_of_model", "model_of"]
-
 MODELS = {
     "tangent": "tangent plane with one plate scale",
     "radial": "radial map of the instrument",

@@ -13,8 +13,6 @@ from rfpsurvey.observing._conditions import ObservingConditions, check_condition
 from rfpsurvey.observing._field import ObservedField
 from rfpsurvey.projection import TangentPlane
 
-__all__ = ["ObservedPlane"]
-
 # MOST_STEP: largest change (rad) of the parallactic angle in a step. SHORTEST: shortest step (s).
 MOST_STEP, SHORTEST = np.pi / 6, 1e-6
 

@@ -6,8 +6,6 @@ from astropy.coordinates import EarthLocation
 
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 
-__all__ = ["SITES", "as_site", "location"]
-
 HIGHEST = 1e5  # m
 # Longitude (deg, east), latitude (deg), height (m). The values are taken from astropy's table of sites, which names as
 # its sources the observatory database of IRAF (Apache Point, Kitt Peak, Las Campanas, Xinglong), the raw data of the

@@ -5,30 +5,38 @@ and `plan_survey` and `place_tiles` call it for each tile. The calculation of co
 steps of the pipeline.
 """
 
-from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._constraints import are_among, mark_required, with_keep_out
-from rfpsurvey.pipeline._field import FieldPlan, FieldTargets, field_radius_rad, plan_field, project_field
+from rfpsurvey.pipeline._blank_sky import BlankIds
+from rfpsurvey.pipeline._constraints import are_among
+from rfpsurvey.pipeline._field import (
+    FieldPlan,
+    FieldReach,
+    FieldTargets,
+    field_radius_rad,
+    find_reach,
+    plan_field,
+    project_field,
+)
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
-from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogFields, Field, reusable_targets
+from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBuilder, FieldRows, SelectedRows
 
 __all__ = [
     "OUTCOMES",
     "PLANNED_COLUMNS",
     "BlankIds",
-    "CatalogFields",
-    "Field",
+    "CatalogTargets",
+    "FieldBuilder",
     "FieldPlan",
+    "FieldReach",
+    "FieldRows",
     "FieldTargets",
     "Outcome",
+    "SelectedRows",
     "are_among",
-    "blank_ids",
     "category_classes",
     "field_radius_rad",
-    "mark_required",
+    "find_reach",
     "outcome_codes",
     "plan_field",
     "priority_classes",
     "project_field",
-    "reusable_targets",
-    "with_keep_out",
 ]

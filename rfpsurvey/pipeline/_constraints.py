@@ -8,6 +8,7 @@ import numpy as np
 
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.projection import FieldProjection
 
@@ -24,8 +25,7 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
     """Return the instrument with an additional obstacle for each circle in ``options.keep_out`` near its arms."""
     if not options.keep_out:
         return instrument
-    plane, circles = instrument.focal_plane, options.circles
-    arrays = plane.arrays
+    arrays, circles = instrument.focal_plane.arrays, options.circles
     size = (np.hypot(*arrays.xy.T) + arrays.arm_reach).max() + arrays.separation
     # The arms at the edge extend slightly beyond the field.
     limit = circles[:, 3] + 1.1 * size / instrument.plate_scale.to_value(u.mm / u.rad)
@@ -39,7 +39,7 @@ def with_keep_out(instrument: Instrument, projection: FieldProjection, options: 
         return instrument
     return replace(
         instrument,
-        focal_plane=replace(plane, obstacles=np.vstack([arrays.obstacles, images[near]]) * u.mm),
+        focal_plane=with_circles(instrument.focal_plane, images[near]),
         plate_scale=None if instrument.distortion else instrument.plate_scale,
     )
 

@@ -18,13 +18,14 @@ from rfpsurvey.allocation import (
     to_subpriorities,
 )
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
+from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
 from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import with_keep_out
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["FieldPlan", "FieldTargets", "field_radius_rad", "plan_field", "project_field"]
+__all__ = ["FieldPlan", "FieldReach", "FieldTargets", "field_radius_rad", "find_reach", "plan_field", "project_field"]
 
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
@@ -44,6 +45,18 @@ class FieldTargets(NamedTuple):
     """Additional columns of the plan; each key is the name of a column, and each value contains a value per target."""
     numbered: bool = False
     """Whether the identifiers are row numbers, because the catalog has no identifiers."""
+
+
+class FieldReach(NamedTuple):
+    """The pairs of positioners and targets in reach, with the positions of the targets on the focal plane."""
+
+    instrument: Instrument
+    """The instrument, whose obstacles include the circles that no arm may cover."""
+    xy: np.ndarray
+    """Positions of the targets in mm, shape (n, 2)."""
+    fiber_type: np.ndarray | None
+    """Fiber type that each target requires; None if all fibers can observe all targets."""
+    pairs: Reach
 
 
 class FieldPlan(NamedTuple):
@@ -111,6 +124,15 @@ def project_field(
         given = np.full(len(vectors), "") if fiber_type is None else fiber_type
         fiber_type = np.where(given == "", first, given)
     return projection.project(vectors, fiber_type), fiber_type
+
+
+def find_reach(
+    instrument: Instrument, projection: FieldProjection, targets: FieldTargets, options: AllocationOptions
+) -> FieldReach:
+    """Return the pairs of a positioner and a target of a field in its reach; the parameters are as in `plan_field`."""
+    instrument = with_keep_out(instrument, projection, options)
+    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
+    return FieldReach(instrument, xy, fiber_type, instrument.focal_plane.arrays.reach(xy, fiber_type))
 
 
 def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
@@ -185,7 +207,7 @@ def plan_field(
         ids, vectors = np.empty(len(target), dtype=blank.dtype), np.empty((len(target), 3))
         ids[given], vectors[given] = known
         ids[~given] = blank.take(len(found))
-        vectors[~given] = projection.unproject(allocation.xy.value[found], types)
+        vectors[~given] = projection.unproject(allocation.xy_mm[found], types)
     lon, lat = to_lonlat(vectors)
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}

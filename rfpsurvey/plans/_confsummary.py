@@ -4,7 +4,6 @@ import gzip
 import re
 import tempfile
 import warnings
-from collections.abc import Iterable
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -16,12 +15,11 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from rfpsurvey._io import output_path, suffix_of
 from rfpsurvey._readers import content_of, head_of, is_number, sentence
+from rfpsurvey._units import check_columns
 from rfpsurvey.catalog import to_time
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
-
-__all__ = ["lost", "read", "recognizes", "write"]
 
 INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 MISSING = -999
@@ -76,7 +74,7 @@ def read(path: Path) -> QTable:
     ``dec_fiber`` are the position of the fiber on the sky.
     """
     rows, struct, header = _parse(path)
-    _check_columns(rows, path)
+    check_columns(rows, REQUIRED, f"{path}: the table FIBERMAP")
     n = len(rows["holeId"])
     _check_fibers(rows["holeId"], rows["fiberType"], path)
     site = header.get("observatory", "")
@@ -255,12 +253,6 @@ def _is_nominal(plan: QTable) -> bool:
     return plan.meta["format"] == "tile" and plan.meta["header"].get("layout") != "as built"
 
 
-def _check_columns(names: Iterable[str], path: Path) -> None:
-    for name in REQUIRED:
-        if name not in names:
-            raise InputError(f"{path}: the table FIBERMAP must have the column {name!r}, got {listed(names)}")
-
-
 def _struct(plan: QTable) -> dict[str, str]:
     """Return the names and types of the columns of the file to write.
 
@@ -281,7 +273,7 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
             f"got {plan.meta['instrument']}"
         )
     struct, n, fields = _struct(plan), len(plan), []
-    _check_columns(struct, path)
+    check_columns(struct, REQUIRED, f"{path}: the table FIBERMAP")
     given = _given(plan, struct)
     _check_fibers(given["holeId"], given["fiberType"], path)
     for name, kind in struct.items():

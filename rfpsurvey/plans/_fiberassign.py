@@ -15,12 +15,10 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import head_of, read_tables, sentence
-from rfpsurvey._units import to_plain
+from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
-
-__all__ = ["lost", "read", "recognizes", "write"]
 
 NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
 TYPES = {
@@ -85,11 +83,9 @@ def read(path: Path) -> QTable:
     if not found:
         raise InputError(f"{path}: the file must have the extension FIBERASSIGN, got none")
     table = found[0]
-    for name in REQUIRED:
-        if name not in table.colnames:
-            raise InputError(f"{path}: FIBERASSIGN must have the column {name!r}, got none")
+    check_columns(table.colnames, REQUIRED, f"{path}: FIBERASSIGN")
     values = {name: _column(table, name, path) for name in table.colnames if name in TYPES}
-    _check_ids(values["LOCATION"], path)
+    check_unique(values["LOCATION"], f"{path}: LOCATION")
     status = values["FIBERSTATUS"]
     columns = {common: values[name] for common, name in COMMON.items() if name in values}
     columns |= {
@@ -177,12 +173,6 @@ def _native(column):
     """Return a column in the byte order of the machine."""
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     return column.astype(column.dtype.newbyteorder("=")) if kind in "iufc" and kind else column
-
-
-def _check_ids(ids, path):
-    found, counts = np.unique(ids, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(f"{path}: LOCATION must be unique, but {found[counts > 1][0]} occurs more than once")
 
 
 def _is_assigned(status, target) -> np.ndarray:
@@ -311,7 +301,7 @@ def _locations(plan, path) -> np.ndarray:
             f"{ids[wrong][0]}; plan with DESI as built (Instrument.from_desi, or --instrument with the path of a file "
             "such as fp-metrology.csv), whose identifiers are locations, instead of the preset"
         )
-    _check_ids(ids, path)
+    check_unique(ids, f"{path}: LOCATION")
     return ids.astype(np.int64)
 
 

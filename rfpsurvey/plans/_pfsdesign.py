@@ -12,6 +12,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import head_of, read_fits_units
+from rfpsurvey._units import check_columns, check_unique
 from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import (
@@ -22,7 +23,6 @@ from rfpsurvey.plans._pfsdesign_write import (
     NATIVE,
     PFI_ANGLE,
     REQUIRED,
-    check_fibers,
     design_id,
     wrapped,
     write,
@@ -71,16 +71,14 @@ def read(path: Path) -> QTable:
             raise InputError(f"{path}: the file must have the extension {name}, got {listed(tables)}")
     tables = {name: _without_ragged(rows, name, path) for name, rows in tables.items()}
     rows = tables["DESIGN"]
-    for name in REQUIRED:
-        if name not in rows.dtype.names:
-            raise InputError(f"{path}: DESIGN must have the column {name!r}, got {listed(rows.dtype.names)}")
+    check_columns(rows.dtype.names, REQUIRED, f"{path}: DESIGN")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
     for name, kinds in COLUMNS.items():
         if name in rows.dtype.names:
             _check_column(rows, "DESIGN", name, kinds, path)
     fiber = rows["fiberId"]
-    check_fibers(fiber, path)
+    check_unique(fiber, f"{path}: fiberId")
     header = _values(primary, path)
     center = [_number(header, name, path) for name in ("RA", "DEC")]
     posang = _number(header, "POSANG", path) if "POSANG" in primary else 0.0
@@ -179,8 +177,7 @@ def _without_ragged(rows: np.ndarray, table: str, path: Path) -> np.ndarray:
 def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
     """Return columns of fluxes and filter names, shape (fiber, filter, ...); missing filters have empty names."""
     for name, kinds in (("fiberId", WHOLE), ("filterName", TEXT)):
-        if name not in rows.dtype.names:
-            raise InputError(f"{path}: PHOTOMETRY must have the column {name!r}, got {listed(rows.dtype.names)}")
+        check_columns(rows.dtype.names, [name], f"{path}: PHOTOMETRY")
         _check_column(rows, "PHOTOMETRY", name, kinds, path)
     if not np.isin(rows["fiberId"], fiber).all():
         strange = rows["fiberId"][~np.isin(rows["fiberId"], fiber)][0]

@@ -12,24 +12,11 @@ from astropy.table import QTable
 
 from rfpsurvey._io import output_path
 from rfpsurvey._readers import sentence
+from rfpsurvey._units import check_columns, check_unique
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.plans._plan import own_name
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
-
-__all__ = [
-    "COMMENTARY",
-    "FLUXES",
-    "FORMATS",
-    "FROM_TILE",
-    "NATIVE",
-    "PFI_ANGLE",
-    "REQUIRED",
-    "check_fibers",
-    "design_id",
-    "wrapped",
-    "write",
-]
 
 # Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
 # +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
@@ -95,7 +82,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     from astropy.io import fits
 
     rows, header = _rows(plan, path), without_keywords(_header(plan, path)) | to_keywords(plan.meta)
-    check_fibers(rows["fiberId"][0], path)
+    check_unique(rows["fiberId"][0], f"{path}: fiberId")
     number = _identifier(plan, rows)
     header["W_PFDSGN"] = number
     match = NAME.fullmatch(path.name)
@@ -134,13 +121,6 @@ def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:
     return int.from_bytes(hashlib.sha1(str(texts).encode(), usedforsecurity=False).digest()[-8:]) & (2**63 - 1)
 
 
-def check_fibers(fiber: np.ndarray, path: Path) -> None:
-    """Raise an error if a ``fiberId`` occurs more than once."""
-    names, counts = np.unique(fiber, return_counts=True)
-    if (counts > 1).any():
-        raise InputError(f"{path}: fiberId must be unique, but {names[counts > 1][0]} occurs more than once")
-
-
 def wrapped(angle: float) -> float:
     """Return an angle (deg) converted to the range from -180 (exclusive) to 180, and rounded to 1e-9."""
     return round(180 - (180 - angle) % 360, 9)
@@ -158,9 +138,8 @@ def _rows(plan: QTable, path: Path) -> dict:
         name = next((n for n, other in NATIVE.items() if other == native), own_name(native))
         if native == "pfiNominal":
             values = np.column_stack([plain["x"], plain["y"]])
-        elif name not in plain:
-            raise InputError(f"{path}: the plan must have the column {name!r}, got {listed(plan.colnames)}")
         else:
+            check_columns(plan.colnames, [name], f"{path}: the plan")
             values = plain[name]
         found[native] = values, _text_form(values) if form.endswith("A") else form
     for name in REQUIRED:

@@ -18,22 +18,6 @@ from rfpsurvey._readers import check_is_file, sentence
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
-__all__ = [
-    "COLUMNS",
-    "FORMATS",
-    "as_plan",
-    "is_plan",
-    "is_tile",
-    "make_plan",
-    "native_format",
-    "own_name",
-    "plan_roles",
-    "read_plan",
-    "recognize_plan",
-    "text_of_lost",
-    "write_plan",
-]
-
 FORMATS = {
     "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
     "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
@@ -62,6 +46,8 @@ COLUMNS = {
 """Common columns of all plans, in this order, with their units; ``theta`` to ``priority`` are optional."""
 REQUIRED = ("positioner", "fiber_type", "target_id", "kind", "assigned", "x", "y")
 FROM_TILE = {"id": "positioner", "tip_x": "x", "tip_y": "y"}
+PRIVATE = {"struct", "formats", "columns", "comments", "guide_stars", "extensions"}
+"""Entries of the ``meta`` of plans that were read from files; if these entries were edited, writing can fail."""
 OMITTED = ("x", "y", "status", "elbow_x", "elbow_y", "in_collision", "colliding_with", "clearance", "arm_x", "arm_y")
 
 
@@ -161,7 +147,9 @@ def write_plan(
         module.write(plan, path, overwrite=overwrite)
     except InputError:
         raise
-    except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:  # the plan was edited
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
+        if not PRIVATE & set(plan.meta):
+            raise
         raise InputError(f"{path}: the plan cannot be written, because it is damaged: {sentence(error)}") from error
     if lost:
         warn(f"{path} was written without {', '.join(lost)}, which this format cannot hold")

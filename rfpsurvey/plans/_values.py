@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError
 
-__all__ = ["ENTRIES", "from_keywords", "to_keywords", "to_type", "without_keywords"]
-
 PREFIX = "rfpsurvey."
 ENTRIES = ("north_of", "projection", "conditions")
 """Entries of the ``meta`` of a plan that describe how its sky positions were projected."""

@@ -13,7 +13,6 @@ from rfpsurvey.plot._focal_plane import plot_focal_plane
 from rfpsurvey.plot._instruments import draw_instruments, plot_instruments
 from rfpsurvey.plot._probability import plot_probability, plot_residuals
 from rfpsurvey.plot._quality import plot_quality
-from rfpsurvey.plot._reproduction import draw_reproduction
 from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
 from rfpsurvey.plot._targets import plot_targets
@@ -22,7 +21,6 @@ from rfpsurvey.plot._tiling import draw_tiling
 __all__ = [
     "COLORINGS",
     "draw_instruments",
-    "draw_reproduction",
     "draw_survey",
     "draw_tiling",
     "plot_allocators",

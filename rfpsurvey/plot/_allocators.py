@@ -12,8 +12,6 @@ from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OUTLINE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_allocators"]
-
 
 def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Plot the numbers of usable, lost and missing fibers for each allocator.

@@ -9,8 +9,6 @@ from rfpsurvey.plot._axes import add_circles, legend_line
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OBSTACLE, OPEN_CIRCLE, OUTLINE, PATROL
 
-__all__ = ["capsules", "draw_arms", "draw_marks", "draw_obstacles", "draw_patrol_areas"]
-
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}
 """Marker and legend label for each status of a positioner that is marked on the plot."""
 

@@ -17,22 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-__all__ = [
-    "add_circles",
-    "check_columns",
-    "focal_plane_axes",
-    "labeled",
-    "legend_below",
-    "legend_line",
-    "limits_of",
-    "named_plane",
-    "new_axes",
-    "new_grid",
-    "points_per_unit",
-    "spacing_of",
-    "values_of",
-]
-
 WIDTH = 7.0  # inches, width of a page
 PAD = 0.08  # inches, margin around all parts of a figure
 LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, space around the axes for labels, the title and a legend

@@ -4,8 +4,6 @@ import numpy as np
 
 from rfpsurvey.plot._axes import legend_below
 
-__all__ = ["stacked_bars"]
-
 FEWEST = 4
 HEADING = 0.9  # position of the word "observed" above the first bar
 

@@ -10,17 +10,6 @@ from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_cla
 from rfpsurvey.plot._axes import points_per_unit
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
 
-__all__ = [
-    "ASSIGNED",
-    "COLORINGS",
-    "KIND_COLORS",
-    "OUTCOME_COLORS",
-    "Layer",
-    "draw_layers",
-    "layers_of",
-    "legend_options",
-]
-
 COLORINGS = ("outcome", "kind", "category", "priority")
 OUTCOME_COLORS = {
     Outcome.OBSERVED: ARM,

@@ -19,8 +19,6 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_collision_map"]
-
 COLOR_BAR = 0.95  # inches
 SMALL = 4.0
 """Disks with a smaller diameter (points, 1/72 inch) have no edges, because edges would hide their colors."""
@@ -28,7 +26,7 @@ SMALL = 4.0
 
 def plot_collision_map(
     collisions: Estimate | CollisionCounts | CollisionReport | Tile | np.ndarray,
-    focal_plane: FocalPlane | Instrument | str | None = None,
+    instrument: FocalPlane | Instrument | str | None = None,
     *,
     ax: "Axes | None" = None,
     region: u.Quantity | None = None,
@@ -48,9 +46,9 @@ def plot_collision_map(
     collisions : Estimate, CollisionCounts, CollisionReport, Tile or array_like, shape (n,)
         Result to plot. An array contains a probability (NaN if the positioner is not counted) or a boolean for each
         positioner.
-    focal_plane : FocalPlane, Instrument or str, optional
+    instrument : FocalPlane, Instrument or str, optional
         The positioners; a str is the name of a preset. If ``collisions`` is a Tile, which contains its own positioners,
-        ``focal_plane`` must be None.
+        ``instrument`` must be None.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure is created.
     region : Quantity, shape (2, 2), optional
@@ -82,7 +80,7 @@ def plot_collision_map(
     >>> rs.plot.plot_collision_map(estimate, plane).get_title().split(":")[0]
     'quadrature, independent targets'
     """
-    centers, outer = _places(collisions, focal_plane)
+    centers, outer = _places(collisions, instrument)
     values, pairs, label, title = _values(collisions)
     if values.shape != (len(centers),):
         raise InputError(f"collisions must have a value for each of the {len(centers)} positioners, got {values.shape}")
@@ -102,19 +100,19 @@ def plot_collision_map(
     return ax
 
 
-def _places(collisions, focal_plane):
+def _places(collisions, instrument):
     """Return the centers of the positioners and the outer radii of their patrol areas, in mm."""
     if isinstance(collisions, Tile):
-        if focal_plane is not None:
-            raise InputError("focal_plane must be None for a Tile, which has its own positioners")
+        if instrument is not None:
+            raise InputError("instrument must be None for a Tile, which has its own positioners")
         table = collisions.table
         centers = np.column_stack([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
         return centers, np.asarray(table.meta["geometry"]["outer_radius_mm"])
-    if focal_plane is None:
+    if instrument is None:
         raise InputError(
-            f"focal_plane must be given: {type(collisions).__name__} does not contain the positions of the positioners"
+            f"instrument must be given: {type(collisions).__name__} does not contain the positions of the positioners"
         )
-    plane = as_focal_plane(focal_plane)
+    plane = as_focal_plane(instrument)
     return plane.arrays.xy, plane.arrays.outer_radius
 
 

@@ -10,8 +10,6 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["ORIENTATIONS", "add_compass", "position_angle_of"]
-
 ORIENTATIONS = ("sky", "focal plane")
 """Orientations: east to the left as on the sky (x increases to the left), or x increasing to the right."""
 LENGTH = 16  # points, length of an arrow

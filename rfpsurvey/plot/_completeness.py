@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_survey", "plot_completeness"]
-
 
 def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
     """Plot the completeness of a survey against the number of tiles, with a marker for each priority after each pass.

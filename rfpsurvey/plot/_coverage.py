@@ -15,15 +15,13 @@ from rfpsurvey.plot._style import LEVELS, OUTLINE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_coverage"]
-
 N_POINTS = 2**18
 """Number of random points from which the fractions in the legend are computed, with standard errors below 0.001."""
 FEWEST, MOST = 600, 1400  # limits of the default number of pixels along the longer side
 
 
 def plot_coverage(
-    focal_plane: FocalPlane | Instrument | str,
+    instrument: FocalPlane | Instrument | str,
     *,
     ax: "Axes | None" = None,
     region: u.Quantity | None = None,
@@ -40,7 +38,7 @@ def plot_coverage(
 
     Parameters
     ----------
-    focal_plane : FocalPlane, Instrument or str
+    instrument : FocalPlane, Instrument or str
         The positioners; a str is the name of a preset. Positioners that are disabled or stuck reach no points.
     ax : matplotlib.axes.Axes, optional
         Axes to draw on; by default, a new figure with the legend below the axes is created.
@@ -63,7 +61,7 @@ def plot_coverage(
     Raises
     ------
     InputError
-        If ``focal_plane`` is not a focal plane, or if ``region`` or ``n_pixels`` is out of range.
+        If ``instrument`` is not an instrument, or if ``region`` or ``n_pixels`` is out of range.
 
     Examples
     --------
@@ -77,7 +75,7 @@ def plot_coverage(
 
     if n_pixels is not None:
         check_whole(n_pixels, "n_pixels", 1, 5000)
-    name, plane = named_plane(focal_plane)
+    name, plane = named_plane(instrument)
     ax = focal_plane_axes(ax, plane.arrays.xy, plane.arrays.outer_radius, region, orientation)
     low, high = limits_of(ax)
     if n_pixels is None:

@@ -12,8 +12,6 @@ from rfpsurvey.plot._style import COLLISION, MARKERS, light_scale
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_designs"]
-
 LABELS = {
     "central_arm": "central arm",
     "eccentric_arm": "eccentric arm",

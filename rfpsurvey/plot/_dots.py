@@ -8,8 +8,6 @@ from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spac
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
-__all__ = ["SHORTEST", "arms_are_visible", "draw_cells", "draw_dots"]
-
 SHORTEST = 5.0
 """Smallest length of arms that are drawn, in points (1/72 inch)."""
 

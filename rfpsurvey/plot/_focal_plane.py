@@ -23,8 +23,6 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_focal_plane"]
-
 WITH_TARGET = ("assigned", "out_of_reach", "stuck")
 BLANK_SKY = SERIES[3]
 ROW = 0.22  # inches, height of a row of the legend

@@ -9,8 +9,6 @@ from rfpsurvey.plot._axes import add_circles, spacing_of
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import GROUP_COLORS
 
-__all__ = ["draw_groups"]
-
 PALE = 0.4
 """Opacity of fills below arms or dots, so that arms and dots of the same color remain visible."""
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_instruments", "plot_instruments"]
-
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
 """Colors from white to dark blue. On a page with a dark background, white becomes dark gray; other shades of blue would

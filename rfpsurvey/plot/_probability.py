@@ -14,8 +14,6 @@ from rfpsurvey.plot._style import DIVERGING, MARKERS, SERIES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_probability", "plot_residuals"]
-
 DEVIATIONS = 1.96
 LINES = ("-", "--", ":", "-.")
 

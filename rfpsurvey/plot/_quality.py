@@ -20,8 +20,6 @@ from rfpsurvey.tile import OUTCOMES_COLUMNS, Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_quality"]
-
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
 LONGEST = 50  # largest number of letters in a row of a legend

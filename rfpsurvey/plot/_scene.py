@@ -12,8 +12,6 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import limits_of, named_plane
 from rfpsurvey.tile import Tile
 
-__all__ = ["GROUPS", "Scene", "scene_of", "visible_part"]
-
 GROUPS = ("spectrograph", "fiber_type")
 
 

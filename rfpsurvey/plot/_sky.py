@@ -20,8 +20,6 @@ from rfpsurvey.tiling import Tiling
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_field", "draw_tiles", "plot_tiling", "radius_of"]
-
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45

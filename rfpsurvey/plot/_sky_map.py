@@ -8,8 +8,6 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey.region import Region, border_of, circle_around
 
-__all__ = ["SkyMap", "is_wide", "map_of", "outline_of_region", "outlines_of_whole_sky", "rims_of"]
-
 CORNERS, MOST_CORNERS = 36, 7200
 """Smallest number of points on the edge of a field, and intended total number of points on the edges of all fields. If
 there are few fields, each edge has more points, so that large circles look round."""

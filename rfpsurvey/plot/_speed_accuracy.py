@@ -13,8 +13,6 @@ from rfpsurvey.plot._style import MARKERS, SERIES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_probability_accuracy", "plot_speed_accuracy"]
-
 SHORT_AXIS = 100.0
 """If the upper limit of an axis is at least this number times the lower limit, only powers of ten are labeled."""
 BARS = {"linestyle": "none", "capsize": 2, "elinewidth": 0.9, "zorder": 1.5}

@@ -2,26 +2,6 @@
 
 import numpy as np
 
-__all__ = [
-    "ARM",
-    "COLLISION",
-    "DIVERGING",
-    "FADED",
-    "FAINT",
-    "GROUP_COLORS",
-    "HATCH",
-    "IDLE",
-    "LEVELS",
-    "MARKERS",
-    "OBSTACLE",
-    "OPEN_CIRCLE",
-    "OUTLINE",
-    "PATROL",
-    "PROBABILITY_COLORS",
-    "SERIES",
-    "light_scale",
-]
-
 # the palette of Okabe and Ito, whose colors color-blind people can distinguish
 PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
 SERIES = ("#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")

@@ -11,8 +11,6 @@ from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
 from rfpsurvey.survey import Survey
 
-__all__ = ["class_rows", "draw_survey_quality"]
-
 MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
 """Largest numbers of bars for classes, of bars for categories, and of passes with separate colors."""
 MOST_DOTS = 3000

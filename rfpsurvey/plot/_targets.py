@@ -18,8 +18,6 @@ from rfpsurvey.tile import Tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["codes_of", "outcomes_of", "plot_targets"]
-
 LARGEST = 6.2  # inches: longer side of the axes
 MARGIN = 0.03  # empty margin, as a fraction of the extent of the targets
 ROW = 0.23  # inches, height of a row of the legend

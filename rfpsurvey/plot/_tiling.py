@@ -16,8 +16,6 @@ from rfpsurvey.tiling import Tiling
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_tiling"]
-
 MOST_PANELS = 8
 WIDTH, PAD = 7.0, 0.08  # inches: width of a page, and margin around the figure
 WIDE = 1.6

@@ -6,8 +6,6 @@ import numpy as np
 from rfpsurvey._units import to_points_mm
 from rfpsurvey.errors import InputError, short
 
-__all__ = ["divide_polygon"]
-
 MOST = 500
 """Largest number of vertices; the computing time grows with the third power of the number of vertices."""
 

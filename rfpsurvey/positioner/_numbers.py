@@ -12,8 +12,6 @@ from rfpsurvey.errors import InputError, listed
 if TYPE_CHECKING:
     from rfpsurvey.positioner._positioner import Positioner
 
-__all__ = ["PositionerNumbers"]
-
 
 class PositionerNumbers:
     """The geometry of a positioner as numbers without units, in mm and radians.

@@ -12,8 +12,6 @@ from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
 from rfpsurvey._units import locked, to_points_mm, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 
-__all__ = ["ArmOutline", "convex_polygon", "make_outline", "with_normals"]
-
 MOST = 1e6
 """Largest coordinate and radius, mm."""
 SAME = 1e-9

@@ -12,8 +12,6 @@ from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_key
 from rfpsurvey.positioner._numbers import PositionerNumbers
 from rfpsurvey.positioner._outline import ArmOutline
 
-__all__ = ["ARM_MODELS", "HANDEDNESS", "Positioner"]
-
 HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip", "outline")
 

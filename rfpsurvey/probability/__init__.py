@@ -2,14 +2,13 @@
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
-from rfpsurvey.probability._fit import PolynomialFit, fit_polynomial
 from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
-from rfpsurvey.probability._methods import CHUNK, ESTIMANDS, METHODS
+from rfpsurvey.probability._methods import METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import rate_interval, run, summarize
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._simulate import QUEUEING, Simulation
 from rfpsurvey.probability._surrogate import (
     AXES,
     interior_probability,
@@ -22,12 +21,10 @@ from rfpsurvey.probability._targets import Source, make_source
 
 __all__ = [
     "AXES",
-    "CHUNK",
-    "ESTIMANDS",
     "INTERVALS",
     "METHODS",
+    "QUEUEING",
     "Estimate",
-    "PolynomialFit",
     "Precision",
     "ProbabilityQuestion",
     "RandomTargets",
@@ -35,7 +32,6 @@ __all__ = [
     "Source",
     "collision_probability",
     "find_method",
-    "fit_polynomial",
     "interior_probability",
     "make_source",
     "make_surrogate",

@@ -7,14 +7,15 @@ from rfpsurvey._kernels import areas
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["close_pair", "closed_form", "overlap_ratio"]
-
 VARIANTS = ("corrected", "pitch", "printed")
 N_CIRCLES = 400
 
 
 def overlap_ratio(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
-    """Return the fraction of each patrol area that at least one other positioner also reaches."""
+    """Return the fraction of each patrol area that at least one other positioner also reaches.
+
+    The fraction describes independent targets and has no error estimate.
+    """
     _check_margins(plane, "overlap_ratio", "broken")
     return _covered(plane, _overlapping(plane, both_ways=True)), {}
 
@@ -23,7 +24,7 @@ def closed_form(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the collision probability of each positioner by the closed form of Chen et al. (2024), arXiv:2409.07288.
 
     The closed form is Eq. 5 to 9 of the paper. The probability of a positioner is a sum over its neighbors. Each term
-    of the sum is a product of two ratios of areas.
+    of the sum is a product of two ratios of areas. The targets are independent, and there is no error estimate.
     """
     check_choice(variant, VARIANTS, "variant of the closed form")
     _check_arms(plane, "closed_form", "elbow_to_tip", "capsule")
@@ -59,7 +60,8 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     """Return the probability that another observed target lies within the minimum separation of a positioner's target.
 
     Each positioner observes one target. Targets are assumed to be uniformly distributed in the area that the
-    positioners reach. The number of targets near a given target therefore has a binomial distribution.
+    positioners reach. The number of targets near a given target therefore has a binomial distribution. The targets are
+    independent, and there is no error estimate.
     """
     _check_arms(plane, "close_pair", "elbow_to_tip", "capsule", "fiber_tip")
     _check_margins(plane, "close_pair", "broken")

@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._plugins import name_of
+from rfpsurvey._methods import describe_methods
 from rfpsurvey._units import is_seed_given, to_spawner
 from rfpsurvey.allocation import (
     Allocation,
@@ -36,25 +36,25 @@ from rfpsurvey.errors import (
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
-from rfpsurvey.probability._methods import USES, cheapest, check_usable, reason_of
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, cheapest, check_usable, reason_of
 from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets, as_precision
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES
 from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._simulate import QUEUEING
 from rfpsurvey.probability._targets import make_source
-
-__all__ = ["collision_probability"]
 
 
 @check_keywords
+@describe_methods(METHODS)
 def collision_probability(
-    focal_plane: FocalPlane | Instrument | str,
+    instrument: FocalPlane | Instrument | str,
     *,
     method: str | Callable = "conditional",
     estimand: str | None = None,
     targets: RandomTargets | str | Catalog | u.Quantity | Callable = "uniform",
     center: SkyCoord | None = None,
-    allocator: str | Callable | AllocationOptions = "balanced",
+    allocator: str | Callable | AllocationOptions = QUEUEING,
     most_entries: int | None = None,
     density: str | Callable | Allocation | list[Allocation] | None = None,
     variant: str = "corrected",
@@ -77,18 +77,12 @@ def collision_probability(
 
     Parameters
     ----------
-    focal_plane : FocalPlane, Instrument or str
+    instrument : FocalPlane, Instrument or str
         Object that contains the positioners. A str is the name of a preset, or the path of a TOML file.
     method : str or callable, optional
-        The estimand of each method is given in parentheses. ``conditional`` (allocated): for each realization of the
-        targets, average over all configurations that the queues allow. ``monte_carlo`` (allocated): use one
-        configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288. ``quadrature`` (independent):
-        integrate over the patrol areas of each positioner and its neighbors with scrambled Sobol points. Three other
-        methods (independent) give no error estimate: ``closed_form`` (Eq. 5 to 9 of Chen et al.), ``overlap_ratio``
-        (fraction of the patrol area that other positioners also reach), and ``close_pair`` (probability that another
-        observed target is closer than the minimum separation). ``auto``: the fastest method that estimates the
-        requested estimand and its error. Any other name refers to a method of an installed package. A function is
-        called with a `~rfpsurvey.probability.ProbabilityQuestion`.
+        {methods}
+        ``auto``: the fastest method that estimates the requested estimand and its error. Any other name refers to a
+        method of an installed package. A function is called with a `~rfpsurvey.probability.ProbabilityQuestion`.
     estimand : {"allocated", "independent"}, optional
         Quantity that ``auto`` estimates, ``allocated`` by default. With any other ``method``, the only allowed value is
         the estimand of that method.
@@ -177,34 +171,34 @@ def collision_probability(
     100
     """
     start = perf_counter()
-    plane = as_focal_plane(focal_plane)
+    plane = as_focal_plane(instrument)
     if plane.arrays.any_hidden:  # circles without targets do not affect collisions
         plane = replace(plane, hidden=None, margins=replace(plane.margins, broken_factor=0.0, hidden_factor=1.0))
-    instrument = as_instrument(focal_plane) if not isinstance(focal_plane, FocalPlane) else None
+    instrument = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:
-        check_choice(estimand, ("allocated", "independent"), "estimand")
-    name = cheapest(estimand or "allocated", options.allocator) if method == "auto" else name_of(method)
-    answer, asked = find_method(name if method == "auto" else method)
-    if estimand not in (None, asked):
-        raise InputError(f"{name!r} estimates the probability for {asked!r} targets, not for {estimand!r} targets")
+        check_choice(estimand, ESTIMANDS, "estimand")
+    chosen = find_method(cheapest(estimand or "allocated", options) if method == "auto" else method)
+    if estimand not in (None, chosen.estimand):
+        raise InputError(
+            f"{chosen.name!r} estimates the probability for {chosen.estimand!r} targets, not for {estimand!r} targets"
+        )
     _check_density(density)
     _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     _check_science_only(options)
     source = None
-    if asked == "allocated":
+    if chosen.estimand == "allocated":
         source = make_source(plane, instrument, targets, center)
         if method == "auto":
-            name = cheapest("allocated", options.allocator, source)
-            answer, _ = find_method(name)
+            chosen = find_method(cheapest("allocated", options, source))
         warn_of_unused_options([options], plane)
     usual = isinstance(targets, RandomTargets) and targets == RandomTargets()
     given = {"density": density, "variant": variant, "targets": "uniform" if usual else targets, "center": center}
     given["most_entries"] = most_entries
-    _warn_of_unused(name if method == "auto" else method, options, precision, rng, given)
-    precision = precision.for_method(name)
+    _warn_of_unused(chosen, options, precision, rng, given)
+    precision = precision.for_method(chosen.most_iterations or MOST_ITERATIONS, powers_of_two=chosen.powers_of_two)
     question = ProbabilityQuestion(
         plane,
         source,
@@ -218,11 +212,12 @@ def collision_probability(
         progress,
     )
     nothing_can_touch = len(plane.arrays.neighbors) == len(plane.arrays.obstacle_pairs) == 0
-    found = _zero(plane, source) if nothing_can_touch and name in MOST_ITERATIONS else answer(question)
+    has_error = chosen.most_iterations is not None
+    found = _zero(plane, source) if nothing_can_touch and has_error else chosen.estimate(question)
     wanted = precision.standard_error
     if wanted is not None and not found.pop("met", True):
         warn(
-            f"the standard error after {found['n']} iterations{' (the maximum)' if name in MOST_ITERATIONS else ''} is "
+            f"the standard error after {found['n']} iterations{' (the maximum)' if has_error else ''} is "
             f"{found['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
             f"{wanted:g}"
         )
@@ -233,24 +228,26 @@ def collision_probability(
         "n_positioners": len(plane),
         **found.pop("meta"),
     }
-    meta["choice"] = meta.get("certain") or reason_of(name, source, chosen=method == "auto")
+    meta["choice"] = meta.get("certain") or reason_of(chosen.name, source, chosen=method == "auto")
     if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}
-    estimate = Estimate(**found, method=name, estimand=asked, seconds=perf_counter() - start, meta=meta)
+    estimate = Estimate(
+        **found, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
+    )
     return with_dynamic(estimate, float(dynamic))
 
 
-def _warn_of_unused(name, options, precision, rng, given) -> None:
+def _warn_of_unused(method, options, precision, rng, given) -> None:
     """Issue a warning for each given option that the method does not use."""
     usual = {"targets": "uniform", "variant": "corrected"}
     names = [one for one, value in given.items() if not _is_usual(value, usual.get(one))]
-    if (options.allocator != "balanced" or given_options(options)) and _is_usual(given["density"], None, str, Callable):
+    if (options.allocator != QUEUEING or given_options(options)) and _is_usual(given["density"], None, str, Callable):
         names.append("allocator")
     changed = [one.name for one in fields(precision) if getattr(precision, one.name) != one.default]
     names += ["rng"] if is_seed_given(rng) else []
     names += dict.fromkeys(one if one in ("interval", "stop") else "precision" for one in changed)
-    warn_of_unused(names, [name], USES, "method")
-    if "center" in names and "center" in USES.get(name, ()) and not isinstance(given["targets"], Catalog):
+    warn_of_unused(names, [method], METHODS.values(), "method")
+    if "center" in names and "center" in (method.options or ()) and not isinstance(given["targets"], Catalog):
         warn_no_effect("center", "because targets is not a Catalog")
 
 

@@ -10,8 +10,6 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._simulate import Tally
 from rfpsurvey.probability._workspace import make_entries, make_positioners
 
-__all__ = ["as_allocations", "pool"]
-
 
 def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | None:
     """Return the allocations whose queues define the density; None if ``density`` does not contain allocations."""

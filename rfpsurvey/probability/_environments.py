@@ -5,8 +5,6 @@ from scipy.spatial import cKDTree
 
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["environments"]
-
 RESOLUTION = 1e-6
 """Positions that differ by less than this distance (mm) are treated as equal."""
 

@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey._display import to_html
 
-__all__ = ["Estimate"]
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:

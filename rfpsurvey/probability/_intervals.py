@@ -3,8 +3,6 @@
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-__all__ = ["INTERVALS", "converged", "effective_number", "wilson"]
-
 
 def wilson(p: float, n: float, quantile: float) -> tuple[float, float]:
     """Return Wilson's interval for ``n`` independent trials with the fraction ``p`` of successes.

@@ -1,28 +1,51 @@
 """Methods for collision probabilities: functions of a `ProbabilityQuestion` that return fields of an `Estimate`."""
 
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from rfpsurvey._methods import Method, table_of
 from rfpsurvey._progress import Progress
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
 from rfpsurvey.probability._empirical import as_allocations, pool
+from rfpsurvey.probability._options import MOST_ITERATIONS
 from rfpsurvey.probability._quadrature import Quadrature, integrate
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "USES", "cheapest", "check_usable"]
+__all__ = ["ESTIMANDS", "METHODS", "ProbabilityMethod", "cheapest", "check_usable", "reason_of"]
 
-CHUNK = {"monte_carlo": 64, "conditional": 8}
-"""Number of realizations that are simulated together, as one task of an executor, by method.
+SHORT = 2.0
+"""If there are fewer targets per positioner than this number, ``monte_carlo`` is faster than ``conditional``."""
 
-Results depend on this number, but not on the number of workers.
-"""
-QUEUEING = ("balanced",)
-"""Allocators that make a queue of targets for each positioner; ``conditional`` averages over these targets."""
+
+@dataclass(frozen=True)
+class ProbabilityMethod(Method):
+    """A method that computes collision probabilities; the function takes a `ProbabilityQuestion`."""
+
+    estimand: str = "independent"
+    """The quantity that the method estimates."""
+    is_formula: bool = False
+    """Whether the function evaluates a formula for a focal plane and a variant, without an error estimate."""
+    most_iterations: int | None = None
+    """Default maximum number of iterations; None if the method does not iterate."""
+    powers_of_two: bool = False
+    """Whether the number of iterations must be a power of two."""
+    chunk: int = 1
+    """Number of realizations that are simulated together, as one task of an executor; results depend on this number."""
+    supports_outlines: bool = True
+    """Whether arms may have outlines."""
+    efforts: tuple[int, ...] = (0,)
+    """Numbers of iterations for which a benchmark measures the method; 0 for a formula."""
+
+    def estimate(self, question: ProbabilityQuestion) -> dict:
+        """Return fields of an `Estimate`."""
+        return _evaluate(self.function, question) if self.is_formula else self.function(question)
 
 
 def check_usable(plane: FocalPlane) -> None:
@@ -31,7 +54,7 @@ def check_usable(plane: FocalPlane) -> None:
         raise InputError("at least one positioner must be usable, but every positioner is disabled or stuck")
 
 
-def _formula(function, question: ProbabilityQuestion) -> dict:
+def _evaluate(function, question: ProbabilityQuestion) -> dict:
     check_usable(question.focal_plane)
     per_positioner, meta = function(question.focal_plane, question.variant)
     used = question.focal_plane.arrays.usable
@@ -47,25 +70,26 @@ def _formula(function, question: ProbabilityQuestion) -> dict:
     }
 
 
-def _simulated(name: str, question: ProbabilityQuestion) -> dict:
-    simulation, given = question.simulation, question.targets.kind == "given"
-    task, precision = simulation.draw if name == "monte_carlo" else simulation.expect, question.precision
-    if given and name == "conditional" and question.most_entries is None:
-        # one realization is sufficient, since it averages over all configurations of the given targets
+def monte_carlo(question: ProbabilityQuestion) -> dict:
+    """For allocated targets: use one configuration for each realization, as in Chen et al. (2024), arXiv:2409.07288."""
+    return _simulated(question, question.simulation.draw, METHODS["monte_carlo"].chunk)
+
+
+def conditional(question: ProbabilityQuestion) -> dict:
+    """For allocated targets: average over all configurations that the queues allow, for each realization of targets."""
+    # one realization is sufficient if it averages over all configurations of given targets
+    once = question.targets.kind == "given" and question.most_entries is None
+    return _simulated(question, question.simulation.expect, METHODS["conditional"].chunk, once=once)
+
+
+def _simulated(question: ProbabilityQuestion, task: Callable, chunk: int, *, once: bool = False) -> dict:
+    precision, plane, given = question.precision, question.focal_plane, question.targets.kind == "given"
+    if once:
         tally = task(1, question.rng)
-        found = {**summarize(tally, question.focal_plane, precision, question.rng, given=True), "met": True}
+        found = {**summarize(tally, plane, precision, question.rng, given=True), "met": True}
     else:
         with Progress(question.progress) as bar:
-            tally, found = run(
-                task,
-                CHUNK[name],
-                precision,
-                question.focal_plane,
-                question.rng,
-                question.executor,
-                bar,
-                given=given,
-            )
+            tally, found = run(task, chunk, precision, plane, question.rng, question.executor, bar, given=given)
             bar(1)
     return {
         **_of_tally(tally, found),
@@ -81,7 +105,11 @@ def _simulated(name: str, question: ProbabilityQuestion) -> dict:
     }
 
 
-def _integrated(question: ProbabilityQuestion) -> dict:
+def quadrature(question: ProbabilityQuestion) -> dict:
+    """For independent targets: integrate over the patrol areas of each positioner and its neighbors with Sobol points.
+
+    The points are scrambled.
+    """
     allocations = as_allocations(question.density, question.focal_plane)
     if allocations is not None:
         tally = pool(question.focal_plane, allocations, parked_obstacles=question.parked_obstacles)
@@ -114,38 +142,40 @@ def _of_tally(tally, found) -> dict:
     }
 
 
-METHODS = {
-    "overlap_ratio": partial(_formula, overlap_ratio),
-    "closed_form": partial(_formula, closed_form),
-    "close_pair": partial(_formula, close_pair),
-    "quadrature": _integrated,
-    "monte_carlo": partial(_simulated, "monte_carlo"),
-    "conditional": partial(_simulated, "conditional"),
-}
-"""Methods by name; each method is a function that takes a `ProbabilityQuestion`."""
-
-ESTIMANDS = {
-    "overlap_ratio": "independent",
-    "closed_form": "independent",
-    "close_pair": "independent",
-    "quadrature": "independent",
-    "monte_carlo": "allocated",
-    "conditional": "allocated",
-}
-
 _SIMULATION = ("targets", "center", "allocator", "precision", "interval", "stop", "rng")
-USES = {
-    "overlap_ratio": (),
-    "closed_form": ("variant",),
-    "close_pair": (),
-    "quadrature": ("density", "precision", "rng"),
-    "monte_carlo": _SIMULATION,
-    "conditional": (*_SIMULATION, "most_entries"),
-}
-"""Names of the options that each method uses. The table does not contain the options that all methods use."""
-
-SHORT = 2.0
-"""If there are fewer targets per positioner than this number, ``monte_carlo`` is faster than ``conditional``."""
+METHODS = table_of(
+    ProbabilityMethod("overlap_ratio", overlap_ratio, is_formula=True),
+    ProbabilityMethod("closed_form", closed_form, ("variant",), is_formula=True, supports_outlines=False),
+    ProbabilityMethod("close_pair", close_pair, is_formula=True, supports_outlines=False),
+    ProbabilityMethod(
+        "quadrature",
+        quadrature,
+        ("density", "precision", "rng"),
+        most_iterations=2**14,
+        powers_of_two=True,
+        efforts=(32, 64, 128, 256),
+    ),
+    ProbabilityMethod(
+        "monte_carlo",
+        monte_carlo,
+        _SIMULATION,
+        estimand="allocated",
+        most_iterations=MOST_ITERATIONS,
+        chunk=64,
+        efforts=(16, 64, 256),
+    ),
+    ProbabilityMethod(
+        "conditional",
+        conditional,
+        (*_SIMULATION, "most_entries"),
+        estimand="allocated",
+        most_iterations=100_000,
+        chunk=8,
+        efforts=(4, 16, 64),
+    ),
+)
+"""Methods that compute collision probabilities, by name."""
+ESTIMANDS = tuple(dict.fromkeys(one.estimand for one in METHODS.values()))
 
 
 def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
@@ -161,7 +191,7 @@ def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
     return f"monte_carlo, since {why}"
 
 
-def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str:
+def cheapest(estimand: str, options: AllocationOptions, source: Source | None = None) -> str:
     """Return the name of the fastest method that estimates both the given estimand and the error of this estimate.
 
     ``conditional`` averages over the targets of the queues. Longer queues increase the computing time per realization,
@@ -172,4 +202,4 @@ def cheapest(estimand: str, allocator: str, source: Source | None = None) -> str
         return "monte_carlo"
     if estimand == "independent":
         return "quadrature"
-    return "conditional" if allocator in QUEUEING else "monte_carlo"
+    return "conditional" if options.method.makes_queues else "monte_carlo"

@@ -5,8 +5,6 @@ from scipy.sparse import coo_array
 
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["FEWEST_DEGREES", "sky_variance"]
-
 FEWEST_DEGREES = 3.0
 """With fewer degrees of freedom than this, the variance is so uncertain that no interval is given."""
 ENOUGH_DEGREES = 20.0

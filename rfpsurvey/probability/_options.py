@@ -10,15 +10,11 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
-__all__ = ["KINDS", "MOST_ITERATIONS", "Precision", "RandomTargets", "as_precision"]
-
 KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
 MOST_TARGETS = 1_000_000
-MOST_POINTS = 2**14
-"""Maximum number of points per positioner in each of the randomized repetitions of a quadrature."""
 STANDARD_ERROR = 1e-3
-MOST_ITERATIONS = {"monte_carlo": 1_000_000, "conditional": 100_000, "quadrature": MOST_POINTS}
+MOST_ITERATIONS = 1_000_000
 
 
 @check_keywords
@@ -154,13 +150,15 @@ class Precision:
         """Half width of the confidence interval at which iterations end; 0 if ``standard_error`` is None."""
         return 0.0 if self.standard_error is None else quantile(self.confidence, np.inf) * self.standard_error
 
-    def for_method(self, name: str) -> "Precision":
+    def for_method(self, most_iterations: int = MOST_ITERATIONS, *, powers_of_two: bool = False) -> "Precision":
         """Return a copy in which the options that are not given have the default values of a method.
 
         Parameters
         ----------
-        name : str
-            Name of the method.
+        most_iterations : int, optional
+            Default maximum number of iterations of the method.
+        powers_of_two : bool, optional
+            Whether the number of iterations must be a power of two, and at most ``most_iterations``.
 
         Returns
         -------
@@ -169,11 +167,10 @@ class Precision:
         """
         if self.max_iterations is None:
             error = STANDARD_ERROR if self.standard_error is None else self.standard_error
-            most = MOST_ITERATIONS.get(name, MOST_ITERATIONS["monte_carlo"])
-            return replace(self, standard_error=error, max_iterations=most)
+            return replace(self, standard_error=error, max_iterations=most_iterations)
         most = int(self.max_iterations)
-        if name == "quadrature":  # the number of Sobol points is a power of two
-            most = 2 ** int(np.log2(min(most, MOST_POINTS)))
+        if powers_of_two:
+            most = 2 ** int(np.log2(min(most, most_iterations)))
         return replace(self, max_iterations=most)
 
 

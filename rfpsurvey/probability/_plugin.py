@@ -11,10 +11,8 @@ from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS, check_usable
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, ProbabilityMethod, check_usable
 from rfpsurvey.probability._question import ProbabilityQuestion
-
-__all__ = ["find_method"]
 
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})
@@ -23,17 +21,15 @@ PARTS = ("value", "value_assigned", "low", "high", "per_positioner")
 SLACK = 1e-9
 
 
-def find_method(
-    given: str | Callable, known: Iterable[str] = (*METHODS, "auto")
-) -> tuple[Callable[[ProbabilityQuestion], dict], str]:
-    """Return the function that computes an estimate from a `ProbabilityQuestion`, and the estimand of the function."""
+def find_method(given: str | Callable, known: Iterable[str] = (*METHODS, "auto")) -> ProbabilityMethod:
+    """Return a method that is given by its name or as a function."""
     if isinstance(given, str) and given in METHODS:
-        return METHODS[given], ESTIMANDS[given]
+        return METHODS[given]
     plugin = find_function(GROUP, given, known, "method of collision probability")
     with plugin.answering():
         estimand = getattr(plugin.value, "estimand", "independent")
-        check_choice(estimand, set(ESTIMANDS.values()), "estimand")
-    return partial(_ask, plugin), estimand
+        check_choice(estimand, ESTIMANDS, "estimand")
+    return ProbabilityMethod(plugin.name, partial(_ask, plugin), None, estimand=estimand)
 
 
 def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rfpsurvey._executors import map_in_order
-from rfpsurvey._kernels import arms, queues
+from rfpsurvey._kernels import queues
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import locked, to_plain
 from rfpsurvey.collision import make_setup
@@ -19,8 +19,6 @@ from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._workspace import make_entries, make_positioners
-
-__all__ = ["DENSITIES", "Quadrature", "integrate"]
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
@@ -82,11 +80,7 @@ class Quadrature:
         tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
         entries = make_entries(len(own), len(rows))
         entries.weight[: len(rows)] = self._weight(rows, tips)
-        segments = np.empty((4, len(rows)))
-        arms.place(tips, plane.arrays.geometry_of(rows), plane.arrays.sides(tips, rows), segments)
-        angles = (column[rows] for column in plane.arrays.angles)
-        arms.shape(segments, plane.arrays.model, plane.arrays.length, *angles)
-        entries.segments[:, : len(rows)] = segments
+        entries.segments[:, : len(rows)] = plane.arrays.segments_of(rows, None, tips)
         queues.prepare_entries(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), entries)
         if not (entries.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)

@@ -10,10 +10,8 @@ import numpy as np
 from rfpsurvey.allocation import Allocation, AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability._simulate import QUEUEING, Simulation
 from rfpsurvey.probability._targets import Source
-
-__all__ = ["ProbabilityQuestion"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +69,8 @@ class ProbabilityQuestion:
 
     focal_plane: FocalPlane
     targets: Source | None = None
-    options: AllocationOptions = field(default_factory=lambda: AllocationOptions("balanced"))
-    precision: Precision = field(default_factory=lambda: Precision().for_method(""))
+    options: AllocationOptions = field(default_factory=lambda: AllocationOptions(QUEUEING))
+    precision: Precision = field(default_factory=Precision().for_method)
     rng: np.random.Generator | None = None
     most_entries: int | None = None
     density: object = "uniform"

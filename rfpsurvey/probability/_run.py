@@ -14,8 +14,6 @@ from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._options import Precision
 from rfpsurvey.probability._simulate import Tally, merge
 
-__all__ = ["rate_interval", "run", "summarize"]
-
 FIRST_TASKS = 2
 """Number of tasks (groups of realizations) that are simulated before the error is first estimated."""
 GROWTH = 8

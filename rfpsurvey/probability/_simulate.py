@@ -12,7 +12,8 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
 from rfpsurvey.probability._workspace import make_entries, make_positioners, make_realization
 
-__all__ = ["Simulation", "Tally", "merge"]
+QUEUEING = "balanced"
+"""The allocator whose queues define the estimand, unless the user chooses another one; kernels simulate this one."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,7 @@ class Simulation:
     @property
     def compiled(self) -> bool:
         """Whether compiled kernels run the whole simulation."""
-        balanced = self.options.allocator == "balanced"
-        return self.source.compiled and balanced and self.plane.arrays.poses_free
+        return self.source.compiled and self.options.allocator == QUEUEING and self.plane.arrays.poses_free
 
     def draw(self, size: int, rng: np.random.Generator) -> Tally:
         """Draw realizations, and return the numbers of collisions in one configuration of each realization."""

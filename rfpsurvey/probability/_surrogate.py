@@ -20,8 +20,6 @@ from rfpsurvey.probability._quadrature import SCRAMBLES, Quadrature
 if TYPE_CHECKING:
     from scipy.interpolate import NdBSpline
 
-__all__ = ["interior_probability", "make_surrogate", "outside_box", "surrogate_probability", "surrogate_spline"]
-
 AXES = {
     "central arm over pitch": np.linspace(0.20, 0.60, 21),
     "eccentric over central arm": np.linspace(1.0, 3.0, 21),

@@ -16,8 +16,6 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.probability._options import KINDS, RandomTargets
 
-__all__ = ["Source", "make_source"]
-
 PER_FIBER = 4.0
 """Default number of targets per positioner; Chen et al. (2024) use this number for LAMOST."""
 FILLING = 0.5

@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._kernels import arms, batch, queues, simulate
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["make_entries", "make_positioners", "make_realization"]
-
 
 def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
     """Return the data that determine which targets each positioner reaches, and which poses its arms have.

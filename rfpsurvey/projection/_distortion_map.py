@@ -12,8 +12,6 @@ from rfpsurvey._readers import read_table
 from rfpsurvey._units import to_mm, to_scalar, to_unit
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
 
-__all__ = ["DistortionMap"]
-
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
 # The maximum tangent for which a map is valid is the maximum tangent of the traced directions, multiplied by this
 # factor.

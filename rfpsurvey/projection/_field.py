@@ -7,8 +7,6 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._radial_map import RadialMap
 
-__all__ = ["FieldProjection", "field_basis"]
-
 
 class FieldProjection:
     """The projection of a field onto the focal plane, for arrays without units.

@@ -11,8 +11,6 @@ from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
 
-__all__ = ["RadialMap"]
-
 _FORMS = {"theta": sky.THETA, "tan_theta": sky.TAN_THETA, "sine": sky.SINE}
 _SCALE = u.mm / u.rad
 

@@ -13,8 +13,6 @@ from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._field import FieldProjection, field_basis
 from rfpsurvey.projection._radial_map import RadialMap
 
-__all__ = ["TangentPlane"]
-
 _SCALE = u.mm / u.rad
 
 

@@ -13,8 +13,6 @@ from rfpsurvey.errors import InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
 from rfpsurvey.region._sphere import is_inside
 
-__all__ = ["Region"]
-
 FORMS = {
     "cap": "cap RA DEC RADIUS",
     "box": "box RA1 RA2 DEC1 DEC2",

@@ -7,19 +7,6 @@ import numpy as np
 
 from rfpsurvey._units import to_lonlat
 
-__all__ = [
-    "angle",
-    "arc",
-    "box_area",
-    "box_contains",
-    "box_distance",
-    "edges_cross",
-    "from_lonlat",
-    "polygon_area",
-    "polygon_contains",
-    "polygon_distance",
-]
-
 # Largest product of the number of directions and the number of edges that are processed together.
 CHUNK = 2_000_000
 

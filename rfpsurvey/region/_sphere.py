@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey import _healpix
 from rfpsurvey.region import _shapes
 
-__all__ = ["border_of", "circle_around", "distance_to", "is_inside"]
-
 
 def is_inside(region, vectors: np.ndarray) -> np.ndarray:
     """Return whether unit vectors, shape (n, 3), are inside a `Region`."""

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Facts", "Page", "Picture", "Rows", "Section", "Text", "View"]
-
 
 @dataclass(frozen=True)
 class Text:

@@ -5,8 +5,6 @@ from astropy.units import Quantity
 
 from rfpsurvey.report._numbers import column_texts
 
-__all__ = ["MISSING", "cells_of"]
-
 MISSING = "\N{EN DASH}"
 SKY = {"ra": 6, "dec": 6}  # numbers of decimals, for columns in degrees
 

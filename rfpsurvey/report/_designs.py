@@ -12,8 +12,6 @@ from rfpsurvey.report._blocks import Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._pack import pack, pack_texts
 from rfpsurvey.report._text import text_of
 
-__all__ = ["calculator_data", "is_designs", "page_of_designs"]
-
 CAPTION = "The designs of the scan."
 WORDS = (
     "Each point is a design. The color and the marker show the ratio of the arms or, if all ratios are equal, the "

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from rfpsurvey.tile import Tile
     from rfpsurvey.tiling import Tiling
 
-__all__ = ["TILING", "estimate_facts", "survey_facts", "tile_facts", "tile_objectives", "tiling_facts"]
-
 TILE = {
     "n_targets": "targets in the catalog",
     "n_dropped": "  removed (coordinates not finite)",

@@ -12,8 +12,6 @@ from rfpsurvey.report._pack import pack, pack_texts
 from rfpsurvey.report._text import text_of
 from rfpsurvey.tile import Tile
 
-__all__ = ["check_plans", "focal_plane_view", "name_of", "view_data"]
-
 MM, DEG, SKY = 3, 3, 6
 """Numbers of decimals of lengths in mm, of angles in degrees, and of positions on the sky in degrees."""
 PLAN_COLUMNS = {

@@ -22,8 +22,6 @@ from rfpsurvey.tile import versions
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["html_of"]
-
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
 MOST_ITEMS = 30  # largest number of values that the page shows of a list in the provenance
 NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts that a view requires

@@ -12,8 +12,6 @@ from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 from rfpsurvey.tiling import Tiling
 
-__all__ = ["NotebookView", "notebook_view"]
-
 
 @dataclass(frozen=True)
 class NotebookView:

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 
-__all__ = ["column_texts", "number_text"]
-
 DIGITS = 4
 SMALL, LARGE = 1e-4, 1e7  # numbers outside of this range are written with an exponent
 WIDE = 100  # if the numbers of a column differ by this factor or more, each number has its own number of decimals

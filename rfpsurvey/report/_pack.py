@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey.report._text import text_of
 
-__all__ = ["json_of", "pack", "pack_texts"]
-
 FEW = 64  # a text column with at most this many different values is stored as names and the index of each name
 
 

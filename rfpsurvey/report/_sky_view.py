@@ -8,8 +8,6 @@ from astropy.table import Table
 from rfpsurvey.report._blocks import View
 from rfpsurvey.report._pack import pack
 
-__all__ = ["sky_view"]
-
 DECIMALS = 4
 """Number of decimals of positions in degrees, and of fractions."""
 WIDE = 70

@@ -8,8 +8,6 @@ from rfpsurvey.report._sky_view import sky_view
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
 
-__all__ = ["page_of_survey", "page_of_tiling"]
-
 
 def page_of_survey(survey: Survey, where: str) -> Page:
     """Return the report page of a survey."""

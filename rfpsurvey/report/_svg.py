@@ -9,8 +9,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-__all__ = ["dark_grays", "svg_of"]
-
 # In figures with more than MOST_POINTS points, artists with more than MANY_POINTS points become images inside the SVG,
 # because the arms of 4000 positioners, for example, would take megabytes as paths.
 MOST_POINTS = 60_000

@@ -2,8 +2,6 @@
 
 import unicodedata
 
-__all__ = ["text_of"]
-
 BAD = ("Cc", "Cn", "Co", "Cs")
 """Unicode categories of characters that are not text: control, unassigned, private-use and surrogate characters."""
 TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"

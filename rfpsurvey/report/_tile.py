@@ -6,13 +6,12 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.tile import Tile, collision_shape
-
-__all__ = ["page_of_tile"]
 
 COLUMNS = (
     "id",
@@ -101,7 +100,7 @@ def _asked(tile) -> dict:
         asked["circles that no arm may cover"] = p["keep_out"]
     if p.get("sky_separation_mm"):
         asked["minimum distance of sky positions from targets"] = f"{p['sky_separation_mm']:.4g} mm"
-    if p["allocator"] in ("sdss", "optimal"):
+    if p["allocator"] in METHODS and METHODS[p["allocator"]].searches:
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
     asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
     if "model" in tile.summary:

@@ -19,7 +19,6 @@ from rfpsurvey.report._html import html_of
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
 from rfpsurvey.report._tables import (
     page_of_allocators,
-    page_of_claims,
     page_of_estimate,
     page_of_instruments,
     page_of_table,
@@ -28,8 +27,6 @@ from rfpsurvey.report._tile import page_of_tile
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 from rfpsurvey.tiling import Tiling
-
-__all__ = ["MADE_BY", "PAGES", "check_report", "write_report"]
 
 PAGES: dict[type, Callable[..., Page]] = {
     Tile: page_of_tile,
@@ -45,7 +42,6 @@ The arguments of the function are the result, and the name of the file that cont
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
-    "reproduce": (page_of_claims, {"experiment", "verdict"}),
 }
 """For each value of ``meta["made_by"]`` of a table, the function that makes its page, and the required columns."""
 WITH_PLANS = (page_of_tile, page_of_allocators)
@@ -78,8 +74,8 @@ def write_report(
     Parameters
     ----------
     result : Tile, Survey, Tiling, Estimate, Table or QTable
-        Result to show. A table is shown with its ``meta``; tables of `compare_allocators`, `compare_instruments` and
-        `~rfpsurvey.reproduction.reproduce` have special pages.
+        Result to show. A table is shown with its ``meta``; tables of `compare_allocators` and `compare_instruments`
+        have special pages.
     path : str or path-like
         Path that ends in ``.html`` or ``.htm``.
     overwrite : bool, optional

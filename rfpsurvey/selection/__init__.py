@@ -2,6 +2,13 @@
 
 from rfpsurvey.selection._potential import PotentialAssignments, potential_assignments
 from rfpsurvey.selection._probabilities import SelectionProbabilities
+from rfpsurvey.selection._rules import RULES
 from rfpsurvey.selection._select import selection_probabilities
 
-__all__ = ["PotentialAssignments", "SelectionProbabilities", "potential_assignments", "selection_probabilities"]
+__all__ = [
+    "RULES",
+    "PotentialAssignments",
+    "SelectionProbabilities",
+    "potential_assignments",
+    "selection_probabilities",
+]

@@ -18,8 +18,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import count_tiles, count_type, in_order
-from rfpsurvey.selection._work import find_reach
-from rfpsurvey.survey import Job, Request, Survey, prepare_request
+from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 __all__ = ["PotentialAssignments", "potential_assignments"]
@@ -45,7 +44,7 @@ class ReachJob(NamedTuple):
 
 @check_keywords
 def potential_assignments(
-    points: Catalog | PartitionedCatalog | SkyCoord | Table,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
     tiles: Tiling | Table | SkyCoord,
     *,
@@ -62,7 +61,7 @@ def potential_assignments(
 
     Parameters
     ----------
-    points : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The points.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
@@ -114,7 +113,7 @@ def potential_assignments(
     if not callable(progress):
         check_switch(progress, "progress")
     request = prepare_request(
-        points,
+        catalog,
         instrument,
         tiles,
         allocator="nearest",
@@ -260,14 +259,14 @@ class PotentialAssignments:
         """Return the rows of the positioners that lose their target to a collision in a tile."""
         if self.survey is None:
             return NO_ROWS
-        visits = self.survey.visits(self.request.tiling.table["tile"][tile])
+        visits = self.survey.tile(self.request.tiling.table["tile"][tile])
         ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
         return np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))
 
 
 def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each pair in reach, the row of the positioner and the index of the target in the field."""
-    pairs = find_reach(given.job)[2]
+    pairs = reach_of(given.job).pairs
     if len(given.excluded):
         pairs = pairs.where(~np.isin(pairs.owner, given.excluded))
     return pairs.owner, pairs.target

@@ -24,8 +24,8 @@ def request_of(request: Request, seed: int) -> Request:
 def in_batch(request: Request) -> bool:
     """Return whether all realizations of a block can be planned together."""
     options = request.options
-    # ``lamost`` meets requirements; ``nearest`` and ``balanced`` ignore requirements.
-    simple = options.sky_separation is None and not (options.name == "lamost" and options.requirements)
+    # the rules do not meet requirements, which some of the allocators with a rule ignore as well
+    simple = options.sky_separation is None and not (options.requirements and options.method.uses("requirements"))
     return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
 

@@ -1,6 +1,6 @@
 """Rules by which three allocators assign the targets of a tile, each for all realizations of a block.
 
-A rule is a function of a `Field` and of an array ``chosen``. For each realization and positioner, the rule writes to
+A rule is a function of a `BlockProblem` and of an array ``chosen``. For each realization and positioner, it writes to
 ``chosen`` the index of the pair that assigns a target to the positioner, or -1 if the positioner has no target.
 """
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.allocation import id_numbers
-from rfpsurvey.focal_plane import FocalPlaneArrays, Reach
-from rfpsurvey.pipeline import FieldTargets
+from rfpsurvey.focal_plane import Reach
+from rfpsurvey.pipeline import FieldReach
 
-__all__ = ["RULES", "Field"]
+__all__ = ["RULES", "BlockProblem"]
 
 
-class Field(NamedTuple):
+class BlockProblem(NamedTuple):
     """The targets of a field, and the pairs of a target and a positioner that may be assigned."""
 
     pairs: Reach
@@ -34,12 +34,13 @@ class Field(NamedTuple):
     """For each positioner, an upper limit of the number of other positioners that can reach any of its targets."""
 
     @classmethod
-    def of(cls, plane: FocalPlaneArrays, pairs: Reach, targets: FieldTargets, given) -> "Field":
-        """Return the field of a tile; ``given`` is its `BlockJob`."""
-        columns, n = targets.columns, len(targets.id)
+    def of(cls, reach: FieldReach, given) -> "BlockProblem":
+        """Return the problem of the tile whose `BlockJob` is ``given``."""
+        targets, pairs = given.job.field.targets, reach.pairs
+        columns, n, n_sharing = targets.columns, len(targets.id), reach.instrument.focal_plane.arrays.n_sharing
         allowed = np.ones(n, dtype=bool) if columns.kind is None else columns.kind == "science"
         rank = np.zeros(n, dtype=np.int64)
-        if given.job.model.options.name != "balanced":
+        if given.job.model.options.method.uses_priorities:
             if columns.priority is not None:
                 rank = np.unique(-columns.priority, return_inverse=True)[1].reshape(-1).astype(np.int64)
             if columns.is_required is not None:
@@ -49,48 +50,48 @@ class Field(NamedTuple):
             pairs = pairs.where(allowed[pairs.target])
         seeds = np.array(given.seeds, dtype=np.uint64)
         n_ranks = int(rank.max(initial=0)) + 1
-        return cls(pairs, rank, n_ranks, id_numbers(targets.id), given.left, seeds, given.tile, plane.n_sharing)
+        return cls(pairs, rank, n_ranks, id_numbers(targets.id), given.left, seeds, given.tile, n_sharing)
 
 
-def balanced(field: Field, chosen: np.ndarray) -> None:
+def balanced(problem: BlockProblem, chosen: np.ndarray) -> None:
     """Add each target, in order of subpriority, to the shortest queue in reach; then draw one target of each queue."""
     # a realization uses the same random numbers as the survey with the seed of the realization
-    streams = [np.random.SeedSequence(int(seed), spawn_key=(field.tile,)) for seed in field.seeds]
+    streams = [np.random.SeedSequence(int(seed), spawn_key=(problem.tile,)) for seed in problem.seeds]
     uniform = np.array([np.random.default_rng(stream).random(chosen.shape[1]) for stream in streams])
-    pairs = field.pairs
-    kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, field.number, field.seeds, field.left, uniform, chosen)
+    pairs = problem.pairs
+    kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, problem.number, problem.seeds, problem.left, uniform, chosen)
 
 
-def lamost(field: Field, chosen: np.ndarray) -> None:
+def lamost(problem: BlockProblem, chosen: np.ndarray) -> None:
     """Assign the targets, class by class, by nominations.
 
     Each free positioner nominates its target with the largest subpriority. If several positioners nominate a target,
     the target is assigned to the positioner with the fewest targets in reach.
     """
-    pairs = field.pairs
+    pairs = problem.pairs
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
     # If k other positioners reach targets of a positioner, at least one of its first k + 1 targets is always free.
-    start = np.concatenate([[0], np.cumsum(np.minimum(in_reach, field.n_sharing + 1))])
+    start = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.n_sharing + 1))])
     kernels.lamost(
         pairs.indptr,
         pairs.owner,
         pairs.r2,
-        field.rank,
-        field.n_ranks,
-        field.number,
-        field.seeds,
-        field.left,
+        problem.rank,
+        problem.n_ranks,
+        problem.number,
+        problem.seeds,
+        problem.left,
         start,
         chosen,
     )
 
 
-def nearest(field: Field, chosen: np.ndarray) -> None:
+def nearest(problem: BlockProblem, chosen: np.ndarray) -> None:
     """Assign each target, sorted by class, then by subpriority, to its closest free positioner."""
-    pairs = field.pairs
+    pairs = problem.pairs
     order = np.arange(len(pairs.owner))
     kernels.sort_by_distance(pairs.indptr, pairs.r2, order)
-    kernels.nearest(pairs.indptr, pairs.owner, order, field.rank, field.number, field.seeds, field.left, chosen)
+    kernels.nearest(pairs.indptr, pairs.owner, order, problem.rank, problem.number, problem.seeds, problem.left, chosen)
 
 
 RULES = {"balanced": balanced, "lamost": lamost, "nearest": nearest}

@@ -41,18 +41,18 @@ def run(
             return SelectionProbabilities.read(folder.path)
         together = in_batch(request)
         seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)
-        book = request.open_state()
-        bits = np.zeros((len(book.wanted), n_words(n)), dtype=np.uint64)
+        builder = request.builder
+        bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
         counts = []
         tiles = len(request.tiling)
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for block in blocks:
                 own = seeds[block.first : block.last]
-                done = None if folder is None else folder.load_block(block.number, len(book.wanted), len(block))
+                done = None if folder is None else folder.load_block(block.number, len(builder.wanted), len(block))
                 fresh = done is None
                 if fresh:
-                    state = State(book.wanted, book.left, book.spends, len(block))
+                    state = State(builder, len(block))
                     one = request if together else request_of(request, own[0])
                     begin = tiles * (1 + block.first)
                     _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
@@ -66,7 +66,7 @@ def run(
         source = request.source
         result = SelectionProbabilities(
             source.ids(),
-            source.by_row(book.wanted),
+            source.by_row(builder.wanted),
             source.by_row(n_tiles),
             source.by_row(bits),
             realization_table(request, seeds, np.concatenate(counts), together=together),

@@ -158,7 +158,7 @@ def selection_probabilities(
             rng=rng,
         )
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
-    if request.visits.any() and found.never_observed.all():
+    if request.builder.wanted.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)
     return found

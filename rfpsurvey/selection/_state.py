@@ -3,6 +3,7 @@
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
+from rfpsurvey.pipeline import FieldBuilder
 
 __all__ = ["State"]
 
@@ -14,22 +15,18 @@ class State:
 
     Parameters
     ----------
-    wanted : ndarray of uint8, shape (n_targets,)
-        Requested number of visits of each target. The *slot* of a target is its index in this array.
-    available : ndarray of uint8, shape (n_targets,)
-        Remaining visits of each target before the first tile; 1 for standards and sky positions that tiles may use.
-    spends : ndarray of bool, shape (n_targets,), or None
-        For each target, whether a visit reduces the number of its remaining visits; None stands for True for all
-        targets.
+    builder : FieldBuilder
+        The targets, with their requested numbers of visits. The *slot* of a target is its index in the arrays of the
+        builder.
     n_realizations : int
         Number of realizations.
     """
 
-    def __init__(self, wanted, available, spends, n_realizations: int):
-        self.wanted = wanted
-        self.spends = np.broadcast_to(np.True_, len(wanted)) if spends is None else spends
-        self.left = np.repeat(available[:, None], n_realizations, axis=1)
-        self.is_open = (available > 0).astype(np.uint8)
+    def __init__(self, builder: FieldBuilder, n_realizations: int):
+        self.wanted = builder.wanted
+        self.spends = np.broadcast_to(np.True_, len(self.wanted)) if builder.spends is None else builder.spends
+        self.left = np.repeat(builder.left[:, None], n_realizations, axis=1)
+        self.is_open = (builder.left > 0).astype(np.uint8)
         self.n_rounds = 0
         """Number of finished rounds; a round is a group of tiles that share no targets."""
         self.counts = np.zeros((n_realizations, 3), dtype=np.int64)

@@ -5,15 +5,14 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._kernels import arms
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.collision import find_collisions, make_setup, make_workspace
-from rfpsurvey.focal_plane import FocalPlaneArrays, Reach, elbow_names
-from rfpsurvey.pipeline import project_field, with_keep_out
-from rfpsurvey.selection._rules import RULES, Field
-from rfpsurvey.survey import Job, projection_of, work
+from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
+from rfpsurvey.pipeline import FieldReach
+from rfpsurvey.selection._rules import RULES, BlockProblem
+from rfpsurvey.survey import Job, reach_of, work
 
-__all__ = ["BlockDone", "BlockJob", "Poses", "find_reach", "plan_alone", "plan_together", "reach_counts"]
+__all__ = ["BlockDone", "BlockJob", "Poses", "plan_alone", "plan_together", "reach_counts"]
 
 
 class BlockJob(NamedTuple):
@@ -41,39 +40,24 @@ class BlockDone(NamedTuple):
 def plan_together(given: BlockJob) -> BlockDone:
     """Plan a tile for all realizations of a block; the pairs in reach and the poses of arms are computed once."""
     job, n = given.job, len(given.seeds)
-    instrument, columns, pairs, xy, fiber_type = find_reach(job)
-    plane = instrument.focal_plane
+    reach = reach_of(job)
+    plane = reach.instrument.focal_plane
     mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
-    field = Field.of(columns, pairs, job.field.targets, given)
-    if len(field.pairs.owner) == 0:
+    problem = BlockProblem.of(reach, given)
+    if len(problem.pairs.owner) == 0:
         return BlockDone(mask, counts)
     chosen = np.empty((n, len(plane)), dtype=np.int64)
-    RULES[job.model.options.allocator](field, chosen)
+    RULES[job.model.options.allocator](problem, chosen)
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
-        poses = Poses(plane, columns, xy, fiber_type, field.pairs, job.model.options.parked_obstacles)
-        poses.find_lost(chosen, lost)
-    kernels.mark_visits(chosen, lost, field.pairs.target, mask, counts)
+        Poses(plane, reach, problem.pairs, job.model.options.parked_obstacles).find_lost(chosen, lost)
+    kernels.mark_visits(chosen, lost, problem.pairs.target, mask, counts)
     return BlockDone(mask, counts)
-
-
-def find_reach(job: Job):
-    """Return the pairs of positioners and targets in reach, with the data from which they are computed.
-
-    The returned tuple contains the instrument, including the circles of the field that no arm may cover; the arrays of
-    its focal plane; the pairs; the positions (mm) of the targets on the focal plane; and the fiber types that the
-    targets require, or None.
-    """
-    projection, model = projection_of(job), job.model
-    instrument = with_keep_out(model.instrument, projection, model.options)
-    columns, targets = instrument.focal_plane.arrays, job.field.targets
-    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    return instrument, columns, columns.reach(xy, fiber_type), xy, fiber_type
 
 
 def reach_counts(job: Job) -> np.ndarray:
     """Return the number of positioners that reach each target of a field."""
-    return np.diff(find_reach(job)[2].indptr)
+    return np.diff(reach_of(job).pairs.indptr)
 
 
 def plan_alone(given: BlockJob) -> BlockDone:
@@ -91,31 +75,24 @@ class Poses:
     ----------
     plane : FocalPlane
         The positioners.
-    columns : FocalPlaneArrays
-        The arrays of the focal plane.
-    xy : ndarray, shape (n_targets, 2)
-        Positions of the targets, mm.
-    fiber_type : ndarray of str, shape (n_targets,), or None
-        Required fiber types.
+    reach : FieldReach
+        Positions and required fiber types of the targets.
     pairs : Reach
-        The pairs of positioners and targets in reach.
+        The pairs of positioners and targets in reach that may be assigned.
     parked_obstacles : bool
         Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
         arms of equal length can be parked.
     """
 
-    def __init__(self, plane, columns: FocalPlaneArrays, xy, fiber_type, pairs: Reach, parked_obstacles: bool):
-        own, self._plane, self._columns = pairs.owner, plane, columns
-        self._parked = parked_obstacles
-        self._points, self._fiber = xy[pairs.target], columns.first_index[own]
-        if fiber_type is not None:
-            self._fiber = columns.index_of(fiber_type[pairs.target], own)
+    def __init__(self, plane: FocalPlane, reach: FieldReach, pairs: Reach, parked_obstacles: bool):
+        own, columns = pairs.owner, plane.arrays
+        self._plane, self._columns, self._parked = plane, columns, parked_obstacles
+        self._points, self._fiber = reach.xy[pairs.target], columns.first_index[own]
+        if reach.fiber_type is not None:
+            self._fiber = columns.index_of(reach.fiber_type[pairs.target], own)
         self._side = columns.sides(self._points, own, self._fiber)
-        self._segments = np.empty((4, len(own)))
-        arms.place(self._points, columns.geometry_of(own, self._fiber), self._side, self._segments)
-        arms.shape(self._segments, columns.model, columns.length, *columns.angles_of(own, self._fiber))
-        self._idle = columns.idle(parked_obstacles).segments.copy()
-        arms.shape(self._idle, columns.model, columns.length, *columns.angles)
+        self._segments = columns.segments_of(own, self._fiber, self._points, self._side)
+        self._idle = columns.idle_segments(parked_obstacles)
 
     def find_lost(self, chosen: np.ndarray, lost: np.ndarray) -> None:
         """Mark the positioners that lose their target to a collision, in each realization (row of ``chosen``)."""

@@ -5,7 +5,7 @@ from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import IN_FLIGHT, told
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import Job, projection_of, work
+from rfpsurvey.survey._work import Job, reach_of, work
 
 __all__ = [
     "IN_FLIGHT",
@@ -15,7 +15,7 @@ __all__ = [
     "Survey",
     "plan_survey",
     "prepare_request",
-    "projection_of",
+    "reach_of",
     "told",
     "work",
 ]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rfpsurvey.pipeline import Field, Outcome, category_classes, priority_classes
+from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
 
 __all__ = ["Bookkeeping", "Tally"]
 
@@ -47,37 +47,28 @@ class Bookkeeping:
 
     Parameters
     ----------
-    visits, priority, kind, category : ndarray or None
-        Requested number of visits, priority, kind and category of each target; None for a missing column. The *slot*
-        of a target is its index in these arrays.
+    builder : FieldBuilder
+        The targets, with their requested numbers of visits. The *slot* of a target is its index in the arrays of the
+        builder and of this class.
     n_passes : int
         Number of passes.
-    reusable : ndarray of bool or None
-        Whether each target is a standard or sky position that every tile may use; None if there are none.
     in_turn : bool
         Whether the passes are planned one after the other.
     """
 
-    def __init__(self, visits, priority, kind, category, *, n_passes: int, reusable, in_turn: bool):
-        science = None if kind is None else kind == "science"
-        self.wanted = visits if science is None else np.where(science, visits, 0).astype(np.uint8)
-        # usable standards and sky positions always have one remaining visit, so that every tile may use them
-        self.left = self.wanted.copy()
-        # whether a visit reduces the number of remaining visits of each target; None if this is true for all targets
-        self.spends = None
-        if reusable is not None:
-            self.left[reusable] = 1
-            self.spends = science
-        self.flags = np.zeros(len(visits), dtype=np.uint8)
+    def __init__(self, builder: FieldBuilder, *, n_passes: int, in_turn: bool):
+        self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
+        priority, category = (builder.source.by_slot(name) for name in ("priority", "category"))
+        self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
         classes = category_classes(category, self.wanted)
         if len(classes[1]) > 1:
             self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
         # the index of the last pass in which each target was visited; if passes are planned one after the other, this
         # is the pass of the tile that `enter` records, and no array is required
-        self._last = None if in_turn else np.zeros(len(visits), dtype=np.min_scalar_type(n_passes))
+        self._last = None if in_turn else np.zeros(len(self.wanted), dtype=np.min_scalar_type(n_passes))
 
-    def enter(self, field: Field, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
+    def enter(self, field: FieldRows, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
         """Record the visits of a tile, and return the number of successful visits to science targets.
 
         ``number`` is the index of the pass of the tile. ``in_reach`` states whether a positioner reaches each target of
@@ -119,9 +110,7 @@ class Bookkeeping:
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the targets in ``slot`` that were never observed, and the outcomes of these targets."""
         slot = slot[(self.flags[slot] & DONE) == 0]
-        code = _outcomes_by_flags(self.flags[slot])
-        code[self.left[slot] == 0] = Outcome.NOT_REQUESTED
-        return slot, code
+        return slot, _outcomes_by_flags(self.flags[slot])
 
 
 def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:

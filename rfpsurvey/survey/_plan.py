@@ -40,7 +40,7 @@ log = logging.getLogger("rfpsurvey")
 def plan_survey(
     catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
-    tiling: Tiling | Table | SkyCoord,
+    tiles: Tiling | Table | SkyCoord,
     *,
     allocator: AllocationOptions | str | Callable = "lamost",
     visits: int | np.ndarray | None = None,
@@ -59,18 +59,19 @@ def plan_survey(
     Each tile is planned by the same code as in `plan_tile`. Tiles that share targets are planned one after the other.
     If an executor is given, tiles that do not share targets are planned at the same time. The plan does not depend on
     the executor. Required targets (`AllocationOptions`) take precedence in every tile as long as they have remaining
-    visits. A standard or sky position that is a required target can be used any number of times, even if the options
-    contain no requirements. Circles that no arm may cover (``keep_out`` of `AllocationOptions`) are obstacles in the
-    tiles whose arms can touch these circles.
+    visits, and at least one visit of each required target is requested. A standard or sky position that is a required
+    target can be used any number of times, even if the options contain no requirements. Circles that no arm may cover
+    (``keep_out`` of `AllocationOptions`) are obstacles in the tiles whose arms can touch these
+    circles.
 
     Parameters
     ----------
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
         The targets. Targets of the kinds ``standard`` and ``sky`` are used only to meet requirements. Each of them can
-        be used any number of times.
+        be used any number of times, unless its number of visits is 0.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
-    tiling : Tiling, Table or SkyCoord
+    tiles : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or str or callable, optional
         The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If worker
@@ -78,8 +79,9 @@ def plan_survey(
         the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
-        catalog lacks this column, one visit of each target is requested. A tile observes a target at most once. For a
-        `PartitionedCatalog`, the values must be in the order in which its method ``read`` returns the targets.
+        catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
+        assigned, except required targets. A tile observes a target at most once. For a `PartitionedCatalog`, the values
+        must be in the order in which its method ``read`` returns the targets.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
@@ -118,7 +120,7 @@ def plan_survey(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if the name of an instrument, allocator or order is unknown, if a
+        If the catalog or the list of tiles is empty, if the name of an instrument, allocator or order is unknown, if a
         required target is not in the catalog, if a number is out of range, or if the folder is in use, contains another
         survey, or is not writable. The files of finished tiles remain.
     concurrent.futures.BrokenExecutor
@@ -155,7 +157,7 @@ def plan_survey(
     request = prepare_request(
         catalog,
         instrument,
-        tiling,
+        tiles,
         allocator=allocator,
         visits=visits,
         passes=passes,
@@ -167,7 +169,7 @@ def plan_survey(
     )
     together = None if request.joint is None else Together(executor, progress)
     survey = run(request, folder, executor, progress, resume=resume, together=together)
-    if request.visits.any() and not survey.summary["n_visits_observed"]:
+    if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
         warn(text)
@@ -176,7 +178,7 @@ def plan_survey(
 
 
 def prepare_request(
-    catalog, instrument, tiling, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
+    catalog, instrument, tiles, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
 ) -> Request:
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
@@ -189,10 +191,10 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
-    tiles, joint = as_tiling(tiling), as_joint(order)
+    tiling, joint = as_tiling(tiles), as_joint(order)
     warn_of_unused_options([asked], instrument.focal_plane, rng if joint is None else 0)  # a joint search uses rng
-    warn_of_programs(tiles)
-    times = times_of_tiles(tiles) if len(tiles) else None
+    warn_of_programs(tiling)
+    times = times_of_tiles(tiling) if len(tiling) else None
     if isinstance(catalog, PartitionedCatalog):
         used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)
         source = Partitioned(catalog, used)
@@ -205,11 +207,11 @@ def prepare_request(
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
         if first.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a joint plan")
-    if is_table(tiling):
-        warn_of_targets(tiles, len(source))
+    if is_table(tiles):
+        warn_of_targets(tiling, len(source))
     request = make_request(
         source,
-        tiles,
+        tiling,
         instrument,
         asked.for_instrument(instrument),
         visits=visits,
@@ -228,7 +230,7 @@ def prepare_request(
 
 def _warn_of_lacks(request) -> None:
     """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
-    if request.source.has_twins:
+    if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
     asked = {one.what: one for one in request.options.requirements if one.minimum}
     if request.options.sky_separation is not None:

@@ -9,12 +9,12 @@ import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._io import check_fits_text
-from rfpsurvey._units import to_dimensionless, to_visits
+from rfpsurvey._units import to_dimensionless
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import blank_ids, mark_required, reusable_targets
+from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -41,7 +41,8 @@ class Request:
     The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`).
     """
 
-    source: object
+    builder: FieldBuilder
+    """The targets, with their requested numbers of visits."""
     tiling: Tiling
     """The tiles of the passes that are planned."""
     number: np.ndarray
@@ -49,10 +50,6 @@ class Request:
     passes: list[int]
     instrument: Instrument
     options: AllocationOptions
-    visits: np.ndarray
-    """Requested number of visits of each target, in the order of slots."""
-    is_required: np.ndarray | None
-    """Whether each target is required, in the order of slots; None if no target is required."""
     order: str
     epoch: str | None
     seed: int
@@ -63,6 +60,11 @@ class Request:
     """Epoch of the positions in ``source``; None if the targets are not moved to the times of the tiles."""
     joint: object = None
     """Options of the joint plan; None if the tiles are planned one after the other."""
+
+    @property
+    def source(self):
+        """The catalog of the survey."""
+        return self.builder.source
 
     @cached_property
     def radius_rad(self) -> float:
@@ -94,37 +96,16 @@ class Request:
     @cached_property
     def model(self) -> Model:
         """The data that the jobs of all tiles share."""
-        blank = None if self.options.sky_separation is None else blank_ids(self.source.ids_by_part())
-        return Model(self.instrument, self.options, blank, self.lost_in_collision, self.source.units)
+        return Model(self.instrument, self.options, self.builder.blank, self.lost_in_collision, self.source.units)
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
-        priority, kind, category = (self.source.by_slot(name) for name in ("priority", "kind", "category"))
-        reusable = reusable_targets(kind, self.options, self.is_required)
-        n_passes, in_turn = len(self.passes), self.order == "color"
-        return Bookkeeping(self.visits, priority, kind, category, n_passes=n_passes, reusable=reusable, in_turn=in_turn)
-
-    @cached_property
-    def first_left(self) -> np.ndarray:
-        """Number of remaining visits of each target before the first visit, in the order of slots."""
-        left = self.open_state().left
-        left.flags.writeable = False
-        return left
+        return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=self.order == "color")
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
-        # blank sky positions must not be close to any target, including targets without remaining visits
-        rest = self.options.sky_separation is not None
-        years = 0.0 if self.years is None else float(self.years[tile])
-        field = self.source.field(
-            self.tiling.vectors[tile], self.radius_rad, left, rest=rest, years=years, margin_rad=self.margin_rad
-        )
-        if self.is_required is not None:
-            columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
-            field = field._replace(targets=field.targets._replace(columns=columns))
-        if self.joint is not None:  # joint plans do not support subpriorities
-            columns = field.targets.columns._replace(subpriority=None)
-            field = field._replace(targets=field.targets._replace(columns=columns))
+        years, center = 0.0 if self.years is None else float(self.years[tile]), self.tiling.vectors[tile]
+        field = self.builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
         name, *where = self._names[tile], *self._places[tile].tolist()
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
@@ -190,7 +171,7 @@ class Request:
             tiles.append(np.array([str(one.record) for one in self.conditions]))
         about = {
             "catalog": (number_of(len(self.source), "target"), self.source.digest()),
-            "visits": (number_of(int(self.visits.sum()), "visit"), digest(self.visits)),
+            "visits": (number_of(int(self.builder.visits.sum()), "visit"), digest(self.builder.visits)),
             "tiles": (number_of(len(self.tiling), "tile"), digest(*tiles, names)),
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
@@ -199,7 +180,7 @@ class Request:
 
 
 def make_request(
-    source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, **others
+    source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, joint, **others
 ) -> Request:
     """Return the request of a survey, or raise an error if it is not valid."""
     if len(source) == 0:
@@ -225,10 +206,5 @@ def make_request(
             f"the tiles were placed for {fields} a radius of {made_for:.4g} deg, but the fields of {instrument.name} "
             f"have a radius of {radius:.4g} deg"
         )
-    wanted = source.by_slot("visits") if visits is None else to_visits(visits, len(source))
-    if visits is not None and np.ndim(visits):
-        wanted = source.to_slots(wanted)
-    wanted = np.ones(len(source), dtype=np.uint8) if wanted is None else wanted
-    is_required = mark_required(options.required, source.ids_by_part())
-    is_required = None if is_required is None else source.to_slots(is_required)
-    return Request(source, tiling, place, passes, instrument, options, wanted, is_required, **others)
+    builder = FieldBuilder(source, options, visits, subpriority=joint is None)  # joint plans ignore subpriorities
+    return Request(builder, tiling, place, passes, instrument, options, joint=joint, **others)

@@ -73,7 +73,8 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
 def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
-    required = np.flatnonzero([] if request.is_required is None else request.is_required)
+    is_required = request.builder.is_required
+    required = np.flatnonzero([] if is_required is None else is_required)
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}

@@ -17,7 +17,7 @@ from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import N_FIELD, Done, cards_of, in_reach, work
+from rfpsurvey.survey._work import N_FIELD, Done, cards_of, reach_of, work
 
 __all__ = ["IN_FLIGHT", "run", "told"]
 
@@ -159,7 +159,7 @@ def _read(folder, tile, job) -> Done | None:
         folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
         return None
     counts = {name: cards[card] for card, (name, _) in counted.items()}
-    return Done(None, None, target, visits["observed"].astype(bool), in_reach(job), counts)
+    return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)
 
 
 def _check_part(visits: np.ndarray, cards: dict) -> None:

@@ -1,8 +1,4 @@
-"""The catalog of a survey, which is completely in memory or in partitions on disk.
-
-The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`). The *row* of a
-target is the number of its row in the catalog.
-"""
+"""The catalog of a survey, which is completely in memory or in partitions on disk."""
 
 import hashlib
 from collections import OrderedDict
@@ -13,12 +9,12 @@ import numpy as np
 
 from rfpsurvey.allocation import TargetColumns
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
-from rfpsurvey.pipeline import PLANNED_COLUMNS, CatalogFields, Field, FieldTargets
+from rfpsurvey.pipeline import PLANNED_COLUMNS, CatalogTargets, FieldRows, FieldTargets
 
 __all__ = ["InMemory", "Partitioned", "digest"]
 
 
-class InMemory(CatalogFields):
+class InMemory(CatalogTargets):
     """A catalog that fits into memory; the slot of a target is its position in the spatial index."""
 
     def __init__(self, catalog: Catalog):
@@ -26,20 +22,12 @@ class InMemory(CatalogFields):
         catalog.arrays.__dict__.pop("vectors", None)  # keep only the copy in the index
         self.meta = catalog.meta
 
-    def __len__(self):
-        return len(self.index)
-
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return, for each circle, the sum of the values of the targets inside; ``values`` is in the order of slots."""
         return self.index.sum_near(centers, radius_rad, values)
 
-    def by_slot(self, name: str) -> np.ndarray | None:
-        """Return a column of the catalog in the order of slots; None if the catalog does not have this column."""
-        column = getattr(self.catalog, name)
-        return None if column is None else self.to_slots(column)
-
     @property
-    def has_twins(self) -> bool:
+    def has_repeated_ids(self) -> bool:
         """Whether two targets have the same id."""
         return self.catalog.arrays.repeated_ids
 
@@ -51,10 +39,6 @@ class InMemory(CatalogFields):
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self.catalog.id
-
-    def ids_by_part(self) -> list[np.ndarray]:
-        """Return a list with one array, the ids of all targets, because a catalog in memory has no partitions."""
-        return [self.catalog.id]
 
     def ids_of(self, row: np.ndarray) -> np.ndarray:
         """Return the ids of the targets in the given rows of the catalog."""
@@ -127,29 +111,29 @@ class Partitioned:
         rest: bool = False,
         years: float = 0.0,
         margin_rad: float = 0.0,
-    ) -> Field:
+    ) -> FieldRows:
         """Return the targets in a circle that still require a visit.
 
         ``left`` is the number of remaining visits of each target, in the order of slots. If ``rest`` is true, the field
         also contains the directions of the targets without remaining visits, as ``targets.others``. The targets are
         moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``.
         """
-        found = []
+        fields = []
         for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad).tolist():
             first, last = self._first[k : k + 2]
             field = self._part(k).field(
                 center, radius_rad, left[first:last], rest=rest, by_row=True, years=years, margin_rad=margin_rad
             )
-            if len(field.row) or rest or not found:
-                found.append(field._replace(slot=field.row + first, row=field.row + first))
-        if not found:
+            if len(field.row) or rest or not fields:
+                fields.append(field._replace(slot=field.row + first, row=field.row + first))
+        if not fields:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
-        slot, row, targets = zip(*found, strict=True)
+        slot, row, targets = zip(*fields, strict=True)
         vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
         columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
         extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
         targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0])
-        return Field(_stack(slot), _stack(row), targets)
+        return FieldRows(_stack(slot), _stack(row), targets)
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of the values of the targets inside each circle.
@@ -175,7 +159,7 @@ class Partitioned:
 
     by_row = to_slots
 
-    has_twins = False
+    has_repeated_ids = False
     """Always False: whether two targets have the same id is not tested, because this requires all ids in memory."""
 
     @property
@@ -220,8 +204,8 @@ def _stack(parts: tuple) -> np.ndarray | None:
 
 def digest(*columns: np.ndarray | None) -> str:
     """Return 16 hexadecimal digits that identify the content of columns; a missing column is None."""
-    found = hashlib.sha256()
+    state = hashlib.sha256()
     for column in columns:
-        found.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
-        found.update(b";")
-    return found.hexdigest()[:16]
+        state.update(b"" if column is None else np.ascontiguousarray(column).view(np.uint8))
+        state.update(b";")
+    return state.hexdigest()[:16]

@@ -10,9 +10,9 @@ import numpy as np
 from astropy.table import QTable, vstack
 
 from rfpsurvey import _io
-from rfpsurvey._display import show, to_html
+from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.errors import InputError, number_of, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import JOINT, TABLES, part_name
 from rfpsurvey.tile import with_unit
@@ -110,7 +110,7 @@ class Survey:
 
     @property
     def targets(self) -> QTable:
-        """Table with a row for each visit of the survey; for large surveys, use `visits`, which reads a single tile.
+        """Table with a row for each visit of the survey; for large surveys, use `tile`, which reads a single tile.
 
         Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
         ``dec``, ``in_collision``, ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the
@@ -121,7 +121,7 @@ class Survey:
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
-    def visits(self, tile: int | str) -> QTable:
+    def tile(self, tile: int | str) -> QTable:
         """Return the visits of one tile.
 
         Parameters
@@ -144,6 +144,27 @@ class Survey:
             raise InputError(f"the survey has no tile {tile}; its tiles have names such as {self.tiles['tile'][0]}")
         return self._visits(int(rows[0]))
 
+    def visits(self, tile: int | str) -> QTable:
+        """Return the visits of one tile; this is the former name of `tile`.
+
+        Parameters
+        ----------
+        tile : int or str
+            Identifier of the tile.
+
+        Returns
+        -------
+        QTable
+            The visits.
+
+        Raises
+        ------
+        InputError
+            As in `tile`.
+        """
+        warn_of_former_name("Survey.visits", "Survey.tile")
+        return self.tile(tile)
+
     def __iter__(self) -> Iterator[QTable]:
         return (self._visits(k) for k in range(len(self.tiles)))
 
@@ -162,6 +183,21 @@ class Survey:
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
         return table
+
+    def plot(self, **options: object) -> object:
+        """Plot the tiles on the sky, as `rfpsurvey.plot.plot_tiling` does.
+
+        Parameters
+        ----------
+        **options
+            Parameters of `rfpsurvey.plot.plot_tiling`, such as ``ax`` and ``color``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes.
+        """
+        return plot(self, **options)
 
     def show(self, *, height: int = 1000) -> object:
         """Return an interactive map of the tiles for display in a notebook; reports contain the same map.

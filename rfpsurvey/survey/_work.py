@@ -10,11 +10,11 @@ from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import BlankIds, Field, plan_field, project_field
+from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, find_reach, plan_field
 from rfpsurvey.survey._unmet import shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
-__all__ = ["N_FIELD", "Done", "Job", "Model", "cards_of", "in_reach", "projection_of", "work"]
+__all__ = ["N_FIELD", "Done", "Job", "Model", "cards_of", "plan_of", "projection_of", "reach_of", "work"]
 
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
 N_FIELD = "NFIELD"
@@ -101,7 +101,7 @@ class Job(NamedTuple):
     ra_deg: float
     dec_deg: float
     position_angle_deg: float
-    field: Field
+    field: FieldRows
     seed: np.random.SeedSequence
     as_file: bool
     """Whether the visits are returned as the content of a FITS file instead of an array."""
@@ -128,9 +128,7 @@ class Done(NamedTuple):
 def work(job: Job) -> Done:
     """Plan the tile of a job, and return the result."""
     model, field = job.model, job.field
-    instrument = model.instrument
-    projection, rng = projection_of(job), np.random.default_rng(job.seed)
-    plan = plan_field(instrument, projection, field.targets, model.options, rng, model.blank)
+    instrument, plan = model.instrument, plan_of(job)
     colliding = plan.report.in_collision[plan.positioner]
     columns = {
         "target_id": plan.id,
@@ -175,11 +173,15 @@ def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     return {**COUNTS, **shortfall_cards(options)}
 
 
-def in_reach(job: Job) -> np.ndarray:
-    """Return whether at least one positioner reaches each target of the field."""
-    instrument, targets = job.model.instrument, job.field.targets
-    xy, fiber_type = project_field(instrument, projection_of(job), targets.vectors, targets.columns.fiber_type)
-    return instrument.focal_plane.arrays.reach(xy, fiber_type).covered
+def plan_of(job: Job) -> FieldPlan:
+    """Return the plan of the field of a job."""
+    model, rng = job.model, np.random.default_rng(job.seed)
+    return plan_field(model.instrument, projection_of(job), job.field.targets, model.options, rng, model.blank)
+
+
+def reach_of(job: Job) -> FieldReach:
+    """Return the pairs of a positioner and a target of the field in its reach."""
+    return find_reach(job.model.instrument, projection_of(job), job.field.targets, job.model.options)
 
 
 def projection_of(job: Job):

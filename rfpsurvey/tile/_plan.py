@@ -11,11 +11,10 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_center, to_generator
+from rfpsurvey._units import to_center, to_generator, to_vectors
 from rfpsurvey.allocation import (
     KINDS,
     AllocationOptions,
-    TargetColumns,
     as_options,
     brief,
     hint_of_name,
@@ -28,12 +27,12 @@ from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import (
+    CatalogTargets,
+    FieldBuilder,
     FieldPlan,
-    FieldTargets,
+    SelectedRows,
     are_among,
-    blank_ids,
     field_radius_rad,
-    mark_required,
     plan_field,
 )
 from rfpsurvey.tile._build import build_tile
@@ -45,7 +44,6 @@ __all__ = ["plan_tile"]
 
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
-COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -67,7 +65,8 @@ def plan_tile(
     """Assign the targets of a field to fibers, and find the arms that collide.
 
     If there are no requirements, such as a minimum number of sky fibers, only science targets and required targets are
-    assigned; all other sky positions and standard stars are only counted. If each fiber type has its own radial map
+    assigned; all other sky positions and standard stars are only counted. Targets of any kind whose number of visits is
+    0 are not assigned, except required targets. If each fiber type has its own radial map
     from the sky to the focal plane, targets without a fiber type are projected with the map of the first fiber type.
 
     Parameters
@@ -147,13 +146,10 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
-    is_required = mark_required(options.required, [catalog.id])
-    n_required = 0 if is_required is None else int(is_required.sum())
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
         near = catalog.arrays.rows_near(center, radius, used)
         catalog = catalog[near].at_epoch(used)
-        is_required = None if is_required is None else is_required[near]
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
         nearest = everything.coord.icrs.separation(center.icrs).min().deg
@@ -162,23 +158,23 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    given = rows[_wanted(catalog, rows, is_required, others=bool(options.requirements))]
-    n_twice = len(given) - len(np.unique(catalog.id[given])) if catalog.arrays.repeated_ids else 0
+    vectors = catalog.arrays.vectors.take(rows, axis=0)
+    source = CatalogTargets(everything, SelectedRows(rows if used is None else near[rows], vectors))
+    builder = FieldBuilder(source, options)
+    slot, _, targets = builder.field(to_vectors(center, "center", one=True)[0], radius)
+    if len(slot) == 0:
+        _refuse_empty(builder)
+    n_twice = len(slot) - len(np.unique(targets.id)) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
         text += "; each row is planned as a separate target"
         warn(text)
-    columns = {name: getattr(catalog, name) for name in COLUMNS}
-    columns = {name: None if values is None else values[given] for name, values in columns.items()}
-    columns["is_required"] = None if is_required is None else is_required[given]
-    extra = {name: values[given] for name, values in catalog.arrays.extra.items()}
-    vectors = catalog.arrays.vectors.take(given, axis=0)  # four times as fast as vectors[given]
-    targets = FieldTargets(vectors, catalog.id[given], TargetColumns(**columns), None, extra, catalog.numbered)
-    blank = None if options.sky_separation is None else blank_ids([everything.id])
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}
     with Progress(progress) as bar:
-        plan = plan_field(instrument, plain, targets, options, rng, blank, lambda done, stage: bar(done, note=stage))
+        plan = plan_field(
+            instrument, plain, targets, options, rng, builder.blank, lambda done, stage: bar(done, note=stage)
+        )
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
@@ -188,13 +184,13 @@ def plan_tile(
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
         "n_in_field": len(rows),
-        "n_set_aside": len(rows) - len(given),
+        "n_set_aside": len(rows) - len(slot),
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows, given, plan),
-        "n_required": n_required,
-        "n_required_observed": _n_required_observed(plan, columns["is_required"]),
+        "kinds": counts_by_kind(catalog, rows[builder.visits > 0], plan),
+        "n_required": builder.n_required,
+        "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
         "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
         "search": allocation.meta,
         "projection": chosen,
@@ -227,29 +223,19 @@ def plan_tile(
         catalog.meta,
         kind=plan.kind,
         carried=by_positioner(catalog, plan, row_of),
-        targets=TargetsOfField(catalog, rows, given, plan),
+        targets=TargetsOfField(catalog, rows, slot, plan),
         software=packages(options),
     )
 
 
-def _wanted(catalog: Catalog, rows: np.ndarray, is_required: np.ndarray | None, *, others: bool) -> np.ndarray:
-    """Return a mask of the targets in the given rows that the allocator receives.
-
-    These are all required targets, the science targets with requested visits and, if ``others`` is true, the targets of
-    other kinds.
-    """
-    science = np.ones(len(rows), dtype=bool) if catalog.kind is None else catalog.kind[rows] == "science"
-    wanted = science if catalog.visits is None else science & (catalog.visits[rows] > 0)
-    if others:
-        wanted = wanted | ~science
-    if is_required is not None:
-        wanted = wanted | is_required[rows]
-    if not wanted.any():
-        what = "is a science target" + (" with requested visits" if science.any() else "")
-        remedy = "requirements such as 'sky=20' also assign targets of other kinds"
-        remedy = "the column of visits states 0 for all of them" if science.all() else remedy
-        raise InputError(f"none of the {len(rows)} targets in the field {what}; {remedy}")
-    return wanted
+def _refuse_empty(builder: FieldBuilder) -> None:
+    """Raise the error that states why a tile may use none of the targets in its field."""
+    kind = builder.source.by_slot("kind")
+    science = np.ones(len(builder.wanted), dtype=bool) if kind is None else kind == "science"
+    what = "is a science target" + (" with requested visits" if science.any() else "")
+    remedy = "requirements such as 'sky=20' also assign targets of other kinds"
+    remedy = remedy if builder.visits.any() else "the column of visits states 0 for all of them"
+    raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:

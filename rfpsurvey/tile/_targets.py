@@ -29,15 +29,9 @@ class TargetsOfField:
     catalog: Catalog
     rows: np.ndarray
     """Rows, in the catalog, of all targets of the field."""
-    allocated: np.ndarray
-    """Rows, in the catalog, of the targets that the allocator received."""
+    given: np.ndarray
+    """For each target that the allocator received, its index among all targets of the field."""
     plan: FieldPlan
-
-    @cached_property
-    def given(self) -> np.ndarray:
-        """For each target that the allocator received, its index among all targets of the field."""
-        every = len(self.allocated) == len(self.rows)
-        return np.arange(len(self.rows)) if every else np.searchsorted(self.rows, self.allocated)
 
     @cached_property
     def id(self) -> np.ndarray:
@@ -53,7 +47,7 @@ class TargetsOfField:
     def xy_mm(self) -> np.ndarray:
         """Positions of the targets on the focal plane in mm; NaN for targets that are not requested."""
         xy = np.full((len(self.rows), 2), np.nan)
-        xy[self.given] = self.plan.allocation.xy.to_value(u.mm)[: len(self.given)]
+        xy[self.given] = self.plan.allocation.xy_mm[: len(self.given)]
         return xy
 
     @cached_property
@@ -108,19 +102,17 @@ class TargetsOfField:
         return describe(table, OUTCOMES_COLUMNS, KEPT_COLUMN)
 
 
-def counts_by_kind(catalog: Catalog, rows: np.ndarray, given: np.ndarray, plan: FieldPlan) -> dict:
+def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
     """Return, for each kind, the numbers of targets in the field, of assigned targets, and of observed targets.
 
-    ``rows`` contains the rows, in the catalog, of the targets in the field, and ``given`` those of the targets that the
-    allocator received. Other science targets are not counted, because none of their visits are requested. A target is
-    observed if it is assigned and not lost to a collision.
+    ``rows`` contains the rows, in the catalog, of the targets in the field with requested visits. A target is observed
+    if it is assigned and not lost to a collision.
     """
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:
         is_kind = plan.kind == kind
-        there = given if kind == "science" else rows
-        n_in_field = len(there) * (kind == "science") if catalog.kind is None else (catalog.kind[there] == kind).sum()
+        n_in_field = len(rows) * (kind == "science") if catalog.kind is None else (catalog.kind[rows] == kind).sum()
         counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
         if kind == "science" or any(counts.values()):
             found[kind] = {name: int(number) for name, number in counts.items()}

@@ -12,7 +12,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
-from rfpsurvey._display import show, to_html
+from rfpsurvey._display import plot, show, to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
@@ -165,6 +165,11 @@ class Tile:
         made = self.field_targets
         return made.table(self._positioner_ids) if hasattr(made, "table") else made
 
+    @property
+    def targets(self) -> QTable | None:
+        """The table `outcomes`, which has a row for each target of the field."""
+        return self.outcomes
+
     @cached_property
     def completeness(self) -> QTable | None:
         """Table of the completeness: a row for each kind, each category and, for science targets, each priority.
@@ -284,6 +289,21 @@ class Tile:
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
         _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+
+    def plot(self, **options: object) -> object:
+        """Plot the focal plane, as `rfpsurvey.plot.plot_focal_plane` does.
+
+        Parameters
+        ----------
+        **options
+            Parameters of `rfpsurvey.plot.plot_focal_plane`, such as ``ax`` and ``targets``.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes.
+        """
+        return plot(self, **options)
 
     def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
         """Return, for a notebook, the interactive view of the focal plane that a report on the tile contains.

@@ -63,7 +63,7 @@ def widest_gap(vectors: np.ndarray, center: np.ndarray, reach: float) -> float:
 
 
 def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return the centers of circles that cover a given circle, on a hexagonal lattice with the largest possible pitch.
+    """Cover a field, at most a hemisphere, without gaps: return centers on a hexagonal lattice with the largest pitch.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def hexagonal(center: np.ndarray, reach: float, radius: float, number: int = 0) 
 
 
 def spiral(center: np.ndarray, reach: float, radius: float, number: int = 0) -> np.ndarray:
-    """Return the centers of circles that cover a given circle, on a Fibonacci spiral over the whole sphere.
+    """Cover a field, at most the whole sky, without gaps: return centers on a Fibonacci spiral over the whole sphere.
 
     Parameters
     ----------

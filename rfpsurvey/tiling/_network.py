@@ -28,7 +28,10 @@ GAIN = 2e-3
 
 
 def sdss(problem: TilingProblem) -> TilingState:
-    """Place a given number of tiles by network flow, or the smallest number that reaches a given completeness."""
+    """Place tiles together by network flow: a given number, or the smallest number that reaches a given completeness.
+
+    By default, the number of tiles is that of a hexagonal lattice that covers the targets.
+    """
     if problem.n_tiles is not None and problem.completeness is None:
         return _attempt(problem, problem.n_tiles)
     if problem.completeness is None:

@@ -9,8 +9,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
+from rfpsurvey._methods import describe_methods
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import is_seed_given, to_scalar, to_seed, to_visits
+from rfpsurvey._units import is_seed_given, to_scalar, to_seed
 from rfpsurvey.allocation import AllocationOptions, as_options, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
@@ -26,12 +27,12 @@ from rfpsurvey.errors import (
     warn_no_effect,
 )
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.pipeline import CatalogFields
+from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
 from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
-from rfpsurvey.tiling._methods import COVERINGS, GIVEN, METHODS, check_region_options, warn_of_unused_passes
+from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
@@ -44,8 +45,9 @@ log = logging.getLogger("rfpsurvey")
 
 
 @check_keywords
+@describe_methods(METHODS)
 def place_tiles(
-    field: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table | Region,
     instrument: Instrument | str | None = None,
     *,
     method: str = "hexagonal",
@@ -71,21 +73,17 @@ def place_tiles(
 
     Parameters
     ----------
-    field : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
-        The targets (all partitions are read), or a region to cover (for ``hexagonal``, ``spiral`` and ``given``).
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or Region
+        The targets (all partitions are read), or a region, which only some methods can cover.
     instrument : Instrument or str, optional
         Instrument, which defines the field radius and the positioners. It is not required if ``radius`` and
         ``fibers`` are given.
-    method : {"hexagonal", "spiral", "max_density", "density_gradient", "mean_shift", "sdss", "given"}, optional
-        ``hexagonal``: tiles on a hexagonal lattice cover the field, at most a hemisphere, without gaps. ``spiral``:
-        tiles on a Fibonacci spiral cover the field, at most the whole sky, without gaps. ``max_density``: each tile in
-        turn is placed where the number of remaining visits is largest. ``density_gradient``: each tile in turn starts
-        where targets are densest, and is moved to a maximum of their smoothed density. ``mean_shift``: each tile in
-        turn is moved repeatedly to the mean of its targets. These three methods place tiles for the targets of the
-        highest priority first. ``sdss``: tiles are placed together by network flow; by default, their number is that
-        of a hexagonal lattice that covers the targets. ``given``: the tiles in ``centers``, in their order.
+    method : str, optional
+        Method that places the tiles. Methods that place one tile after the other place tiles for the targets of the
+        highest priority first.
+        {methods}
     passes : int, optional
-        Number of passes of the methods ``hexagonal`` and ``spiral``. Each pass covers the whole field with shifted
+        Number of passes of methods that cover the field. Each pass covers the whole field with shifted
         tiles, even if no visits remain. If ``completeness`` or ``n_tiles`` is given, passes are instead added until
         this goal is reached, and tiles that observe no target are omitted.
     n_tiles : int, optional
@@ -112,7 +110,8 @@ def place_tiles(
         Regions whose targets or area are not counted. Tiles may overlap these regions.
     visits : array_like of int, optional
         Requested number of visits of each target, shape (n,), or one number for all targets. The default is the column
-        ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested.
+        ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested. Targets of
+        any kind with 0 visits are not assigned, except required targets.
     progress : bool or callable, optional
         Show the progress on the standard error, or call a function after each tile. If ``n_tiles`` is given, the
         arguments of the function are the number of tiles so far and ``n_tiles``; otherwise, the arguments are the
@@ -124,7 +123,7 @@ def place_tiles(
     Returns
     -------
     Tiling
-        The tiles. If the field is a catalog of targets, the tiles are in the order in which they were placed, with the
+        The tiles. If targets are given, the tiles are in the order in which they were placed, with the
         columns ``n_targets`` (number of targets in the field that still require a visit), ``n_new`` (number of targets
         that the tile observes) and ``completeness`` (of the survey after this tile). A survey with the same allocator
         reaches the completeness of the last tile if the survey plans the tiles in this order (``order="given"``) at the
@@ -141,7 +140,7 @@ def place_tiles(
     -----
     RfpsurveyWarning
         If the completeness is not reached, if targets are beyond the limits of declination, or if the allowed centers
-        do not cover the region. Also, if an option is given that the method, the allocator or the field does not use.
+        do not cover the region. Also, if an option is given that the method, the allocator or a region does not use.
 
     References
     ----------
@@ -157,7 +156,7 @@ def place_tiles(
     >>> len(tiling), tiling.summary["covering_fraction"]
     (19, 1.0)
     """
-    check_choice(method, METHODS, "method to place tiles")
+    chosen = METHODS[check_choice(method, METHODS, "method to place tiles")]
     model = None if instrument is None else as_instrument(instrument)
     fibers = fibers if isinstance(fibers, Fibers) else Fibers(fibers)
     if allocator is not None and model is None:
@@ -169,13 +168,13 @@ def place_tiles(
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
     check_whole(passes, "passes", high=10_000)
     passes = int(passes)
-    warn_of_unused_passes(method, passes, has_goal=not (n_tiles is None and completeness is None))
-    if not (fibers.lost_in_collision or (by_positioners and not isinstance(field, Region))):
+    warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
+    if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
     where, exclude = as_centers(centers), _regions(exclude)
     progress = progress if callable(progress) else check_switch(progress, "progress")
-    if method == GIVEN and where.tiling is None:
-        raise InputError("the method 'given' needs a list of tiles as centers, got none")
+    if chosen.needs_tiles and where.tiling is None:
+        raise InputError(f"the method {method!r} needs a list of tiles as centers, got none")
     summary = {
         "method": method,
         "instrument": "" if model is None else model.name,
@@ -184,21 +183,30 @@ def place_tiles(
         **dict.fromkeys(("n_tiles", "passes"), 0),
         "radius_deg": float(np.rad2deg(radius_rad)),
     }
-    if isinstance(field, Region):
+    if isinstance(catalog, Region):
         goals = {"n_tiles": n_tiles, "completeness": completeness}
         unused = {"visits": visits, "allocator": allocator, "fibers": fibers.number}
         unused |= {"min_separation": fibers.min_separation, "rng": rng if is_seed_given(rng) else None}
-        check_region_options(method, goals, unused)
-        return _place_on_region(field, method, radius_rad, passes, where, exclude, summary)
-    if not (isinstance(field, Catalog | PartitionedCatalog | SkyCoord) or is_table(field)):
-        raise InputTypeError(f"field must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(field)}")
-    catalog = as_catalog(field)
-    times = times_of_tiles(where.tiling) if method == GIVEN and by_positioners else None
+        check_region_options(chosen, goals, unused)
+        return _place_on_region(catalog, chosen, radius_rad, passes, where, exclude, summary)
+    if not (isinstance(catalog, Catalog | PartitionedCatalog | SkyCoord) or is_table(catalog)):
+        raise InputTypeError(f"catalog must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(catalog)}")
+    catalog = as_catalog(catalog)
+    times = times_of_tiles(where.tiling) if chosen.needs_tiles and by_positioners else None
     reference, moved = choose_epoch(catalog, None, times)
     catalog = catalog if reference is None else catalog.at_epoch(reference)
     summary.update({} if moved is None else {"epoch": moved})
-    wanted = _wanted(catalog, visits, exclude)
-    beyond = where.limits.distance(catalog.arrays.vectors) > radius_rad
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    options = as_options("lamost" if allocator is None else allocator)
+    if by_positioners:
+        options.check_for_fields("place_tiles")
+        warn_of_unused_options([options], model.focal_plane, rng)
+        options = options.for_instrument(model)
+    index = SkyIndex(catalog.arrays.vectors)
+    builder = FieldBuilder(CatalogTargets(catalog, index), options, visits)
+    wanted = _wanted(builder, exclude)
+    beyond = where.limits.distance(index.vectors) > radius_rad
     n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
     wanted[beyond] = 0
     if not wanted.any():
@@ -212,7 +220,6 @@ def place_tiles(
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
     number = usable if fibers.number is None else _whole(fibers.number, "fibers")
-    index = SkyIndex(catalog.arrays.vectors)
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
@@ -220,24 +227,19 @@ def place_tiles(
         neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
     seed = to_seed(rng)
     if by_positioners:
-        options = as_options("lamost" if allocator is None else allocator)
-        options.check_for_fields("place_tiles")
-        warn_of_unused_options([options], model.focal_plane, rng)
-        options = options.for_instrument(model)
-        tiles = given_tiles(where) if method == GIVEN else where.angle_deg
-        serve = FocalPlaneFibers(model, options, CatalogFields(catalog, index), fibers, tiles, seed, reference)
+        tiles = given_tiles(where) if chosen.needs_tiles else where.angle_deg
+        serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
         reach = serve.radius + serve.margin
     else:
         if is_seed_given(rng):
             warn_no_effect("rng", "without the positioners of an allocator")
-        priority = None if catalog.priority is None else catalog.priority[index.order]
-        serve, reach = FreeFibers(number, priority, neighbors), radius_rad
+        serve, reach = FreeFibers(number, builder.source.by_slot("priority"), neighbors), radius_rad
     goal = n_tiles or completeness or 1.0
     with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
         problem = TilingProblem(
             radius_rad,
             index,
-            wanted[index.order],
+            wanted,
             number,
             serve,
             reach,
@@ -248,10 +250,10 @@ def place_tiles(
             limits=where.limits,
             n_beyond=n_beyond,
             tiles=where.tiling,
-            level=_levels(catalog.priority, wanted, index.order),
+            level=_levels(builder.source.by_slot("priority"), wanted),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
-        state = METHODS[method](problem)
+        state = chosen.place(problem)
     summary.update(fibers=number, **_account(state, neighbors, n_away), completeness_means=serve.means)
     _warn(state, n_away, where.limits)
     centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
@@ -260,7 +262,7 @@ def place_tiles(
         "n_new": np.array(n_new, dtype=np.int64),
         "completeness": np.array(so_far, dtype=float),
     }
-    if method == GIVEN:
+    if chosen.needs_tiles:
         return _finish(given_tiles(where).table[: len(state.rows)], summary, columns)
     return _finish(_table(np.reshape(centers_, (-1, 3)), number, where), summary, columns)
 
@@ -268,10 +270,10 @@ def place_tiles(
 def _place_on_region(region, method, radius_rad, passes, where, exclude, summary):
     """Return the tiling of a region."""
     cover = RegionCover(region, radius_rad, exclude)
-    if method == GIVEN:
+    if method.needs_tiles:
         table, vectors = given_tiles(where).table, where.tiling.vectors
     else:
-        found = cover.make_passes(COVERINGS[method], passes, where)
+        found = cover.make_passes(method.function, passes, where)
         vectors = np.vstack(found)
         table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]), where)
     quality = cover.quality(vectors, where.limits)
@@ -310,15 +312,10 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
         warn(sentence)
 
 
-def _wanted(catalog, visits, exclude):
-    """Return the requested visits of each target of the catalog."""
-    if len(catalog) == 0:
-        raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    visits = catalog.visits if visits is None else visits
-    wanted = to_visits(1 if visits is None else visits, len(catalog)).astype(np.int64)
-    if catalog.kind is not None:
-        wanted[catalog.kind != "science"] = 0
-    wanted[in_any(exclude, catalog.arrays.vectors)] = 0
+def _wanted(builder: FieldBuilder, exclude) -> np.ndarray:
+    """Return the requested visits of each target outside of the excluded regions, in the order of the spatial index."""
+    wanted = builder.wanted.astype(np.int64)
+    wanted[in_any(exclude, builder.source.index.vectors)] = 0
     if not wanted.any():
         raise InputError(
             "the catalog must have at least one science target that requires a visit and is not in a region of exclude"
@@ -326,17 +323,17 @@ def _wanted(catalog, visits, exclude):
     return wanted
 
 
-def _levels(priority, wanted, order):
+def _levels(priority, wanted):
     """Return the priority class of each target (0: highest priority); None if there is a single class.
 
-    The targets are in the order of the spatial index. If there are more than `MOST_LEVELS` priorities, neighboring
+    If there are more than `MOST_LEVELS` priorities, neighboring
     priorities share a class.
     """
     if priority is None or len(values := np.unique(priority[wanted > 0])) < 2:
         return None
     rank = np.clip(np.searchsorted(values, priority), 0, len(values) - 1)
     number = min(len(values), MOST_LEVELS)
-    return (number - 1 - rank * number // len(values))[order]
+    return number - 1 - rank * number // len(values)
 
 
 def _account(state: TilingState, neighbors, n_away: int) -> dict:

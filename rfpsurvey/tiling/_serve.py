@@ -8,17 +8,9 @@ import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import check_keywords, check_switch, refusal
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import (
-    CatalogFields,
-    blank_ids,
-    field_radius_rad,
-    mark_required,
-    plan_field,
-    reusable_targets,
-)
+from rfpsurvey.pipeline import FieldBuilder, field_radius_rad, plan_field
 from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles, years_of_tiles
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
@@ -140,10 +132,8 @@ class FocalPlaneFibers:
     ----------
     instrument : Instrument
         The instrument.
-    options : AllocationOptions
-        The allocator and its options, as `AllocationOptions.for_instrument` returns them.
-    fields : CatalogFields
-        The targets.
+    builder : FieldBuilder
+        The targets, and the allocator with its options.
     fibers : Fibers
         Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
     tiles : Tiling or float
@@ -157,56 +147,44 @@ class FocalPlaneFibers:
     def __init__(
         self,
         instrument: Instrument,
-        options: AllocationOptions,
-        fields: CatalogFields,
+        builder: FieldBuilder,
         fibers: Fibers,
         tiles: Tiling | float,
         seed: int,
         reference: Time | None = None,
     ):
-        self.instrument, self.options, self.fields, self.fibers = instrument, options, fields, fibers
+        self.instrument, self.builder, self.fibers = instrument, builder, fibers
         self.tiles, self.seed, self.years, self.margin = tiles, seed, None, 0.0
         if isinstance(tiles, Tiling):
             self.places, self.conditions = places_of_tiles(tiles), conditions_of_tiles(tiles)
             self.radius = largest_field_rad(tiles, self.conditions, instrument)
             self.years = years_of_tiles(tiles, reference)
-            self.margin = 0.0 if self.years is None else float(np.abs(self.years).max()) * fields.fastest_rad
+            self.margin = 0.0 if self.years is None else float(np.abs(self.years).max()) * builder.source.fastest_rad
         else:
             self.places, self.conditions, self.radius = None, None, field_radius_rad(instrument)
-        catalog = fields.catalog
-        self.is_required = mark_required(options.required, [catalog.id])
-        reusable = reusable_targets(catalog.kind, options, self.is_required)
-        self.reusable = None if reusable is None else fields.to_slots(reusable)
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
-        self.means = f"the allocator {options.name} plans each tile; a target whose arm collides {lost}"
-        self.blank = None if options.sky_separation is None else blank_ids([catalog.id])
+        self.means = f"the allocator {builder.options.name} plans each tile; a target whose arm collides {lost}"
 
     def __call__(self, center, near, state):
         """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         number = len(state.rows)
-        plane = self._projection(center, number)
+        plane, builder = self._projection(center, number), self.builder
         years = 0.0 if self.years is None else float(self.years[number])
-        left = state.left if self.reusable is None else np.where(self.reusable, 1.0, state.left)
-        rest = self.options.sky_separation is not None
-        known = near if self.reusable is None and not rest and self.years is None else None
-        near, row, targets = self.fields.field(
-            center, self.radius, left, rest=rest, years=years, margin_rad=self.margin, slot=known
-        )
-        is_required = None if self.is_required is None else self.is_required[row]
-        targets = targets._replace(columns=targets.columns._replace(is_required=is_required))
+        left = state.left if builder.reusable is None else np.where(builder.reusable, 1.0, state.left)
+        slot, _, targets = builder.field(center, self.radius, left, years=years, margin_rad=self.margin)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
-        plan = plan_field(self.instrument, plane, targets, self.options, rng, self.blank)
+        plan = plan_field(self.instrument, plane, targets, builder.options, rng, builder.blank)
         counts = (plan.target >= 0) & (plan.kind == "science")
         if self.fibers.lost_in_collision:
             counts &= ~plan.report.in_collision[plan.positioner]
         served = np.sort(plan.target[counts])
         if self.fibers.number is not None and len(served) > self.fibers.number:
-            priority = targets.columns.priority
-            keys = [np.zeros(len(near)) if priority is None else -priority]
+            priority, is_required = targets.columns.priority, targets.columns.is_required
+            keys = [np.zeros(len(slot)) if priority is None else -priority]
             keys += [] if is_required is None else [~is_required]
             order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers.number])
-        return near[served]
+        return slot[served]
 
     def _projection(self, center, number):
         """Return the projection of the sky onto the focal plane for the tile with the given number."""

@@ -7,14 +7,14 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import ALLOCATORS
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError
 
 PLANE = rs.FocalPlane.hexagonal(rs.Positioner(5 * u.mm, 5 * u.mm, 1 * u.mm), rings=3, pitch=9 * u.mm)
 CLOSE = {"tenths": (0.3, 0.1 + 0.2), "large": (1e16, 1e16 + 2), "integers": (2**53 - 1, 2**53)}
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.parametrize("pair", CLOSE.values(), ids=CLOSE)
 def test_close_priorities_are_different_classes(allocator, pair):
     """Classes were once identified by 15 digits; two allocators failed with an internal error."""

@@ -6,7 +6,7 @@ import pytest
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import ALLOCATORS, sentences
+from rfpsurvey.allocation import METHODS, sentences
 from scenes import two_fibers
 
 MM = u.mm
@@ -158,7 +158,7 @@ def test_rules_without_requirements_only_report(method):
 
 
 @pytest.mark.filterwarnings("ignore:sky_separation has no effect")
-@pytest.mark.parametrize("method", ALLOCATORS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     "options",
     [
@@ -316,7 +316,7 @@ def test_required_targets_that_do_not_fit_are_reported(method):
     assert rs.allocate(ROW, [[5, 0]] * MM, allocator=method, required=[]).unmet == ()
 
 
-@pytest.mark.parametrize("method", ALLOCATORS)
+@pytest.mark.parametrize("method", METHODS)
 def test_forbidden_pairs_are_never_used(method):
     free = allocate(method, None)
     assert allocate(method, None, forbidden=np.empty((0, 2), int)).target_of_positioner.tolist() == [0, 1, 2]

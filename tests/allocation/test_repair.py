@@ -9,11 +9,11 @@ import pytest
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import ALLOCATORS
+from rfpsurvey.allocation import METHODS
 from scenes import SCENES, lamost_like, sdss_like
 
 MM = u.mm
-STARTS = sorted(set(ALLOCATORS) - {"repair"})
+STARTS = sorted(name for name, one in METHODS.items() if not one.improves)
 NAMES = sorted(set(SCENES) - {"left"})  # the handedness of a whole plan is not an option of allocations
 
 

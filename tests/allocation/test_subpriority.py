@@ -11,7 +11,7 @@ from scipy.stats import kstest
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
 from oracles import balanced_owner, lamost_target, targets_in_order
-from rfpsurvey.allocation import ALLOCATORS, id_numbers, service_order, subpriorities
+from rfpsurvey.allocation import METHODS, id_numbers, service_order, subpriorities
 
 MM = u.mm
 PLANES = {
@@ -137,7 +137,7 @@ def test_the_sum_of_subpriorities_is_the_largest_of_all_best_plans(allocator, se
     assert worth(used) == pytest.approx(best, abs=2e-5)
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.parametrize("requirements", [[], ["sky=3", "standard=2"]])
 def test_shuffled_rows_give_the_same_plan(allocator, requirements, rng):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM), rings=4, pitch=22.4 * MM)
@@ -215,7 +215,7 @@ def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
         for folder in (None, tmp_path / "survey")
     ]
     for survey in surveys:
-        visits = survey.visits(0)
+        visits = survey.tile(0)
         used = np.isfinite(by_seed["ra"])
         assert np.asarray(visits["target_id"]).tolist() == np.asarray(by_seed["target_id"])[used].tolist()
 

@@ -6,7 +6,7 @@ Each command first runs without interrupt. Then, the signal of Ctrl-C is sent to
 within its run time: to the process or, as a terminal does, to the process and its workers. A command must end within
 ``MOST_SECONDS`` with the exit code 130 and the message of an interrupt in the last line of the standard error stream,
 or with the exit code 0 if it was complete. It must leave no process, no temporary file, no lock and no unreadable file.
-An interrupted survey, selection, scan of designs or reproduction is run again until it is complete; its files must then
+An interrupted survey, selection or scan of designs is run again until it is complete; its files must then
 have the same bytes as the files of the run without interrupt. A fraction ``--fresh`` of the commands starts with an
 empty cache of compiled functions. The exit code of the script is 1 if a check failed.
 """
@@ -55,7 +55,6 @@ COMMANDS = {
     "select processes": ("select", *INPUT, *WORKERS),
     "design": ("design", "--n-designs", "512", "--output", "out.fits", "--plot", "front.png"),
     "design processes": ("design", "--n-designs", "64", "--estimand", "allocated", "--output", "out.ecsv", *WORKERS),
-    "reproduce": ("reproduce", "small", "--quick", "--folder", "out"),
     "plan": PLAN,
     "plan optimal": (*PLAN, "--allocator", "optimal"),
     "plan search": ("plan", "--allocator", "optimal", "--output", "tile.fits"),
@@ -70,7 +69,7 @@ COMMANDS = {
     "convert": ("convert", "../input/tile.fits", "plan.ecsv"),
     "instruments": ("instruments", "moons"),
 }
-RESUME = {"survey": "--resume", "select": "--resume", "design": "--resume", "reproduce": "--overwrite"}
+RESUME = {"survey": "--resume", "select": "--resume", "design": "--resume"}
 
 
 @dataclass

@@ -1,8 +1,8 @@
 """Compute rows of the page on the claims of the paper: the Poisson point process and Poisson-distributed coordinates.
 
 The standard error of every design is 2e-4 instead of 1e-4. ``python tests/benchmarks/poisson_rows.py`` takes 14 minutes
-on one core. With the path of a table ``poisson.ecsv`` of ``rfpsurvey reproduce poisson``, it prints the rows of that
-table.
+on one core. With the path of a table ``poisson.ecsv`` of ``python docs/reproduction poisson``, it prints the rows of
+that table.
 """
 
 import sys
@@ -10,8 +10,8 @@ import sys
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.reproduction._designs import Settings
-from rfpsurvey.reproduction._poisson import PLACES, _of_reading, poisson
+from reproduction._designs import Settings
+from reproduction._poisson import PLACES, _of_reading, poisson
 
 
 def main(path=None):

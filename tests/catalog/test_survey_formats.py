@@ -252,7 +252,7 @@ def test_subpriorities_of_a_catalog_break_ties(presets):
     assert plans[2] == plans[3]
     assert len({tuple(plan) for plan in plans}) == 3
     survey = rs.plan_survey(catalog, presets["sdss_apo"], catalog.mean_direction.reshape(1), allocator="nearest")
-    assert sorted(survey.visits(0)["target_id"].tolist()) == sorted(t for t in plans[0] if t >= 0)
+    assert sorted(survey.tile(0)["target_id"].tolist()) == sorted(t for t in plans[0] if t >= 0)
 
 
 def test_real_files_of_desi_are_read_as_their_data_model_defines(real_data):

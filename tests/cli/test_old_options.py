@@ -39,7 +39,6 @@ OLD = {
         "--targets --hdu --n-targets --target-radius --min-separation --allocator --density --dynamic --seed "
         "--workers --output --plot --report --overwrite! --no-overwrite!"
     ),
-    "reproduce": "--folder --quick! --workers --seed --report --overwrite! --no-overwrite!",
     "score": (
         "--instrument --arm-model --broken --state-time --margins --center --pa --equinox --epoch --positions "
         "--select --skip-missing! --parked! --no-parked! --hdu --column --unit --output --plot --report "

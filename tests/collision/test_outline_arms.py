@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from outlined import DESI_LIKE, placed
 
 import rfpsurvey as rs
-from rfpsurvey.collision import nearest_distance, place_arms
+from rfpsurvey.collision import METHODS, nearest_distance, place_arms
 
 CAPSULE = rs.Positioner(
     7.4 * u.mm, 15 * u.mm, 2 * u.mm, arm_model="capsule", arm_length=14.7 * u.mm, arm_angle=-1.4 * u.deg
@@ -113,7 +113,7 @@ def test_outlines_collide_as_in_shapely():
     assert n_pairs > 50
 
 
-@pytest.mark.parametrize("method", ["sampled", "sweep", "scipy"])
+@pytest.mark.parametrize("method", [name for name, one in METHODS.items() if not one.supports_outlines])
 def test_other_methods_refuse_outlines(method):
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
     with pytest.raises(rs.InputError, match=f"must be 'exact', got '{method}'"):

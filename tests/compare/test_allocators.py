@@ -6,7 +6,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import ALLOCATORS
+from rfpsurvey.allocation import METHODS
 
 MM = u.mm
 CENTER = SkyCoord(150.1, 2.2, unit="deg")
@@ -23,7 +23,7 @@ def table(crowded):
 
 
 def test_every_method_has_a_row_and_none_beats_the_optimum(table):
-    assert table["allocator"].tolist() == list(ALLOCATORS)
+    assert table["allocator"].tolist() == list(METHODS)
     row = dict(zip(table["allocator"], table, strict=True))
     assert row["optimal"]["gap"] == 0
     assert row["optimal"]["usable"] == table["usable"].max()

@@ -3,6 +3,7 @@ checkpoints.
 """
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import astropy.units as u
@@ -242,7 +243,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
     options = {**GRID, "n_designs": 30, "rng": 5}
     whole, path = tmp_path / f"whole.{ending}", tmp_path / f"stopped.{ending}"
     expected = flat.explore_designs(path=whole, **options)
-    calls, method = [], METHODS["surrogate"]
+    calls, method = [], METHODS["surrogate"].function
 
     def stop(*arguments):
         calls.append(1)
@@ -252,7 +253,7 @@ def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch,
         return method(*arguments)
 
     monkeypatch.setattr(_checkpoint, "EVERY", -1.0)
-    monkeypatch.setitem(METHODS, "surrogate", stop)
+    monkeypatch.setitem(METHODS, "surrogate", replace(METHODS["surrogate"], function=stop))
     with pytest.raises(KeyboardInterrupt):
         flat.explore_designs(path=path, **options)
     done = len(QTable.read(path))

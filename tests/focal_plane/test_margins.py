@@ -9,7 +9,7 @@ from outlined import DESI_LIKE, placed
 
 import rfpsurvey as rs
 from flat import allocate
-from rfpsurvey.allocation._methods import METHODS
+from rfpsurvey.allocation import METHODS
 
 EQUAL = rs.Positioner(3 * u.mm, 3 * u.mm, 0.9 * u.mm)
 UNEQUAL = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2 * u.mm)

@@ -51,7 +51,7 @@ def read_partitions(path: Path) -> int:
 def read_survey(path: Path) -> int:
     survey = rs.Survey.read(path)
     repr(survey)
-    return len(survey.outcomes) + sum(len(survey.visits(tile)) for tile in survey.tiles["tile"])
+    return len(survey.outcomes) + sum(len(survey.tile(tile)) for tile in survey.tiles["tile"])
 
 
 def samples(folder: Path) -> list[Sample]:
@@ -127,7 +127,7 @@ def _survey(folder, table) -> Sample:
     catalog = rs.Catalog.from_table(table["id", "ra", "dec", "priority"])
     tiles = SkyCoord([94.8, 95.2] * u.deg, [23, 23] * u.deg)
     whole = rs.plan_survey(catalog, _small(), tiles, folder=folder / "survey")
-    n = len(whole.outcomes) + sum(len(whole.visits(k)) for k in range(2))
+    n = len(whole.outcomes) + sum(len(whole.tile(k)) for k in range(2))
     pieces = ("tiles.fits", "outcomes.fits", "completeness.ecsv", "tiles/000/000000.fits", "index.csv", "survey.json")
     return Sample("survey", folder / "survey", read_survey, lambda path: _count_survey(path, n), pieces, sign)
 

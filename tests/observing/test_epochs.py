@@ -120,7 +120,7 @@ def test_each_tile_of_a_survey_is_planned_at_its_time(table, catalog, presets, t
     assert survey.summary["epoch"].startswith("the targets are moved to J2024.887 to J2026.137, the time")
     assert survey.provenance["parameters"]["epoch"] == "J2024.887 to J2026.137"
     for time, name in zip(TIMES, survey.tiles["tile"], strict=True):
-        visits = survey.visits(name)
+        visits = survey.tile(name)
         visits = visits[visits["target_row"] >= 0]
         check_places(visits, np.asarray(visits["target_id"]).astype(int), places(table, time))
 
@@ -128,7 +128,7 @@ def test_each_tile_of_a_survey_is_planned_at_its_time(table, catalog, presets, t
 def test_joint_plans_and_probabilities_move_targets_to_the_times_of_the_tiles(table, catalog, tiling, small, tmp_path):
     joint = rs.plan_survey(catalog, small, tiling, allocator="optimal", order="joint")
     for time, name in zip(TIMES, joint.tiles["tile"], strict=True):
-        visits = joint.visits(name)
+        visits = joint.tile(name)
         check_places(visits, visits["target_id"], places(table, time))
     found = rs.selection_probabilities(catalog, small, tiling, n_realizations=4)
     assert "J2024.887 to J2026.137" in found.summary["epoch"]

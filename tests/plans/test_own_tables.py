@@ -116,3 +116,10 @@ def test_private_entries_of_a_plan_that_are_damaged_are_refused_when_it_is_writt
     plan.meta["formats"] = [1, 2]
     with pytest.raises(rs.InputError, match="e.fits: the plan cannot be written, because it is damaged: "):
         plans.write_plan(plan, tmp_path / "e.fits", format="pfsdesign")
+
+
+def test_errors_of_the_program_are_not_errors_of_the_input(tmp_path, tile, monkeypatch):
+    """Regression: every exception of a writer became an InputError that stated that the plan was damaged."""
+    monkeypatch.setattr("rfpsurvey.plans._table.write", lambda *_, **__: [].missing)
+    with pytest.raises(AttributeError, match="missing"):
+        rs.plans.write_plan(tile, tmp_path / "a.ecsv")

@@ -113,7 +113,7 @@ def test_a_report_and_its_tile_give_the_same_map(small):
         (links,) = [c for c in ax.collections if isinstance(c, LineCollection)]
         np.testing.assert_array_equal(links.get_segments(), small.focal_plane.xy.value[report.pairs])
         assert words(ax) == ["no collision", "in collision", "colliding pair"]
-    with pytest.raises(rs.InputError, match="focal_plane must be None for a Tile, which has its own positioners"):
+    with pytest.raises(rs.InputError, match="instrument must be None for a Tile, which has its own positioners"):
         rs.plot.plot_collision_map(tile, small)
 
 
@@ -122,7 +122,7 @@ def test_a_report_and_its_tile_give_the_same_map(small):
     [
         (np.zeros(5), "small", "a value for each of the 37 positioners"),
         (np.full(37, 2.0), "small", "must lie from 0 to 1, got 2 to 2"),
-        (np.zeros(37), None, "focal_plane must be given: ndarray"),
+        (np.zeros(37), None, "instrument must be given: ndarray"),
         ("text", "small", "collisions must be an Estimate"),
     ],
 )

@@ -5,7 +5,6 @@ from astropy.table import MaskedColumn, QTable
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
-from rfpsurvey.plot import draw_reproduction
 
 SCAN = QTable(
     {
@@ -124,35 +123,3 @@ def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
     assert len(hatches) == 3
     table["missing"] = 0
     assert len(rs.plot.plot_allocators(table).containers) == 2
-
-
-def test_coverages_of_intervals_are_drawn_beside_each_other_and_bars_end_at_one():
-    rows = [(arms, 1.0, "uniform", n, 0.99, 0.02) for arms in ("LAMOST", "SDSS-V") for n in (37, 91)]
-    names = ["arms", "targets_per_positioner", "sky", "positioners", "coverage", "coverage_error"]
-    table = QTable(rows=rows, names=names)
-    more = QTable({"scene": ["a"], "method": ["b"], "interval": ["c"], "stop": ["d"], "coverage": [0.98]})
-    more["coverage_error"] = [0.02]
-    figures = draw_reproduction("intervals", {"one_sky": table, "intervals": more})
-    bars = [c.lines[2][0].get_segments() for c in figures["one_sky"].axes[0].containers]
-    ends = np.array(bars)
-    assert len({round(x, 6) for x in ends[..., 0].ravel()}) == 4
-    np.testing.assert_allclose(ends[..., 1].max(), 1)
-    np.testing.assert_allclose(ends[..., 1].min(), 0.95)
-    labels = [text.get_text() for text in figures["one_sky"].legends[0].get_texts()]
-    assert labels == [f"{arms}, 1 target per positioner, uniform" for arms in ("LAMOST", "SDSS-V")]
-    (ends,) = figures["intervals"].axes[0].containers[0].lines[2][0].get_segments()
-    np.testing.assert_allclose(ends[:, 0], [0.94, 1])
-
-
-def test_the_scans_of_the_paper_have_intervals_in_both_scales():
-    rows = [
-        (scan, ratio, pitch, v, v - 0.01, v + 0.02, v / 5)
-        for scan in ("ratio", "pitch")
-        for ratio, pitch, v in ((1, 26, 0.1), (2, 28, 0.2), (3, 30, 0.5))
-    ]
-    names = ["scan", "ratio", "pitch", "value", "low", "high", "closed_form"]
-    figure = draw_reproduction("small", {"small": QTable(rows=rows, names=names, units={"pitch": u.mm})})["small"]
-    above, below = figure.axes[0], figure.axes[2]
-    assert band(above.collections[0])[2] == pytest.approx((0.19, 0.22))
-    assert band(below.collections[0])[2] == pytest.approx((0.09 / 0.4, 0.12 / 0.4))
-    np.testing.assert_allclose(below.get_lines()[1].get_ydata(), [0, 0.25, 1])

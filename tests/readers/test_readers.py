@@ -295,7 +295,7 @@ def test_a_damaged_part_of_a_survey_is_named(tmp_path, small):
         part.write_bytes(content)
         sign(folder)
         with pytest.raises(rs.InputError, match=r"000000\.fits"):
-            rs.Survey.read(folder).visits(0)
+            rs.Survey.read(folder).tile(0)
     (folder / "tiles.fits").write_bytes((folder / "outcomes.fits").read_bytes())
     sign(folder)
     with pytest.raises(rs.InputError, match=r"tiles\.fits must have the columns of a survey"):

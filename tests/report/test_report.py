@@ -19,10 +19,7 @@ from matplotlib.figure import Figure
 import flat
 import rfpsurvey as rs
 from pages import LOADING, Reader, full
-from rfpsurvey import reproduction
-from rfpsurvey.plot._reproduction import FIGURES as DRAWN
 from rfpsurvey.report import _svg, _tile
-from rfpsurvey.report._tables import FIGURES as CAPTIONS
 
 CENTER = SkyCoord(95, 23, unit="deg")
 NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
@@ -64,15 +61,6 @@ def nasty_figure():
     return ax
 
 
-def claims():
-    """Return the result of `reproduce`, without its folder."""
-    one = reproduction._claims.Claim("small", "it is so", "1", "1.1", "reproduced", "as read")
-    other = reproduction._claims.Claim("small", "it is not", "2", "1.1", "not reproduced", "as read")
-    table = reproduction._claims.claims_table([one, other])
-    table.meta.update(made_by="reproduce", quick=True)
-    return table
-
-
 @pytest.fixture(scope="module")
 def results(tile, survey, small):
     sky = rs.synthetic_catalog("uniform", CENTER, 0.3 * u.deg, n_targets=60, rng=1)
@@ -83,11 +71,10 @@ def results(tile, survey, small):
         "estimate": flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
         "table": nasty_table(),
         "allocators": rs.compare_allocators(sky, small, CENTER, allocators=["nearest", "repair"]),
-        "claims": claims(),
     }
 
 
-KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators", "claims")
+KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators")
 
 
 @pytest.fixture(scope="module")
@@ -271,24 +258,6 @@ def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
     assert int(facts["targets with requested visits"]) == tiling.summary["n_targets"]
 
 
-def test_claims_have_verdicts_and_their_experiments(tmp_path):
-    page = Reader(written(claims(), tmp_path))
-    _, rows = page.table("The claims of the paper")
-    assert [(row[3]["text"], row[3]["class"]) for row in rows] == [("reproduced", "good"), ("not reproduced", "bad")]
-    assert page.text("dd")[:2] == ["1", "1"]
-
-
-def test_every_figure_of_an_experiment_has_a_caption():
-    """Regression: some captions were names of tables, and did not describe all lines of the figure."""
-    drawn = {name for figures in DRAWN.values() for name in figures}
-    assert set(CAPTIONS) == drawn
-    for title, words in CAPTIONS.values():
-        assert title.endswith(".")
-        assert len(words) > 60
-    for name in ("large", "poisson_disc", "surrogate", "intervals", "one_sky"):
-        assert "gray line" in CAPTIONS[name][1]
-
-
 def test_the_first_sentence_of_a_caption_is_in_bold(tmp_path):
     caption = "Designs. The line is the front. Bars are errors."
     text = written(QTable({"k": [1]}), tmp_path, figures={caption: Figure(), "One sentence.": Figure()})
@@ -404,7 +373,7 @@ def test_bad_input_is_a_sentence_and_leaves_nothing(tmp_path, arguments, message
     assert (tmp_path / "there.html").read_text() == "old"
 
 
-@pytest.mark.parametrize("made_by", [None, 3, ["x"], "compare_instruments", "compare_allocators", "reproduce"])
+@pytest.mark.parametrize("made_by", [None, 3, ["x"], "compare_instruments", "compare_allocators"])
 def test_tables_that_are_not_what_they_seem(tmp_path, made_by):
     table = QTable({"n": [1]}, meta={"made_by": made_by, 5: 1, "deep": {6: {7: "x"}}})
     rs.write_report(table, tmp_path / "page.html", max_rows=np.int64(3), figures={"\x00\ud800": Figure()})

@@ -6,14 +6,14 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from reproduction import EXPERIMENTS, _poisson, reproduce
+from reproduction._claims import Claim, claims_page, claims_table, verdict
+from reproduction._designs import LARGE, Settings, estimate, random_designs
+from reproduction._intervals import SCENES, coverage
+from reproduction._large import COVERED, _differences, _of_differences, _of_plain
+from reproduction._one_sky import one_sky
+from reproduction._poisson import _of_reading, drops_by_ratio
 from rfpsurvey._folder import locked
-from rfpsurvey.reproduction import EXPERIMENTS, _poisson
-from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table, verdict
-from rfpsurvey.reproduction._designs import LARGE, Settings, estimate, random_designs
-from rfpsurvey.reproduction._intervals import SCENES, coverage
-from rfpsurvey.reproduction._large import COVERED, _differences, _of_differences, _of_plain
-from rfpsurvey.reproduction._one_sky import one_sky
-from rfpsurvey.reproduction._poisson import _of_reading, drops_by_ratio
 
 QUICK = Settings(quick=True)
 
@@ -24,10 +24,10 @@ def shrink(monkeypatch):
         monkeypatch.setitem(layout, "rings", 4)
     monkeypatch.setitem(LARGE, "target_radius", 80 * u.mm)  # the density of 20,000 targets within 200 mm
     for module in ("_designs", "_poisson"):
-        monkeypatch.setattr(f"rfpsurvey.reproduction.{module}.N_TARGETS", 3200)
+        monkeypatch.setattr(f"reproduction.{module}.N_TARGETS", 3200)
     loosen(monkeypatch)
-    monkeypatch.setattr("rfpsurvey.reproduction._poisson.SEPARATIONS", (0.52, 2.0))
-    monkeypatch.setattr("rfpsurvey.reproduction._poisson.FEW_ERROR", 2e-2)
+    monkeypatch.setattr("reproduction._poisson.SEPARATIONS", (0.52, 2.0))
+    monkeypatch.setattr("reproduction._poisson.FEW_ERROR", 2e-2)
     monkeypatch.setattr(Settings, "precision", 2e-2)
     monkeypatch.setattr(Settings, "pick", lambda _, full, quick: quick if quick < 40 else quick // 4)
     monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:6])
@@ -44,7 +44,7 @@ def loosen(monkeypatch):
 def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
     if size == "few":
         shrink(monkeypatch)
-    claims = rs.reproduction.reproduce(experiment, tmp_path / "out", quick=True, workers=2)
+    claims = reproduce(experiment, tmp_path / "out", quick=True, workers=2)
     assert len(claims) > 0
     assert set(claims["experiment"]) == {experiment}
     assert set(claims["verdict"]) <= {"reproduced", "not reproduced", "cannot be decided from the text"}
@@ -57,24 +57,24 @@ def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
     page = (tmp_path / "out" / "claims.rst").read_text()
     assert all(claim in page for claim in claims["claim"])
     with pytest.raises(rs.InputError, match="exists"):
-        rs.reproduction.reproduce(experiment, tmp_path / "out", quick=True)
+        reproduce(experiment, tmp_path / "out", quick=True)
 
 
 def test_a_folder_in_use_and_existing_figures_are_refused(tmp_path, monkeypatch):
     """Two runs replaced the files of each other, and a figure was replaced without ``overwrite``."""
     monkeypatch.setitem(EXPERIMENTS, "small", lambda _: pytest.fail("the experiment must not start"))
     with locked(tmp_path, tmp_path / "lock"), pytest.raises(rs.InputError, match="another run uses this folder"):
-        rs.reproduction.reproduce("small", tmp_path, quick=True, overwrite=True)
+        reproduce("small", tmp_path, quick=True, overwrite=True)
     for name in ("small.png", "claims.rst"):
         (tmp_path / name).write_text("mine")
         with pytest.raises(rs.InputError, match=rf"{name} exists; to replace it, use overwrite=True"):
-            rs.reproduction.reproduce("small", tmp_path, quick=True)
+            reproduce("small", tmp_path, quick=True)
         (tmp_path / name).unlink()
 
 
 def test_results_do_not_depend_on_workers(tmp_path, monkeypatch):
     monkeypatch.setattr(Settings, "precision", 2e-2)
-    one, two = (rs.reproduction.reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
+    one, two = (reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
     assert one["ours"].tolist() == two["ours"].tolist()
     assert (tmp_path / "1" / "small.ecsv").read_text() == (tmp_path / "2" / "small.ecsv").read_text()
 
@@ -238,10 +238,10 @@ def test_the_page_of_claims():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda p: rs.reproduction.reproduce("large scale", p), "unknown experiment 'large scale'"),
-        (lambda p: rs.reproduction.reproduce("small", p, rng=-1), "rng must be a seed"),
-        (lambda p: rs.reproduction.reproduce("small", p, workers=0), "workers must be a whole number"),
-        (lambda p: rs.reproduction.reproduce("small", __file__), "must be a folder"),
+        (lambda p: reproduce("large scale", p), "unknown experiment 'large scale'"),
+        (lambda p: reproduce("small", p, rng=-1), "rng must be a seed"),
+        (lambda p: reproduce("small", p, workers=0), "workers must be a whole number"),
+        (lambda p: reproduce("small", __file__), "must be a folder"),
     ],
 )
 def test_bad_input_is_named(call, words, tmp_path):

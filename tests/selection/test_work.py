@@ -6,6 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from realizations import check, sky_of, tiles_of
+from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection import _work
 from rfpsurvey.selection._work import Poses
 
@@ -34,7 +35,7 @@ def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
     k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
     chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
     lost = np.empty(chosen.shape, dtype=bool)
-    Poses(plane, plane.arrays, xy, None, pairs, parked_obstacles=False).find_lost(chosen, lost)
+    Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False).find_lost(chosen, lost)
     assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
     assert len(calls) == (abs(gap - D) < 0.1)
 
@@ -45,7 +46,8 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
     plane = rs.FocalPlane([[-5.0, 0.0], [90.0, 0.0]] * u.mm, unit, obstacles=[[4.25, 0.0, 2.0]] * u.mm)
     xy = np.array([[-gap, 0.0]])
     lost = np.empty((1, 2), dtype=bool)
-    poses = Poses(plane, plane.arrays, xy, None, plane.arrays.reach(xy), parked_obstacles=False)
+    pairs = plane.arrays.reach(xy)
+    poses = Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False)
     poses.find_lost(np.array([[0, -1]]), lost)
     assert lost.tolist() == [[collides, False]]
     assert len(calls) == (abs(gap) < 0.1)

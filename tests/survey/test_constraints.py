@@ -44,7 +44,7 @@ def covered(survey, instrument, circles):
     found = []
     for row in survey.tiles:
         center, angle = SkyCoord(row["ra"], row["dec"]), row["position_angle"]
-        scored = rs.score_tile(survey.visits(row["tile"]), instrument, center=center, position_angle=angle).table
+        scored = rs.score_tile(survey.tile(row["tile"]), instrument, center=center, position_angle=angle).table
         scored = scored[np.isin(scored["status"], ["assigned", "parked"])]
         elbow, tip = (
             np.column_stack([scored[f"{part}_x"].value, scored[f"{part}_y"].value]) for part in ("elbow", "tip")
@@ -103,19 +103,19 @@ def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
     """There is one required target for each outcome: outside all fields, out of reach, not assigned, lost to a
-    collision, not requested.
+    collision.
     """
     one = rs.Positioner(8 * u.mm, 8 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, one)
     instrument = rs.Instrument("two", plane, plate_scale=100 * u.mm / u.deg)
-    xy = np.array([[-1.0, 1.0], [-1.0, 2.0], [0.0, 30.0], [-2.0, 0.0], [9.0, 0.0], [11.0, 0.0]])
+    xy = np.array([[-1.0, 1.0], [-1.0, 2.0], [0.0, 30.0], [9.0, 0.0], [11.0, 0.0]])
     near = instrument.projection(CENTER).to_sky(xy * u.mm)
     coord = SkyCoord([*near, CENTER.directional_offset_by(0 * u.deg, 9 * u.deg)])
-    names = np.array(["first", "second", "beyond", "unwanted", "left", "right", "far"])
+    names = np.array(["first", "second", "beyond", "left", "right", "far"])
 
-    def plan(chosen, required, visits=1):
+    def plan(chosen, required):
         rows = np.flatnonzero(np.isin(names, chosen))
-        catalog = rs.Catalog(coord[rows], id=names[rows], visits=np.full(len(rows), visits))
+        catalog = rs.Catalog(coord[rows], id=names[rows])
         survey = flat.plan_survey(catalog, instrument, CENTER.reshape(1), allocator="nearest", required=required)
         assert survey.summary["n_required"] - survey.summary["n_required_observed"] == len(required)
         return survey.summary["unmet"]
@@ -128,8 +128,6 @@ def test_required_targets_without_a_visit_are_told_with_their_outcome(small):
     with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}lost to a collision"):
         unmet = plan(["left", "right"], ["left", "right"])
     assert unmet == [f"{begin}lost to a collision: left, right (2 in all)"]
-    with pytest.warns(rs.RfpsurveyWarning, match=f"{begin}not requested"):
-        assert plan(["first", "unwanted"], ["unwanted"], [1, 0]) == [f"{begin}not requested: unwanted (1 in all)"]
     row = rs.FocalPlane([[0, 0]] * u.mm, one)
     instrument = rs.Instrument("one", row, plate_scale=100 * u.mm / u.deg)
     catalog = rs.Catalog(instrument.projection(CENTER).to_sky(xy[:2] * u.mm), id=["first", "second"])
@@ -145,7 +143,7 @@ def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small,
     kind[near] = "standard"
     catalog = rs.Catalog(sky.coord, kind=kind)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    visits = flat.plan_survey(catalog, small, tiles, requirements="standard=9").visits(0)
+    visits = flat.plan_survey(catalog, small, tiles, requirements="standard=9").tile(0)
     chosen = int(visits["target_id"][visits["kind"] == "standard"][0])
     survey = flat.plan_survey(catalog, small, tiles, required=chosen)
     visits = survey.targets[survey.targets["kind"] == "standard"]
@@ -153,11 +151,11 @@ def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small,
     assert survey.summary["n_required_observed"] == 1
     for k in (0, 1):
         left = np.ones(len(sky), dtype=bool)
-        left[survey.visits(0)["target_row"][survey.visits(0)["observed"]]] = k == 0
+        left[survey.tile(0)["target_row"][survey.tile(0)["observed"]]] = k == 0
         left[chosen] = True
         tile = flat.plan_tile(catalog[left], small, tiles[k], required=chosen)
         assigned = tile.table[tile.table["status"] == "assigned"]
-        assert assigned["target_id"].tolist() == survey.visits(k)["target_id"].tolist()
+        assert assigned["target_id"].tolist() == survey.tile(k)["target_id"].tolist()
 
 
 @pytest.mark.filterwarnings(NEVER)

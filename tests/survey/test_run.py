@@ -81,7 +81,7 @@ def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
             assert one.colnames == other.colnames
             for c in one.colnames:
                 np.testing.assert_array_equal(one[c], other[c], err_msg=f"{name} {c}")
-    assert read.visits(5)["tile"][0] == 5
+    assert read.tile(5)["tile"][0] == 5
     table = QTable.read(tmp_path / "survey" / "tiles" / "000" / "000005.fits")
     assert table.meta["TILE"] == 5
     assert table.meta["NASSIGN"] == len(table) == read.tiles["n_assigned"][5]
@@ -196,8 +196,8 @@ def test_a_damaged_survey_is_not_read(case, folder):
     flip(folder / "tiles" / "000" / "000007.fits", 6000)
     survey = rs.Survey.read(folder)
     with pytest.raises(rs.InputError, match=r"000007.fits is damaged \(its checksum differs from the checksum"):
-        survey.visits(7)
-    assert len(survey.visits(8))
+        survey.tile(7)
+    assert len(survey.tile(8))
     for name in ("tiles.fits", "outcomes.fits", "completeness.ecsv"):
         flip(folder / name, -200)
         with pytest.raises(rs.InputError, match=rf"{name} is damaged"):
@@ -428,7 +428,7 @@ def test_what_cannot_be_read_or_is_left_over_in_a_folder(case, folder, undisturb
     part.unlink()
     part.mkdir()
     with pytest.raises(rs.InputError, match=r"000007\.fits: this is a folder"):
-        rs.Survey.read(folder).visits(7)
+        rs.Survey.read(folder).tile(7)
     part.rmdir()
     (folder / "index.csv").unlink()  # without it, no file is trusted
     with pytest.raises(rs.InputError, match="is damaged"):

@@ -108,7 +108,7 @@ def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocato
             assert survey.tiles[name][k] == summary[name], name
         assert survey.tiles["fiber_use"][k] == summary["n_assigned"] / summary["n_positioners"]
     for k, tile in enumerate(survey.tiles["tile"]):
-        table = survey.visits(tile)
+        table = survey.tile(tile)
         found = zip(*(table[name].tolist() for name in ("target_id", "positioner", "in_collision")), strict=True)
         assert set(found) == visits.get(k, set())
     assert np.array_equal(survey.outcomes["requested"] - survey.outcomes["observed"].astype(int), left)
@@ -164,7 +164,7 @@ def test_standards_and_sky_are_never_used_up(small):
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
     survey = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements=["sky=5", "standard=2"]))
     for tile in (0, 1):
-        kinds = survey.visits(tile)["kind"].tolist()
+        kinds = survey.tile(tile)["kind"].tolist()
         assert kinds.count("sky") == 5
         assert kinds.count("standard") == 2
     assert survey.summary["n_unmet"] == 0
@@ -227,7 +227,7 @@ def test_each_tile_draws_by_itself(sky, small):
     both = [SkyCoord(*offsets, frame=c.skyoffset_frame()).icrs for c in (CENTER, other)]
     survey = rs.plan_survey(SkyCoord(both).ravel(), small, SkyCoord([CENTER, other]), allocator="balanced")
     assert survey.summary["n_rounds"] == 1
-    one, two = (survey.visits(k)["target_row"] % 2000 for k in (0, 1))
+    one, two = (survey.tile(k)["target_row"] % 2000 for k in (0, 1))
     assert not np.array_equal(one, two)
 
 
@@ -303,7 +303,7 @@ def test_a_tile_of_a_survey_can_be_scored(presets):
     catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
     fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
     survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1))
-    tile = rs.score_tile(survey.visits(0), sdss, center=CENTER, position_angle=0 * u.deg)
+    tile = rs.score_tile(survey.tile(0), sdss, center=CENTER, position_angle=0 * u.deg)
     for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
         assert tile.summary[name] == survey.tiles[name][0]
     assert tile.summary["n_out_of_reach"] == 0

@@ -396,3 +396,11 @@ def test_the_table_is_made_on_first_use(small, monkeypatch):
         assert set(copy.table["target_id"][~copy.table["target_id"].mask]) == set(
             tile.table["target_id"][~tile.table["target_id"].mask]
         )
+
+
+def test_tiles_and_surveys_have_a_method_that_plots_them(small, sky):
+    tile, survey = rs.plan_tile(sky, small, CENTER), rs.plan_survey(sky, small, CENTER.reshape(1))
+    assert tile.targets is tile.outcomes
+    ax = tile.plot(targets="outcome")
+    assert tile.plot(ax=ax) is ax
+    assert survey.plot(color="n_assigned") is not ax

@@ -8,11 +8,11 @@ from astropy.table import QTable
 from astropy.time import Time
 
 import rfpsurvey as rs
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.tiling._problem import TilingState
 
 MM = u.mm
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
-ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
 N_CASES = 9
 
 
@@ -102,7 +102,7 @@ def observed_by_survey(catalog, *args, **options):
     return found, survey
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.filterwarnings("ignore:required targets", "ignore:no target", "ignore:no tile", "ignore:requirement")
 def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, monkeypatch):
     """Regression: tiles of `place_tiles` did not observe required standards without a requirement, for example."""

@@ -10,7 +10,7 @@ import rfpsurvey as rs
 from rfpsurvey.tiling import METHODS, Centers
 
 DEG = u.deg
-SEARCHES = [name for name in METHODS if name != "given"]
+SEARCHES = [name for name, one in METHODS.items() if not one.needs_tiles]
 FEW = {"radius": 1 * DEG, "fibers": 50}
 
 

@@ -323,7 +323,10 @@ def test_centers_restrict_coverings():
     ("options", "message"),
     [
         ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, given, hex"),
-        ({"method": "sdss"}, "the method 'sdss' needs targets, got a Region; hexagonal and spiral cover regions"),
+        (
+            {"method": "sdss"},
+            "the method 'sdss' needs targets, got a Region; methods that cover regions: hexagonal, spiral",
+        ),
         ({"completeness": 0.9}, "completeness applies only to targets"),
         ({"n_tiles": 5}, "n_tiles applies only to targets"),
         (

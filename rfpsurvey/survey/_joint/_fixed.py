@@ -49,7 +49,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     plane = request.instrument.focal_plane
     _check_request(request, survey)
     side = -1 if plane.positioner.handedness == "left" else 1
-    left = request.first_left.astype(np.int64)
+    left = request.builder.left.astype(np.int64)
     requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
     row_of = {name: k for k, name in enumerate(plane.id.tolist())}
     found = {}

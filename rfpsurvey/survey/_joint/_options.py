@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
+from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
 
@@ -130,8 +131,9 @@ def check_joint(options) -> None:
     InputError
         If an option is not supported.
     """
-    if options.allocator != "optimal":
-        raise InputError(f"a joint plan needs the allocator 'optimal', got {options.name!r}")
+    if not options.method.plans_jointly:
+        names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
+        raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
     for name in ("requirements", "required", "sky_separation", "subpriority"):

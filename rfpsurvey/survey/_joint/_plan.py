@@ -38,7 +38,7 @@ class PlannedRequest(Request):
     def job(self, tile: int, left: np.ndarray, *, as_file: bool):
         """Return the job that makes a tile from its known plan."""
         if tile in self.fixed:  # the targets of this tile may have no remaining visits
-            job = super().job(tile, self.first_left, as_file=as_file)
+            job = super().job(tile, self.builder.left, as_file=as_file)
             return given_plan(self, job, self.fixed[tile])
         return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
 
@@ -97,7 +97,7 @@ class Together:
 
 
 def _n_levels(request) -> int:
-    return len(levels_of(int(class_of(request, request.first_left).max(initial=0)) + 1))
+    return len(levels_of(int(class_of(request, request.builder.left).max(initial=0)) + 1))
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:

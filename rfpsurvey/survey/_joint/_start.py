@@ -10,10 +10,9 @@ import numpy as np
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
-from rfpsurvey.pipeline import plan_field
 from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
-from rfpsurvey.survey._work import Job, Model, projection_of
+from rfpsurvey.survey._work import Job, Model, plan_of, projection_of
 
 __all__ = ["TilePlan", "class_names", "first_plans", "given_plan", "list_all", "place", "plans_of"]
 
@@ -29,31 +28,26 @@ class TilePlan(NamedTuple):
 
 def _plan(job: Job):
     """Plan a tile; return the target (its index among the targets of the field) and handedness of each positioner."""
-    plan = plan_field(
-        job.model.instrument, projection_of(job), job.field.targets, job.model.options, np.random.default_rng(job.seed)
-    )
-    side = np.where(plan.allocation.handedness == "left", -1, 1).astype(np.int8)
-    return plan.allocation.target_of_positioner, side
+    allocation = plan_of(job).allocation
+    side = np.where(allocation.handedness == "left", -1, 1).astype(np.int8)
+    return allocation.target_of_positioner, side
 
 
 def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
     """Return the candidates of a tile, and the unit vectors of the centers of its positioners."""
-    model, projection = job.model, projection_of(job)
-    instrument = model.instrument
-    plan = plan_field(instrument, projection, job.field.targets, model.options, np.random.default_rng(job.seed))
-    kind = instrument.focal_plane.fiber_types[0]
-    vectors = projection.unproject(instrument.focal_plane.arrays.xy, np.full(len(instrument.focal_plane), kind))
-    return plan.allocation.meta["candidates"], vectors
+    plane = job.model.instrument.focal_plane
+    vectors = projection_of(job).unproject(plane.arrays.xy, np.full(len(plane), plane.fiber_types[0]))
+    return plan_of(job).allocation.meta["candidates"], vectors
 
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    left, plans = request.first_left.copy(), [None] * len(request.tiling)
+    left, plans = request.builder.left.copy(), [None] * len(request.tiling)
     done = 0
-    for tile, known in fixed.items():
-        slot = np.where(known.counted, known.slot, -1)
+    for tile, observed in fixed.items():
+        slot = np.where(observed.counted, observed.slot, -1)
         left[slot[slot >= 0]] -= 1
-        plans[tile] = TilePlan(slot, known.side)
+        plans[tile] = TilePlan(slot, observed.side)
         done += 1
     for round_ in request.rounds:
         tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
@@ -71,7 +65,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
 
 def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
     """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners."""
-    left = request.first_left
+    left = request.builder.left
     jobs, slots, n = [], [], len(request.tiling)
     for tile in range(n):
         job = request.job(tile, left, as_file=False)
@@ -81,9 +75,9 @@ def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tu
         keep = _rows(job.field.slot, plans[tile].slot)
         options = replace(request.options, allocator=ListCandidates(keep))
         jobs.append(_bare(job)._replace(model=_model(request, options)))
-    found = map_in_order(executor, _list, jobs)
+    lists = map_in_order(executor, _list, jobs)
     nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
-    parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(found) for k in range(n)]
+    parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(lists) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
     return make_network(list(tiles), slots, left, class_of(request, left)), np.concatenate(vectors)
 
@@ -100,7 +94,7 @@ def class_of(request, wanted: np.ndarray) -> np.ndarray:
 def class_names(request) -> list[str]:
     """Return the names of the classes that `class_of` returns; the name of a class is its priority."""
     priority = request.source.by_slot("priority")
-    wanted = request.first_left
+    wanted = request.builder.left
     if priority is None or not (wanted > 0).any():
         return ["all"]
     return [exact_text(value) for value in np.unique(priority[wanted > 0])[::-1]]

@@ -4,11 +4,11 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from reproduction._designs import Settings, each, error_of_fraction
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import Precision, RandomTargets, Simulation, make_source, summarize
-from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
 
 __all__ = ["one_sky"]
 

@@ -6,13 +6,17 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from reproduction._designs import Settings, each, error_of_fraction
+from reproduction._one_sky import one_sky
 from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.probability import (
-    CHUNK,
     INTERVALS,
+    METHODS,
+    QUEUEING,
     Precision,
     RandomTargets,
     Simulation,
@@ -23,9 +27,6 @@ from rfpsurvey.probability import (
     summarize,
     wilson,
 )
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import Settings, each, error_of_fraction
-from rfpsurvey.reproduction._one_sky import one_sky
 
 __all__ = ["coverage", "intervals"]
 
@@ -115,14 +116,14 @@ def _repeat(scene, method, stop, repeats, settings):
     targets = RandomTargets(number=n_targets)
     finest = min(precisions.values()) / settings.pick(20, 5)
     truth = collision_probability(plane, targets=targets, precision=finest, rng=settings.seed + 1).value
-    simulation = Simulation(plane, make_source(plane, None, targets), AllocationOptions("balanced"))
+    simulation = Simulation(plane, make_source(plane, None, targets), AllocationOptions(QUEUEING))
     task = simulation.draw if method == "monte_carlo" else simulation.expect
     precision = Precision(precisions[method], 100_000, CONFIDENCE, "wilson", stop)
     kinds = [*INTERVALS, "wilson_iterations"] if stop == "interval" else ["wilson"]
     held, widths, errors, iterations = dict.fromkeys(kinds, 0), dict.fromkeys(kinds, 0.0), [], []
     seed = [settings.seed, 95, list(SCENES).index(scene), ("monte_carlo", "conditional").index(method), len(stop)]
     for rng in np.random.default_rng(seed).spawn(repeats):
-        tally, found = run(task, CHUNK[method], precision, plane, rng, None, Progress(False), given=False)
+        tally, found = run(task, METHODS[method].chunk, precision, plane, rng, None, Progress(False), given=False)
         errors.append(found["value"] - truth)
         iterations.append(len(tally.pairs))
         for kind in kinds:

@@ -39,7 +39,7 @@ def claims_table(claims: list[Claim]) -> QTable:
 
 def claims_page(table: QTable, settings: dict) -> str:
     """Return a page in reStructuredText that lists the claims and the settings."""
-    lines = ["Claims of the paper", "===================", "", "Made by ``rfpsurvey reproduce``: "]
+    lines = ["Claims of the paper", "===================", "", "Made by ``python docs/reproduction``: "]
     lines[-1] += ", ".join(f"{key} {value}" for key, value in settings.items()) + "."
     for experiment in dict.fromkeys(np.asarray(table["experiment"])):
         lines += ["", experiment.capitalize(), "-" * len(experiment), "", ".. list-table::", "   :header-rows: 1", ""]

@@ -4,8 +4,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
-from rfpsurvey.reproduction._designs import SMALL, Settings, each, estimate, plane_of, scaled
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
+from reproduction._designs import SMALL, Settings, each, estimate, plane_of, scaled
 
 __all__ = ["small"]
 

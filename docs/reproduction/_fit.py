@@ -37,9 +37,9 @@ class PolynomialFit:
     --------
     >>> import astropy.units as u
     >>> import numpy as np
-    >>> import rfpsurvey as rs
+    >>> from reproduction._fit import fit_polynomial
     >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
-    >>> fit = rs.probability.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, 0.1 * ratio**2)
+    >>> fit = fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, 0.1 * ratio**2)
     >>> fit.predict([10] * u.mm, [1.5], [30] * u.mm).round(3)
     array([0.225])
     """
@@ -121,9 +121,10 @@ def fit_polynomial(
     >>> import astropy.units as u
     >>> import numpy as np
     >>> import rfpsurvey as rs
+    >>> from reproduction._fit import fit_polynomial
     >>> l1, ratio, pitch = np.random.default_rng(1).uniform((8, 1, 25), (14, 2, 35), (80, 3)).T
     >>> p = rs.probability.surrogate_probability(l1 * u.mm, ratio * l1 * u.mm, pitch * u.mm, 4.5 * u.mm)
-    >>> rs.probability.fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, p).r2_held_back > 0.97
+    >>> fit_polynomial(l1 * u.mm, ratio, pitch * u.mm, p).r2_held_back > 0.97
     True
     """
     designs, value = _designs(central_arm, ratio, pitch), np.asarray(probability, dtype=float)

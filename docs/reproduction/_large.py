@@ -4,9 +4,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey.probability import Estimate, Precision, fit_polynomial, interior_probability, surrogate_probability
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
-from rfpsurvey.reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
+from reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
+from reproduction._fit import fit_polynomial
+from rfpsurvey.probability import Estimate, Precision, interior_probability, surrogate_probability
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 

@@ -10,20 +10,24 @@ from pathlib import Path
 
 from astropy.table import QTable
 
+from reproduction._claims import Claim, claims_page, claims_table
+from reproduction._designs import Settings
+from reproduction._figures import draw_reproduction
+from reproduction._intervals import intervals
+from reproduction._large import fit, large
+from reproduction._poisson import poisson
+from reproduction._report import TABLES, page_of_claims
+from reproduction._small import small
+from reproduction._speed import speed
 from rfpsurvey._executors import released
 from rfpsurvey._folder import locked
 from rfpsurvey._io import check_output, output_path, to_path, write_table
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
-from rfpsurvey.plot import draw_reproduction
-from rfpsurvey.reproduction._claims import Claim, claims_page, claims_table
-from rfpsurvey.reproduction._designs import Settings
-from rfpsurvey.reproduction._intervals import intervals
-from rfpsurvey.reproduction._large import fit, large
-from rfpsurvey.reproduction._poisson import poisson
-from rfpsurvey.reproduction._small import small
-from rfpsurvey.reproduction._speed import speed
+from rfpsurvey.report._write import MADE_BY
 
-__all__ = ["EXPERIMENTS", "TABLES", "reproduce"]
+__all__ = ["EXPERIMENTS", "reproduce"]
+
+MADE_BY["reproduce"] = (page_of_claims, {"experiment", "verdict"})  # the page that write_report makes for the claims
 
 EXPERIMENTS: dict[str, Callable] = {
     "small": small,
@@ -34,15 +38,6 @@ EXPERIMENTS: dict[str, Callable] = {
     "speed": speed,
 }
 """Experiments by name; each is a function that takes `Settings` and returns a dict of tables and a list of claims."""
-TABLES = {
-    "small": ("small",),
-    "large": ("large", "large_differences", "large_plain"),
-    "poisson": ("poisson", "poisson_disc"),
-    "fit": ("fit", "surrogate"),
-    "intervals": ("intervals", "one_sky"),
-    "speed": ("speed",),
-}
-"""Names of the tables that each experiment writes, by the name of the experiment."""
 
 
 @check_keywords
@@ -103,9 +98,9 @@ def reproduce(
     Examples
     --------
     >>> import tempfile
-    >>> import rfpsurvey as rs
+    >>> from reproduction import reproduce
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     claims = rs.reproduction.reproduce("small", f"{folder}/paper", quick=True)
+    ...     claims = reproduce("small", f"{folder}/paper", quick=True)
     >>> print(claims["claim"][0])
     the probability increases rapidly with the arm ratio
     """

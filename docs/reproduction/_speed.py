@@ -3,9 +3,9 @@
 import numpy as np
 from astropy.table import QTable
 
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
+from reproduction._designs import Settings
 from rfpsurvey.benchmark import benchmark_collisions
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
-from rfpsurvey.reproduction._designs import Settings
 
 __all__ = ["speed"]
 

@@ -6,9 +6,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, vstack
 
-from rfpsurvey.probability import RandomTargets
-from rfpsurvey.reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
-from rfpsurvey.reproduction._designs import (
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
+from reproduction._designs import (
     LARGE,
     N_TARGETS,
     Settings,
@@ -17,7 +16,8 @@ from rfpsurvey.reproduction._designs import (
     numbers_of,
     random_designs,
 )
-from rfpsurvey.reproduction._large import NAMED, uniform_estimate
+from reproduction._large import NAMED, uniform_estimate
+from rfpsurvey.probability import RandomTargets
 
 __all__ = ["drops_by_ratio", "poisson"]
 

@@ -1,0 +1,101 @@
+"""Compare the allocators that could be the default: time, and targets assigned without a collision.
+
+python tests/benchmarks/default_allocator.py [--seconds 10]
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/default_allocator.py --tiles 500
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/default_allocator.py --tiles 20 --realizations 128
+
+The first command plans one field of each preset. The second command plans the tiles of DESI's main survey that are
+nearest to a position. The third command computes selection probabilities for these tiles. Times exclude compilation.
+"""
+
+import argparse
+import os
+from pathlib import Path
+from time import perf_counter
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+
+import rfpsurvey as rs
+from sky_center import CENTER
+
+ALLOCATORS = ("lamost", "repair", "optimal")
+EACH = (0.5, 1, 2, 5, 10, 20, 50)
+MIDDLE, DENSITY = SkyCoord(180 * u.deg, 20 * u.deg), 1400 / u.deg**2
+REPEATS = 3
+
+
+def one_tile(name, each, options):
+    """Return the median time (ms) and the number of usable fibers of each allocator."""
+    model = rs.Instrument.preset(name)
+    sky = rs.synthetic_catalog(
+        "uniform", CENTER, model.field_radius, n_targets=round(each * len(model.focal_plane)), rng=1
+    )
+    found = []
+    for option in options:
+        times = []
+        while len(times) < REPEATS and sum(times) < 2e3:  # slow plans are made only once
+            begin = perf_counter()
+            tile = rs.plan_tile(sky, model, CENTER, allocator=option)
+            times.append(1e3 * (perf_counter() - begin))
+        usable = np.count_nonzero((tile.table["kind"] == "science") & ~tile.table["in_collision"])
+        found.append((np.median(times), usable))
+    return found
+
+
+def tiles(options):
+    """Print the times and usable fibers for each preset and number of targets per positioner."""
+    words = "".join(f"{option.name:>22}" for option in options)
+    print(f"{'instrument':<11}{'targets per positioner':>7}{words}   (ms, usable fibers)")
+    for name in rs.available_instruments():
+        one_tile(name, 1, options)  # compiles
+        for each in EACH:
+            found = one_tile(name, each, options)
+            words = "".join(f"{time:>12.0f}{usable:>10}" for time, usable in found)
+            print(f"{name:<11}{each:>7}{words}", flush=True)
+
+
+def survey(n_tiles, n_realizations, options):
+    """Print the time and the observed visits of a part of DESI's main survey."""
+    tiling = rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
+    tiling = rs.Tiling(tiling.table[tiling.table["program"] == "DARK"])
+    near = np.sort(np.argsort(tiling.coord.separation(MIDDLE), kind="stable")[:n_tiles])
+    tiling = rs.Tiling(tiling.table[near])
+    radius = tiling.coord.separation(MIDDLE).max() + 1.6 * u.deg
+    sky = rs.synthetic_catalog("poisson", MIDDLE, radius, density=DENSITY, rng=1)
+    sky = rs.Catalog(sky.coord, id=np.arange(len(sky)), visits=np.random.default_rng(1).integers(1, 5, len(sky)))
+    print(f"{len(tiling)} tiles, {len(sky)} targets, {n_realizations} realizations")
+    for option in options:
+        rs.plan_survey(sky, "desi", rs.Tiling(tiling.table[:2]), allocator=option)
+        begin = perf_counter()
+        if n_realizations:
+            done = rs.selection_probabilities(sky, "desi", tiling, n_realizations, allocator=option)
+        else:
+            done = rs.plan_survey(sky, "desi", tiling, allocator=option)
+        seconds = perf_counter() - begin
+        s = done.summary
+        observed = s["n_observed"] if n_realizations else s["n_visits_observed"]
+        print(f"{option.name:<9}{seconds:8.1f} s{observed:>12} visits observed of {s['n_assigned']}", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=10.0, help="time limit of a search")
+    parser.add_argument("--tiles", type=int, default=0)
+    parser.add_argument("--realizations", type=int, default=0)
+    parser.add_argument("--allocator", action="append", help="by default, all allocators of the comparison")
+    given = parser.parse_args()
+    options = []
+    for name in given.allocator or ALLOCATORS:
+        searches = rs.allocation.METHODS[name].searches
+        limit = {"time_limit": given.seconds * u.s} if searches else {}
+        options.append(rs.AllocationOptions(name, **limit))
+    if given.tiles:
+        survey(given.tiles, given.realizations, options)
+    else:
+        tiles(options)
+
+
+if __name__ == "__main__":
+    main()
