@@ -47,7 +47,7 @@ def model_of(keys, known_time: Callable[[], Time | None] | None = None) -> "rs.I
 
 def with_margins(model: "rs.Instrument", margins: dict) -> "rs.Instrument":
     """Return an instrument with the given margins or, if none are given, with its own margins."""
-    given = dict(margins)
+    given = dict(margins or {})
     if not given:
         return model
     start = rs.Margins()

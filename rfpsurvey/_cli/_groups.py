@@ -147,7 +147,7 @@ class InstrumentKeys(StateKeys):
         instrument.
     """
 
-    name: Annotated[str, Located()] = "lamost"
+    name: Annotated[str, Located] = "lamost"
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,12 @@ class ConditionsKeys:
     ----------
     path : Path, optional
         TOML file with observing conditions, whose values are replaced by the other keys of this table.
+    site : str or list of float, optional
+        Site of the telescope: a name such as paranal, or longitude (deg), latitude (deg) and height (m).
     """
 
     path: Path | None = None
+    site: str | list[float] | None = None
 
 
 Options = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys)]

@@ -166,7 +166,7 @@ def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
             return key, rest
         more, _, rest = rest.partition(".")
         head = f"{head}.{more}"
-    last = {one.rpartition(".")[2]: one for one in keys}
+    last = {one.rpartition(".")[2]: one for one in reversed(keys)}
     known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
     hint = close_to(last.get(name.rpartition(".")[2], name), known)
     raise InputError(f"unknown key {name!r}; {hint or '--help-keys lists all keys'}")

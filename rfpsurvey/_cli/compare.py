@@ -36,7 +36,7 @@ class CompareKeys:
         Number of synthetic fields per instrument. By default, 4.
     """
 
-    instruments: Annotated[list[str] | None, Located()] = None
+    instruments: Annotated[list[str] | None, Located] = None
     instrument: _groups.StateKeys
     catalog: _groups.CatalogKeys
     options: _groups.OptionsOnly

@@ -23,7 +23,7 @@ class DesignInstrumentKeys(_groups.StateTimeKeys):
         the parameters.
     """
 
-    name: Annotated[str | None, Located()] = None
+    name: Annotated[str | None, Located] = None
     arm_model = broken = margins = None
 
 

@@ -28,7 +28,7 @@ class InstrumentsKeys:
         presets are listed.
     """
 
-    instruments: Annotated[list[str] | None, Located()] = None
+    instruments: Annotated[list[str] | None, Located] = None
     instrument: _groups.StateKeys
 
 

@@ -26,7 +26,7 @@ class TargetsKeys:
         Targets: uniform, poisson or poisson_disc for random targets, or a catalog, such as example:anticenter.
     """
 
-    kind: Annotated[str, Located()] = "uniform"
+    kind: Annotated[str, Located] = "uniform"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,7 +50,7 @@ class ScoreInstrumentKeys(_groups.StateKeys):
         instrument. By default, the instrument named in the plan or tile is used.
     """
 
-    name: Annotated[str | None, Located()] = None
+    name: Annotated[str | None, Located] = None
 
 
 @dataclass(frozen=True, kw_only=True)

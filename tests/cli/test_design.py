@@ -66,12 +66,12 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     options += [
         "--estimand",
         "collision_free",
-        "--n-skies",
-        2,
         "--set",
-        "options.objective=usable=max",
-        "--set",
-        "options.objective=loss=min",
+        "loss.n_skies=2",
+        "--objective",
+        "usable=max",
+        "--objective",
+        "loss=min",
     ]
     code, out, _ = run("design", *options, "--output", tmp_path / "d.fits")
     assert code == 0
