@@ -31,7 +31,7 @@ COLLISION = (
     "input_validation"
 )
 ALLOCATION = (
-    "allocation/requirements allocation/repair allocation/sky allocation/allocate allocation/methods "
+    "constraints/requirements allocation/repair allocation/sky allocation/allocate allocation/methods "
     "allocation/quotas allocation/random_quotas regressions input_validation allocation/search allocation/optimal"
 )
 PROBABILITY = (

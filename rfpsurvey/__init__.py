@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         catalog,
         collision,
         compare,
+        constraints,
         design,
         errors,
         focal_plane,
@@ -33,10 +34,11 @@ if TYPE_CHECKING:
         tile,
         tiling,
     )
-    from rfpsurvey.allocation import Allocation, AllocationOptions, Requirement, allocate
+    from rfpsurvey.allocation import Allocation, AllocationOptions, allocate
     from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, partition_catalog, synthetic_catalog
     from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
     from rfpsurvey.compare import compare_allocators, compare_instruments
+    from rfpsurvey.constraints import Constraint, KeepOut, Required, Requirement
     from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
     from rfpsurvey.focal_plane import FocalPlane, Margins
     from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
@@ -68,6 +70,7 @@ __all__ = [
     "Catalog",
     "CollisionCounts",
     "CollisionReport",
+    "Constraint",
     "DistortionMap",
     "Estimate",
     "FocalPlane",
@@ -76,6 +79,7 @@ __all__ = [
     "InputUnitsError",
     "Instrument",
     "JointOptions",
+    "KeepOut",
     "Margins",
     "ObservingConditions",
     "PartitionedCatalog",
@@ -84,6 +88,7 @@ __all__ = [
     "ProjectionComparison",
     "RadialMap",
     "Region",
+    "Required",
     "Requirement",
     "RfpsurveyWarning",
     "SelectionProbabilities",
@@ -114,11 +119,12 @@ __all__ = [
 ]
 
 _IMPORTED_ON_USE = {
-    "allocation": ("Allocation", "AllocationOptions", "Requirement", "allocate"),
+    "allocation": ("Allocation", "AllocationOptions", "allocate"),
     "benchmark": (),
     "catalog": ("Catalog", "PartitionedCatalog", "example_catalog", "partition_catalog", "synthetic_catalog"),
     "collision": ("CollisionCounts", "CollisionReport", "count_collisions", "find_collisions"),
     "compare": ("compare_allocators", "compare_instruments"),
+    "constraints": ("Constraint", "KeepOut", "Required", "Requirement"),
     "design": (),
     "errors": ("InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"),
     "focal_plane": ("FocalPlane", "Margins"),
@@ -146,5 +152,15 @@ __getattr__ = importer(__name__, _IMPORTED_ON_USE)
 
 def __dir__():
     # All other subpackages only contain the implementation of public names, and are therefore not listed.
-    public = {"allocation", "benchmark", "collision", "design", "observing", "plans", "plot", "probability"}
+    public = {
+        "allocation",
+        "benchmark",
+        "collision",
+        "constraints",
+        "design",
+        "observing",
+        "plans",
+        "plot",
+        "probability",
+    }
     return sorted({*__all__, *public, "tiling"})

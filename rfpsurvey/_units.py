@@ -186,6 +186,15 @@ def _plain_object(value: object, name: str, what: str) -> object:
     return value
 
 
+def values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return the values of the given rows; row -1 has the value NaN, empty text, False or -1, depending on the type."""
+    if (row >= 0).all():
+        return values[row]
+    found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
+    found[row >= 0] = values[row[row >= 0]]
+    return found
+
+
 def to_flags(value: object, name: str) -> np.ndarray:
     """Convert booleans, numbers, or the words true and false to booleans; masked values become False."""
     values = to_plain(value, name, "booleans")

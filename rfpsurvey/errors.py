@@ -18,6 +18,7 @@ __all__ = [
     "InputTypeError",
     "InputUnitsError",
     "RfpsurveyWarning",
+    "brief",
     "check_choice",
     "check_fiber_type",
     "check_keywords",
@@ -181,6 +182,11 @@ def listed(values: Iterable, most: int | None = None) -> str:
     texts = [str(value) for value in values]
     shown = ", ".join(texts[:most]) or "none"
     return f"{shown} and {len(texts) - most} more" if most is not None and len(texts) > most else shown
+
+
+def brief(values: tuple, most: int = 5) -> str:
+    """Return text with the first values of a list and the total number of values."""
+    return f"{', '.join(str(value) for value in values[:most])} ({len(values)} in all)"
 
 
 def check_choice(name: object, choices: Iterable[str], what: str, *, others: str = "") -> str:

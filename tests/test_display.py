@@ -16,10 +16,10 @@ def results():
     sky = rs.Catalog(sky.coord, id=[f"<b>{k}</b>" for k in range(len(sky))])
     moons = rs.Instrument.preset("moons")
     xy = np.random.default_rng(1).uniform(-100, 100, (50, 2)) * u.mm
-    plan = rs.allocate(moons.focal_plane, xy)
+    plan = rs.allocate(moons.focal_plane, xy, allocator="balanced")
     return {
-        "tile": rs.plan_tile(sky, moons, CENTER),
-        "survey": rs.plan_survey(sky, moons, CENTER.reshape(1)),
+        "tile": rs.plan_tile(sky, moons, CENTER, allocator="lamost"),
+        "survey": rs.plan_survey(sky, moons, CENTER.reshape(1), allocator="lamost"),
         "tiling": rs.place_tiles(sky, moons),
         "allocation": plan,
         "report": rs.find_collisions(moons.focal_plane, plan),

@@ -128,7 +128,7 @@ CALLS = {
     "required targets can be used only with a catalog, got synthetic targets of the kind 'poisson'": lambda: (
         rs.compare_instruments("poisson", ["moons"], options=rs.AllocationOptions(required=3))
     ),
-    "allocator must have no required targets and no keep_out": lambda: rs.collision_probability(
+    "allocator must have no required targets and no other constraints": lambda: rs.collision_probability(
         PLANE, allocator=rs.AllocationOptions(keep_out=[CIRCLE])
     ),
     "keep_out must be one or more circles made by Region.cap, got dict": lambda: rs.AllocationOptions(keep_out={}),
@@ -226,7 +226,7 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
             "the arms must belong to the 37 positioners of the focal plane, got the arms of 1",
         ),
         (
-            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM).place_arms(s),
+            lambda s: rs.allocate(s.focal_plane, [[1, 2]] * MM, allocator="balanced").place_arms(s),
             "got Instrument; use the attribute focal_plane",
         ),
         (

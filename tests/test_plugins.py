@@ -9,8 +9,10 @@ from importlib import metadata
 from pathlib import Path
 
 import astropy.units as u
+import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
 import rfpsurvey as rs
 from packages import CENTER, FOUR, HERS, PAIR, always, sky_of
@@ -128,7 +130,7 @@ def test_what_is_no_name_is_refused(name):
 def test_surveys_know_them_by_name(small, install, tmp_path):
     sky, tiles = sky_of(small), SkyCoord([95, 95.05, 95.2] * u.deg, [23, 23, 23.1] * u.deg)
     install("hers", HERS, allocators={"begin": "begin"})
-    usual = rs.plan_survey(sky, small, tiles)
+    usual = rs.plan_survey(sky, small, tiles, allocator="lamost")
     mine = rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey")
     assert mine.summary == usual.summary
     assert mine.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
@@ -232,6 +234,31 @@ def test_the_example_as_pip_installs_it(installed, run, tmp_path):
     assert "toy" in rs.available_instruments()
     code, _, err = run("plan", "--allocator", "rarets")
     assert (code, err.endswith("Did you mean 'rarest'?\n")) == (2, True)
+
+
+def test_its_constraint_is_found_by_its_name(installed):
+    asked = rs.AllocationOptions("nearest", constraints=["away_from_bright 14 0.05", "sky=0-3"])
+    (one,) = asked.constraints
+    assert (type(one).__name__, str(one)) == ("AwayFromBright", "away_from_bright 14.0 0.05")
+    sky = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=300, rng=1)
+    magnitude = QTable({"mag": np.arange(300) % 10 + 10.0})
+    tile = rs.plan_tile(rs.Catalog(sky.coord, extra=magnitude), "toy", CENTER, allocator=asked)
+    assert tile.provenance["software"]["rfpsurvey-example"] == "0.1"
+    assert tile.provenance["parameters"]["constraints"] == ["away_from_bright 14.0 0.05"]
+    with pytest.raises(rs.InputError, match=r"the constraint 'away_from_bright' of rfpsurvey-example 0.1 .*must have"):
+        rs.AllocationOptions(constraints="away_from_bright 14")
+    with pytest.raises(rs.InputError, match="unknown constraint 'away_from_brigt'.*Did you mean 'away_from_bright'"):
+        rs.AllocationOptions(constraints="away_from_brigt 14 1")
+
+
+def test_an_entry_point_of_constraints_must_name_a_class_with_its_name(install):
+    code = "import rfpsurvey as rs\nf = len\nclass One(rs.Constraint):\n    name = 'two'\n"
+    install("odd", code, constraints={"one": "One", "f": "f", "required": "f"})
+    with pytest.raises(rs.InputError, match="its attribute name must be 'one', as in the entry point, got 'two'"):
+        rs.AllocationOptions(constraints="one")
+    with pytest.raises(rs.InputError, match=r"the constraint 'f' of odd 1.0 \(odd:f\): it must be a subclass of"):
+        rs.AllocationOptions(constraints="f 1 2")
+    assert rs.AllocationOptions(constraints="required 1").required == ("1",)  # names that are ours stay ours
 
 
 def test_its_dice_agree_with_the_quadrature(installed, run):

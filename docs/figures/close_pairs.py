@@ -33,7 +33,9 @@ def lost(name, n_passes, *, collide):
         apart, turn = np.exp(rng.uniform(*np.log(EDGES[[0, -1]]), n)), rng.uniform(0, 2 * np.pi, n)
         xy = np.vstack([xy, xy + (apart / 3600 * [np.cos(turn), np.sin(turn)]).T])
         catalog = rs.Catalog(SkyCoord(CENTER.ra + xy[:, 0] * u.deg, xy[:, 1] * u.deg), id=np.arange(2 * n))
-        found = rs.selection_probabilities(catalog, instrument, tiles, n_realizations=64, lost_in_collision=collide)
+        found = rs.selection_probabilities(
+            catalog, instrument, tiles, n_realizations=64, allocator="nearest", lost_in_collision=collide
+        )
         row = np.flatnonzero((found.n_tiles[:n] > 0) & (found.n_tiles[n:] > 0))
         cell = np.digitize(apart[row], EDGES) - 1
         observed += np.bincount(cell, found.pair_counts(row, row + n) / 64, len(pairs))

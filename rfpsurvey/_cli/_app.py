@@ -115,29 +115,6 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
     return as_catalog(read_catalog(keys)), field
 
 
-def allocation_options(given: dict, **defaults) -> "rs.AllocationOptions":
-    """Return the options of an allocation for their keys; constraints are given as texts."""
-    given = {**defaults, **given}
-    for text in given.pop("constraints", None) or []:
-        word, _, rest = text.strip().partition(" ")
-        if word == "keep_out":
-            given["keep_out"] = [*given.get("keep_out", []), _circle(rest, text)]
-        else:
-            name, value = ("required", rest.strip()) if word == "required" else ("requirements", text)
-            given[name] = [*given.get(name, []), value]
-    return rs.AllocationOptions(**given)
-
-
-def _circle(text: str, constraint: str) -> "rs.Region":
-    try:
-        return rs.Region.parse(f"cap {text}")
-    except rs.InputError as error:
-        raise rs.InputError(
-            f"a constraint keep_out must be keep_out RA DEC RADIUS in deg, such as keep_out 95.0 23.0 0.01, got "
-            f"{constraint!r} ({error})"
-        ) from None
-
-
 def read_assignment(keys):
     """Read a table, and select the rows with the given values of columns; values are compared as text."""
     select = keys.select or {}

@@ -194,7 +194,8 @@ class ConstraintKeys:
     ----------
     constraints : list[str], optional
         Constraints as texts: a number of targets of a kind such as 'sky=20/spectrograph', 'required ID' (a target that
-        takes precedence over all others), or 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover).
+        takes precedence over all others), 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover), or a
+        constraint of an installed package.
     """
 
     allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (

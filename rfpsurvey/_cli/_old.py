@@ -1,6 +1,7 @@
 """Option spellings of version 0.2, which are rewritten before the command line is parsed."""
 
 from collections.abc import Callable
+from shlex import quote
 
 from rfpsurvey._cli._keys import Key, Part
 from rfpsurvey.errors import warn
@@ -38,7 +39,7 @@ OPTIONS: dict[str, str | Callable[[str], tuple[str, str]]] = {
     "--column": _column,
     "--keep-out": _circle,
     "--require": _requirement,
-    "--required": lambda text: ("options.constraints", f"required {text}"),
+    "--required": lambda text: ("options.constraints", f"required {quote(text)}"),
     "--pa": "position_angle tiles.position_angle",
     "--seed": "rng",
     "--pass": "tiles.passes",

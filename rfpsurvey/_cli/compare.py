@@ -88,7 +88,7 @@ def compare(keys: CompareKeys) -> None:
             rng=keys.rng,
             executor=pool if keys.workers > 1 else None,
             progress=sys.stderr.isatty(),
-            options=_app.allocation_options(keys.options),
+            options=rs.AllocationOptions(**keys.options),
             position_angle=keys.position_angle,
             epoch=keys.epoch,
         )

@@ -50,7 +50,7 @@ def compare_allocators(keys: CompareAllocatorsKeys, _: Given) -> None:
             model,
             north_of_date(field, keys.equinox),
             allocators=keys.allocators,
-            options=_app.allocation_options(keys.options),
+            options=rs.AllocationOptions(**keys.options),
             return_tiles=True,
             position_angle=keys.position_angle,
             epoch=keys.epoch,

@@ -68,7 +68,7 @@ def plan(keys: PlanKeys, given) -> None:
     if field is None and keys.equinox is not None:
         field = sky.mean_direction
     _app.check_targets(keys.output, sky)
-    options = _app.allocation_options(keys.options)
+    options = rs.AllocationOptions(**keys.options)
     _app.check_text(sky, model, field, keys.output.path)
     with _app.seed_of(keys.catalog.path), end_on_interrupt() as interrupted:
         tile = rs.plan_tile(

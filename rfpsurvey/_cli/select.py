@@ -93,7 +93,7 @@ def select(keys: SelectKeys, _: Given) -> None:
     if keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
     options = {
-        "allocator": _app.allocation_options(keys.options, allocator="nearest"),
+        "allocator": rs.AllocationOptions(**keys.options),
         "passes": keys.tiles.passes,
         "epoch": keys.epoch,
         "lost_in_collision": keys.lost_in_collision,

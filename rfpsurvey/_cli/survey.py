@@ -65,7 +65,7 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
     targets = _surveys.targets_of(keys.catalog, model, keys.rng)
     options = {
-        "allocator": _app.allocation_options(keys.options),
+        "allocator": rs.AllocationOptions(**keys.options),
         "visits": keys.catalog.visits,
         "passes": keys.tiles.passes,
         "epoch": keys.epoch,

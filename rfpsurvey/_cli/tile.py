@@ -135,7 +135,7 @@ def _centers(keys) -> "rs.tiling.Centers":
 
 def _options_of(given: dict, *, by_fibers: bool) -> "rs.AllocationOptions | None":
     """Return the options of an allocation, or None if all options have their default values."""
-    options = _app.allocation_options(given)
+    options = rs.AllocationOptions(**given)
     asked = given_options(options)
     if "allocator" not in given and by_fibers and asked:
         raise rs.InputError(

@@ -45,20 +45,29 @@ class Workspace(NamedTuple):
 
 
 @kernel
+def find_pairs(setup, workspace):
+    """List the colliding and the borderline pairs of the arms in the workspace, as `find_colliding` does."""
+    w = workspace
+    if setup.runs.shape[0] == 0:
+        return np.int64(0), np.int64(0)
+    halve(w.segments, w.halves)
+    return find_colliding(w.segments, w.halves, setup.runs, setup.limits, w.first, w.second, w.squared)
+
+
+@kernel
+def find_hits(setup, workspace, slack, hits, gaps):
+    """List the arms of the workspace that touch obstacles, as `colliding_obstacles` does, and return their number."""
+    if setup.obstacle_pairs.shape[0] == 0:
+        return 0
+    own, circles = np.arange(workspace.assigned.size), setup.obstacles
+    pairs, limits, clearance = setup.obstacle_pairs, setup.limits, setup.clearance
+    return colliding_obstacles(workspace.segments, own, limits, pairs, circles, clearance, slack, hits, gaps)
+
+
+@kernel
 def count(setup, workspace, counts, times):
     """Count the collisions of the arms in the workspace, and add 1 to ``times[i]`` for each colliding positioner i."""
-    n = borderline = 0
-    if setup.runs.shape[0] > 0:
-        halve(workspace.segments, workspace.halves)
-        n, borderline = find_colliding(
-            workspace.segments,
-            workspace.halves,
-            setup.runs,
-            setup.limits,
-            workspace.first,
-            workspace.second,
-            workspace.squared,
-        )
+    n, borderline = find_pairs(setup, workspace)
     workspace.colliding[:] = False
     limit = setup.limits.separation**2
     counts[:] = 0
@@ -67,22 +76,10 @@ def count(setup, workspace, counts, times):
         if workspace.squared[k] < limit:
             counts[PAIRS] += 1
             workspace.colliding[workspace.first[k]] = workspace.colliding[workspace.second[k]] = True
-    if setup.obstacle_pairs.shape[0] > 0:
-        hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
-        m = colliding_obstacles(
-            workspace.segments,
-            np.arange(workspace.assigned.size),
-            setup.limits,
-            setup.obstacle_pairs,
-            setup.obstacles,
-            setup.clearance,
-            0.0,
-            hits,
-            gaps,
-        )
-        counts[OBSTACLE_PAIRS] = m
-        for k in range(m):
-            workspace.colliding[hits[k, 0]] = True
+    hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
+    counts[OBSTACLE_PAIRS] = find_hits(setup, workspace, 0.0, hits, gaps)
+    for k in range(counts[OBSTACLE_PAIRS]):
+        workspace.colliding[hits[k, 0]] = True
     assigned = colliding = both = counted = 0
     for i in range(workspace.assigned.size):
         counts_too = workspace.assigned[i] | setup.parked[i]

@@ -36,15 +36,36 @@ class Entries(NamedTuple):
     """Coordinate of the extreme point of each entry along the line between the centers of two positioners."""
 
 
+class Expected(NamedTuple):
+    """Arrays to which kernels write probabilities, and to which they add the values of all realizations."""
+
+    probability: np.ndarray
+    """Collision probability of each positioner in the last realization."""
+    pair_probability: np.ndarray
+    """Collision probability of each pair of neighbors in the last realization."""
+    times: np.ndarray
+    """For each positioner, the sum of its collision probabilities in the realizations in which it is counted."""
+    counted: np.ndarray
+    """For each positioner, the number of realizations in which it is counted."""
+
+
 @kernel
-def place_queues(x, y, indptr, queue, geometry, side, model, length, cosine, sine, segments):
+def place_queues(realization, positioners, setup, segments):
     """Compute the segments of the entries of all queues, one queue after the other."""
-    g = geometry
+    g, indptr, queue = positioners.geometry, realization.queues, realization.queue
+    x, y, model, length, cosine, sine = (
+        realization.x,
+        realization.y,
+        setup.model,
+        setup.length,
+        setup.cosine,
+        setup.sine,
+    )
     ex, ey, tx, ty = segments[0], segments[1], segments[2], segments[3]
     for k in range(indptr[-1]):
         tx[k], ty[k] = x[queue[k]], y[queue[k]]
     for i in range(indptr.size - 1):
-        cx, cy, l1, l2, elbow_side = g.cx[i], g.cy[i], g.l1[i], g.l2[i], side[i]
+        cx, cy, l1, l2, elbow_side = g.cx[i], g.cy[i], g.l1[i], g.l2[i], positioners.side[i]
         for k in range(indptr[i], indptr[i + 1]):
             dx, dy, _, _ = elbow(tx[k] - cx, ty[k] - cy, l1, l2, elbow_side, g.home_x, g.home_y)
             ex[k], ey[k] = cx + dx, cy + dy
@@ -83,7 +104,7 @@ def prepare_entries(indptr, idle, entries):
 
 
 @kernel
-def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entries, probability, pair_probability):
+def expect(pairs, geometry, setup, entries, expected):
     """Compute the collision probability of each positioner and of each pair of positioners.
 
     The probability of a positioner without entries is NaN. Entries are first compared in the projection on the line
@@ -92,6 +113,8 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
     collision. This function is not divided, because passing the arrays to a second function takes longer than testing
     short queues.
     """
+    limits, obstacle_pairs, obstacles = setup.limits, setup.obstacle_pairs, setup.obstacles
+    probability, pair_probability = expected.probability, expected.pair_probability
     segments, halves, weight, total = entries.segments, entries.halves, entries.weight, entries.total
     free, hit, ahead = entries.free, entries.hit, entries.ahead
     longest = (entries.stop - entries.start).max()
@@ -160,7 +183,7 @@ def expect(pairs, geometry, limits, obstacle_pairs, obstacles, clearance, entrie
         pair_probability[p] = chance / total[i] / total[j]
     for k in range(obstacle_pairs.shape[0]):
         i, j = obstacle_pairs[k, 0], obstacle_pairs[k, 1]
-        touch = clearance + (obstacles[j, 2] if j < obstacles.shape[0] else 0.0)
+        touch = setup.clearance + (obstacles[j, 2] if j < obstacles.shape[0] else 0.0)
         for a in range(entries.start[i], entries.stop[i]):
             if obstacle_distance(limits, obstacles, i, x0[a], y0[a], x1[a], y1[a], j) < touch:
                 free[a] = 0.0

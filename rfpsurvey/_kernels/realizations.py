@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.allocation import nominate
-from rfpsurvey._kernels.collisions import colliding_obstacles, find_colliding, halve
+from rfpsurvey._kernels.batch import find_hits, find_pairs
 from rfpsurvey._kernels.hashing import mix
 
 # Largest number of realizations in one call.
@@ -37,7 +37,6 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
     """
     n = chosen.shape[1]
     hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
-    owner = np.arange(n)
     limit = setup.limits.separation**2
     for r in range(chosen.shape[0]):
         lost[r, :] = False
@@ -50,38 +49,16 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
                 workspace.segments[row, i] = segments[row, k] if k >= 0 else idle[row, i]
         if not assigned:
             continue
-        if setup.runs.shape[0] > 0:
-            halve(workspace.segments, workspace.halves)
-            m, borderline = find_colliding(
-                workspace.segments,
-                workspace.halves,
-                setup.runs,
-                setup.limits,
-                workspace.first,
-                workspace.second,
-                workspace.squared,
-            )
-            uncertain[r] = borderline > 0
-            for p in range(m):
-                if workspace.squared[p] < limit:
-                    lost[r, workspace.first[p]] = lost[r, workspace.second[p]] = True
-        if setup.obstacle_pairs.shape[0] > 0:
-            m = colliding_obstacles(
-                workspace.segments,
-                owner,
-                setup.limits,
-                setup.obstacle_pairs,
-                setup.obstacles,
-                setup.clearance,
-                obstacle_slack,
-                hits,
-                gaps,
-            )
-            for p in range(m):
-                i, j = hits[p, 0], hits[p, 1]
-                radius = setup.obstacles[j, 2] if j < setup.obstacles.shape[0] else 0.0
-                uncertain[r] |= gaps[p] >= radius + setup.clearance - obstacle_slack
-                lost[r, i] = True
+        m, borderline = find_pairs(setup, workspace)
+        uncertain[r] = borderline > 0
+        for p in range(m):
+            if workspace.squared[p] < limit:
+                lost[r, workspace.first[p]] = lost[r, workspace.second[p]] = True
+        for p in range(find_hits(setup, workspace, obstacle_slack, hits, gaps)):
+            i, j = hits[p, 0], hits[p, 1]
+            radius = setup.obstacles[j, 2] if j < setup.obstacles.shape[0] else 0.0
+            uncertain[r] |= gaps[p] >= radius + setup.clearance - obstacle_slack
+            lost[r, i] = True
         for i in range(n):
             lost[r, i] &= chosen[r, i] >= 0
 

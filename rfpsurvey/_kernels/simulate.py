@@ -13,7 +13,7 @@ from rfpsurvey._kernels.queues import expect, place_queues, prepare_entries
 from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
 
-class Sky(NamedTuple):
+class TargetCircle(NamedTuple):
     """A circle with uniformly distributed targets, and the minimum separation of the targets."""
 
     x: float
@@ -169,25 +169,16 @@ def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace
 
 
 @kernel
-def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_probability, sums, times, counted):
+def sum_realization(indptr, pairs, geometry, setup, entries, expected, sums):
     """Write the expected numbers of collisions of a realization to ``sums``.
 
     The elements of ``sums`` are the expected number of colliding positioners, the number of counted positioners, the
     expected number of colliding assigned positioners, the number of assigned positioners, and the expected number of
     colliding pairs. A positioner is counted if it is assigned or parked. For each counted positioner, its collision
-    probability is added to ``times``, and 1 is added to ``counted``.
+    probability is added to ``expected.times``, and 1 is added to ``expected.counted``.
     """
-    expect(
-        pairs,
-        geometry,
-        setup.limits,
-        setup.obstacle_pairs,
-        setup.obstacles,
-        setup.clearance,
-        entries,
-        probability,
-        pair_probability,
-    )
+    expect(pairs, geometry, setup, entries, expected)
+    probability, pair_probability = expected.probability, expected.pair_probability
     for k in range(5):
         sums[k] = 0.0
     for p in range(pairs.shape[0]):
@@ -200,62 +191,22 @@ def sum_realization(indptr, pairs, geometry, setup, entries, probability, pair_p
         sums[1] += counts_too
         sums[2] += own if assigned else 0.0
         sums[3] += assigned
-        times[i] += own
-        counted[i] += counts_too
+        expected.times[i] += own
+        expected.counted[i] += counts_too
 
 
 @kernel
-def queue_and_expect(
-    rng,
-    numbers,
-    most,
-    sky,
-    positioners,
-    realization,
-    pairs,
-    setup,
-    entries,
-    probability,
-    pair_probability,
-    sums,
-    times,
-    counted,
-):
+def queue_and_expect(rng, numbers, most, sky, positioners, realization, pairs, setup, entries, expected, sums):
     """Compute the expected collisions of each realization from at most ``most`` entries of each queue."""
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, positioners, realization)
         thin(rng, most, realization.queues, realization.queue)
-        place_queues(
-            realization.x,
-            realization.y,
-            realization.queues,
-            realization.queue,
-            positioners.geometry,
-            positioners.side,
-            setup.model,
-            setup.length,
-            setup.cosine,
-            setup.sine,
-            entries.segments,
-        )
-        expect_given(
-            realization.queues,
-            pairs,
-            positioners,
-            setup,
-            entries,
-            probability,
-            pair_probability,
-            sums[c],
-            times,
-            counted,
-        )
+        place_queues(realization, positioners, setup, entries.segments)
+        expect_given(realization.queues, pairs, positioners, setup, entries, expected, sums[c])
 
 
 @kernel
-def expect_given(indptr, pairs, positioners, setup, entries, probability, pair_probability, sums, times, counted):
+def expect_given(indptr, pairs, positioners, setup, entries, expected, sums):
     """Compute the expected collisions from all targets of the queues; ``entries`` contains the segments of the arms."""
     prepare_entries(indptr, positioners.idle, entries)
-    sum_realization(
-        indptr, pairs, positioners.geometry, setup, entries, probability, pair_probability, sums, times, counted
-    )
+    sum_realization(indptr, pairs, positioners.geometry, setup, entries, expected, sums)

@@ -7,15 +7,15 @@ from rfpsurvey.allocation._allocate import allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
-from rfpsurvey.allocation._constraints import brief
-from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator, name_of_best
+from rfpsurvey.allocation._constraints import recorded_constraints
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, OPTIONS, Allocator, name_of_best
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator, packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
-from rfpsurvey.allocation._requirements import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import given_options, warn_of_parked, warn_of_unused_options
+from rfpsurvey.constraints import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 
 if TYPE_CHECKING:
     from rfpsurvey.allocation._weighted import (
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "DEFAULT_ALLOCATOR",
     "IDLE_REASONS",
     "KINDS",
     "METHODS",
@@ -52,7 +53,6 @@ __all__ = [
     "as_options",
     "as_requirements",
     "assign",
-    "brief",
     "end_on_interrupt",
     "find_allocator",
     "find_idle_reasons",
@@ -61,6 +61,7 @@ __all__ = [
     "id_numbers",
     "name_of_best",
     "packages",
+    "recorded_constraints",
     "sentences",
     "service_order",
     "solve_weighted",

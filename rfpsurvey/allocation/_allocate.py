@@ -12,14 +12,15 @@ from rfpsurvey._units import rows_of, to_dimensionless, to_generator, to_numbers
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
-from rfpsurvey.allocation._requirements import KINDS
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
+from rfpsurvey.constraints import KINDS
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -41,7 +42,7 @@ def allocate(
     focal_plane: FocalPlane,
     xy: u.Quantity,
     *,
-    allocator: AllocationOptions | str | Callable = "balanced",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     priority: np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     kind: np.ndarray | None = None,
@@ -170,11 +171,15 @@ def assign(
     avoid: np.ndarray = NO_POINTS,
     tell: Callable[[float, str], None] | None = None,
     order: np.ndarray | None = None,
+    excluded: np.ndarray | None = None,
+    excludes_sky: Callable[[np.ndarray, np.ndarray | None], np.ndarray] | None = None,
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
     During long searches, the function ``tell`` is called with the completed fraction and the current stage. ``order``,
     which is required if there are subpriorities, contains the rows of the targets in the order of their precedence.
+    ``excluded`` is whether each target must not be observed, and ``excludes_sky`` returns this for sky positions that
+    are added, from their positions and fiber types.
     """
     begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
@@ -188,13 +193,13 @@ def assign(
     classes, rank = _classes(columns.priority, n)
     if columns.kind is not None:
         classes, rank = _squeeze(classes, rank, columns.kind == "science")
-    for one in options.requirements:
+    for one in options.counts:
         if one.fiber_type:
             check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
     problem = AllocationProblem(
         focal_plane,
         xy_mm,
-        _allowed(reach, forbidden, n, order),
+        _allowed(reach, forbidden, n, order, excluded),
         rank,
         classes,
         columns.kind,
@@ -209,7 +214,7 @@ def assign(
         row=order if columns.subpriority is None else None,
     )
     if options.sky_separation is not None:
-        problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid)
+        problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
     answer = find_allocator(options.allocator).function(problem)
     found, in_reach = _finish(problem, answer, n), reach.covered
@@ -222,6 +227,7 @@ def assign(
         in_reach=in_reach,
         parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": end - middle},
+        excluded=excluded,
     )
 
 
@@ -278,8 +284,11 @@ def _marked(required, n):
     return marked
 
 
-def _allowed(reach: Reach, forbidden, n, order=None) -> Reach:
-    """Remove the forbidden pairs from the reachable pairs; ``order`` is the catalog row of each target in ``reach``."""
+def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None = None) -> Reach:
+    """Remove forbidden pairs and excluded targets; ``order`` is the catalog row of each target in ``reach``."""
+    if excluded is not None and excluded.any():
+        allowed = ~(excluded if order is None else excluded[order])
+        reach = reach.where(allowed[reach.target])
     if forbidden is None:
         return reach
     try:

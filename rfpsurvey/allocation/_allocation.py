@@ -7,8 +7,8 @@ import numpy as np
 
 from rfpsurvey._display import to_html
 from rfpsurvey.allocation._answer import Level
-from rfpsurvey.allocation._requirements import Shortfall
 from rfpsurvey.collision import Arms, place_arms
+from rfpsurvey.constraints import Shortfall
 from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -57,6 +57,8 @@ class Allocation:
         Requirements that are not met; ``str`` converts each element to a sentence.
     meta : dict
         Information from the allocator about its search, such as the number of moved positioners; may be empty.
+    excluded : ndarray of bool, shape (n_given,), or None
+        Whether constraints exclude each given target; None if no target is excluded.
 
     Examples
     --------
@@ -85,6 +87,7 @@ class Allocation:
     levels: tuple[Level, ...]
     unmet: tuple[Shortfall, ...]
     meta: dict
+    excluded: np.ndarray | None = None
 
     @property
     def tips(self) -> u.Quantity:

@@ -123,7 +123,7 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     """Return `Candidates` with the given columns and the data that are derived from these columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
-    held = np.array([g.holds(target, place) for g in problem.groups], dtype=bool).reshape(-1, len(own))
+    held = np.array([g.holds(target, place, own) for g in problem.groups], dtype=bool).reshape(-1, len(own))
     key, as_good = _keys(problem, target, held)
     indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
     pairs = np.ascontiguousarray(pairs)  # for another memory layout, numba would compile the kernel again

@@ -51,7 +51,7 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
         if most is None:
             continue
         own = np.flatnonzero(target_of >= 0)
-        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]))]
+        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]), own)]
         # The sky positions that stuck fibers observe cannot be removed.
         own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
         extra = own[most:]

@@ -14,7 +14,7 @@ from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["COUNTS", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
+__all__ = ["COUNTS", "DEFAULT_ALLOCATOR", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
 
 COUNTS = ("exactly", "goal", "no")
 
@@ -181,6 +181,10 @@ OPTIONS = (*dict.fromkeys(name for one in METHODS.values() for name in one.optio
 """Options that not all allocators, or not all instruments, use."""
 
 
+DEFAULT_ALLOCATOR = "repair"
+"""The allocator of plans, tilings and surveys unless the user chooses another one."""
+
+
 def name_of_best() -> str:
     """Return the name of the allocator that assigns the largest number of targets if collisions are ignored."""
     return next(name for name, one in METHODS.items() if one.searches and not one.avoids_collisions)
@@ -265,9 +269,10 @@ def _fill_quotas(problem, target_of, owner_of):
         groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
         if not groups:
             continue
-        rows = reach.where(groups[0].targets[reach.target])
-        by_fiber = plane.spectrograph.ndim > 1 and one.per == "spectrograph"
+        by_fiber, counting = plane.spectrograph.ndim > 1 and one.per == "spectrograph", None
         for group in groups:
+            if group.targets is not counting:
+                counting, rows = group.targets, reach.where(group.targets[reach.target])
             part = rows
             if by_fiber:
                 part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)
@@ -275,9 +280,11 @@ def _fill_quotas(problem, target_of, owner_of):
             inside = np.diff(indptr) > 0
             if not by_fiber and group.spectrograph is not None:
                 inside &= plane.spectrograph == group.spectrograph
+            if group.fibers is not None:
+                inside &= group.fibers
             used = np.flatnonzero(target_of >= 0)
             counted = np.zeros(len(target_of), dtype=bool)
-            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]))
+            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)
             locked |= counted
             rank = problem.rank_of(target_of)
             able = np.flatnonzero(~locked & inside)

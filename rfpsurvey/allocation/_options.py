@@ -10,16 +10,27 @@ import numpy as np
 from rfpsurvey._methods import describe_methods
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation._constraints import as_keep_out, as_required, brief, circle_text, recorded
-from rfpsurvey.allocation._methods import METHODS, Allocator
+from rfpsurvey.allocation._constraints import recorded
+from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, Allocator
 from rfpsurvey.allocation._plugin import find_allocator, find_improving
-from rfpsurvey.allocation._requirements import Requirement, as_requirements
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
 from rfpsurvey.allocation._uses import given_options
+from rfpsurvey.constraints import (
+    Constraint,
+    KeepOut,
+    Required,
+    Requirement,
+    as_circles,
+    as_constraints,
+    as_required,
+    as_requirements,
+    circle_text,
+)
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
     InputUnitsError,
+    brief,
     check_choice,
     check_keywords,
     check_switch,
@@ -57,8 +68,8 @@ class AllocationOptions:
         Targets with the same priority form a class. Allocators that use priorities assign the class of the highest
         priority first.
         {methods}
-        Any other name refers to an allocator that an installed package provides. A function is called with an
-        `~rfpsurvey.allocation.AllocationProblem`.
+        The default is ``repair``. Any other name refers to an allocator that an installed package provides. A function
+        is called with an `~rfpsurvey.allocation.AllocationProblem`.
     requirements : list of Requirement or str, or "instrument", optional
         Minimum and maximum numbers of targets per plan, as in ``["sky=20/spectrograph", "standard=5/spectrograph"]``;
         ``"instrument"`` stands for the requirements of the instrument. Minima take precedence over science targets and
@@ -105,6 +116,11 @@ class AllocationOptions:
         ``repair`` tests the targets in the order of subpriority. With subpriorities and unique identifiers, the plan
         does not depend on the order of targets in the catalog. Without subpriorities, ``optimal`` sorts targets by a
         hash of their identifiers or, if there are none, of their positions.
+    constraints : list of Constraint or str, optional
+        Constraints of any kind, as objects or as text: `KeepOut` or ``keep_out RA DEC RADIUS`` (deg), `Required` or
+        ``required ID ...``, `Requirement` or text such as ``sky=20/spectrograph``, and constraints of users and of
+        installed packages (:doc:`/plugins`). ``requirements``, ``required`` and ``keep_out`` are short forms:
+        constraints of these three kinds are moved there, and ``all_constraints`` contains all of them.
 
     Raises
     ------
@@ -131,7 +147,7 @@ class AllocationOptions:
     ['cap 95.0 23.0 0.5']
     """
 
-    allocator: str | Callable = "lamost"
+    allocator: str | Callable = DEFAULT_ALLOCATOR
     requirements: tuple[Requirement, ...] | list | str | Requirement | None = ()
     sky_separation: u.Quantity[u.arcsec] | None = None
     objective: str = "priority"
@@ -141,6 +157,7 @@ class AllocationOptions:
     required: np.ndarray | list | tuple | int | str | None = ()
     keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
     subpriority: int | str | None = None
+    constraints: tuple[Constraint, ...] | list | Constraint | str | None = ()
 
     def __post_init__(self):
         find_allocator(self.allocator)
@@ -162,7 +179,8 @@ class AllocationOptions:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
         object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
         object.__setattr__(self, "required", as_required(self.required))
-        object.__setattr__(self, "keep_out", as_keep_out(self.keep_out))
+        object.__setattr__(self, "keep_out", as_circles(self.keep_out))
+        self._shorten()
         if not isinstance(self.subpriority, str | None):
             object.__setattr__(self, "subpriority", check_seed(self.subpriority))
 
@@ -173,6 +191,49 @@ class AllocationOptions:
     @property
     def _of_instrument(self) -> bool:
         return isinstance(self.requirements, str) and self.requirements == "instrument"
+
+    def _shorten(self) -> None:
+        """Move the constraints that have a short form to their short form, so that each constraint is stored once."""
+        short = {
+            KeepOut: ("keep_out", "circles", as_circles),
+            Required: ("required", "ids", as_required),
+            Requirement: ("requirements", "counts", as_requirements),
+        }
+        others = []
+        for one in as_constraints(self.constraints):
+            name, part, convert = short.get(type(one), ("", "", None))
+            if name and not (name == "requirements" and self._of_instrument):
+                object.__setattr__(self, name, convert((*getattr(self, name), *getattr(one, part))))
+            else:
+                others.append(one)
+        object.__setattr__(self, "constraints", tuple(others))
+
+    @cached_property
+    def all_constraints(self) -> tuple[Constraint, ...]:
+        """All constraints: those of ``requirements``, ``required`` and ``keep_out``, then ``constraints``."""
+        counts = () if self._of_instrument else self.requirements
+        required = [Required(self.required)] * bool(self.required)
+        return (*counts, *required, *[KeepOut(self.keep_out)] * bool(self.keep_out), *self.constraints)
+
+    @cached_property
+    def counts(self) -> tuple[Requirement, ...]:
+        """The requirements on numbers of targets of all constraints."""
+        return tuple(dict.fromkeys(count for one in self.all_constraints for count in one.counts))
+
+    @cached_property
+    def required_ids(self) -> tuple:
+        """Identifiers of the targets that take precedence according to any constraint."""
+        return tuple(dict.fromkeys(name for one in self.all_constraints for name in one.required_ids))
+
+    def without_counts(self) -> "AllocationOptions":
+        """Return the options without the constraints on numbers of targets.
+
+        Returns
+        -------
+        AllocationOptions
+            The options, in which ``counts`` is empty.
+        """
+        return replace(self, requirements=(), constraints=[one for one in self.constraints if not one.counts])
 
     def check_for_fields(self, what: str) -> None:
         """Raise an error if ``start`` is an allocation, because an allocation is valid for a single field only.
@@ -202,11 +263,6 @@ class AllocationOptions:
     def method(self) -> Allocator:
         """Record of the allocator: the options that it uses, and properties of its plans."""
         return find_improving(self.allocator, self.start)
-
-    @cached_property
-    def circles(self) -> np.ndarray:
-        """Unit vectors of the centers of the circles ``keep_out``, and their radii in radians, shape (n, 4)."""
-        return np.reshape([region.values for region in self.keep_out], (-1, 4))
 
     @cached_property
     def seconds(self) -> float:
@@ -240,31 +296,26 @@ class AllocationOptions:
             raise InputError(
                 f"{given} can be used only with an instrument; use plan_tile, or pass lengths and requirements"
             )
-        if instrument is None and self.required:
-            raise InputError(
-                f"ids of required targets can be used only with a catalog, got {brief(self.required)}; use "
-                "plan_tile, or pass rows of targets as the argument required of allocate"
-            )
+        if instrument is None:
+            for one in self.all_constraints:  # raises an error if a constraint requires a catalog
+                one.for_instrument(None)
         if instrument is None and isinstance(self.subpriority, str):
             raise InputError(
                 f"a column of subpriorities can be used only with a catalog, got {self.subpriority!r}; use "
                 "plan_tile, or pass the values as the argument subpriority of allocate"
             )
-        if instrument is None and self.keep_out:
-            raise InputError(
-                f"keep_out can be used only with positions on the sky, got {len(self.keep_out)} circles; use "
-                "plan_tile, or define obstacles of the focal plane"
-            )
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
-        if separation is not None and not _asks_for_sky(requirements):
+        constraints = tuple(one.for_instrument(instrument) for one in self.constraints)
+        counts = (*requirements, *(count for one in constraints for count in one.counts))
+        if separation is not None and not any(one.what == "sky" and one.minimum for one in counts):
             remedy = "add a requirement such as 'sky=20/spectrograph'"
             warn_no_effect("sky_separation", f"because no requirement counts sky positions; {remedy}")
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)
         unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if not self.method.uses(name)}
-        return replace(self, requirements=requirements, sky_separation=separation, **unused)
+        return replace(self, requirements=requirements, constraints=constraints, sky_separation=separation, **unused)
 
     @property
     def breaks_ties(self) -> bool:
@@ -286,6 +337,7 @@ class AllocationOptions:
             "parked_obstacles": self.parked_obstacles,
             "required": recorded([str(name) for name in self.required]),
             "keep_out": recorded([circle_text(region) for region in self.keep_out]),
+            **({"constraints": recorded([str(one) for one in self.constraints])} if self.constraints else {}),
             **({} if self.subpriority is None else {"subpriority": self.subpriority}),
             **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
         }
@@ -299,10 +351,6 @@ def as_options(given: object) -> AllocationOptions:
 def _shown(value: object) -> str:
     """Return the text of a value; for a long list, the text contains only the first values."""
     return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
-
-
-def _asks_for_sky(requirements) -> bool:
-    return any(one.what == "sky" and one.minimum for one in requirements)
 
 
 def _is_angle(value) -> bool:

@@ -11,6 +11,7 @@ from rfpsurvey._units import to_plain
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.constraints import named_plugins
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import elbow_names
 
@@ -46,8 +47,8 @@ def find_improving(given: str | Callable, start: object) -> Allocator:
 
 
 def packages(options) -> dict[str, str]:
-    """Return the names and versions of the packages that provide the allocators ``allocator`` and ``start``."""
-    found, uses_start = {}, find_allocator(options.allocator).uses("start")
+    """Return the names and versions of the packages that provide allocators or constraints of the options."""
+    found, uses_start = named_plugins(options.constraints), find_allocator(options.allocator).uses("start")
     for name in (options.allocator, options.start) if uses_start else (options.allocator,):
         if isinstance(name, str) and name not in METHODS:
             found.update(find_plugin(GROUP, name, METHODS, "allocator").software)

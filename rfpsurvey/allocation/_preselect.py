@@ -113,11 +113,7 @@ def _codes(problem):
 
     Targets that count toward the same requirements have the same code.
     """
-    columns, seen = [], set()
-    for group in problem.groups:
-        if group.requirement not in seen:
-            seen.add(group.requirement)
-            columns.append(group.targets)
+    columns = list({id(group.targets): group.targets for group in problem.groups}.values())
     if problem.any_required:
         columns.append(problem.is_required)
     plane = problem.focal_plane

@@ -12,7 +12,7 @@ from rfpsurvey import allocation  # its names are used later, because the option
 from rfpsurvey._units import exact_text, locked
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._clock import now
-from rfpsurvey.allocation._requirements import KINDS, Group, Requirement, Shortfall, hint_of_name
+from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -147,7 +147,7 @@ class AllocationProblem:
     @property
     def requirements(self) -> tuple[Requirement, ...]:
         """The requirements of the plan."""
-        return self.options.requirements
+        return self.options.counts
 
     @property
     def objective(self) -> str:
@@ -182,19 +182,7 @@ class AllocationProblem:
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of targets and fibers that count toward one requirement each, per tile or per spectrograph."""
-        found = []
-        for one in self.requirements:
-            if _holds(self.category, one.what):
-                targets = self.category == one.what
-            elif one.what in KINDS:
-                targets = self.kind == one.what
-            else:
-                targets = np.zeros(len(self.xy), dtype=bool)
-            if one.fiber_type:
-                targets = targets & (self.fiber_type == one.fiber_type)
-            places = [None] if one.per == "tile" else np.unique(self.focal_plane.spectrograph).tolist()
-            found += [Group(one, place, targets) for place in places]
-        return found
+        return [group for one in self.requirements for group in one.groups(self)]
 
     def rank_of(self, target: np.ndarray) -> np.ndarray:
         """Return the class of each target; the row -1, which means no target, has a class after all other classes.
@@ -321,7 +309,7 @@ class AllocationProblem:
         """Return the number of fibers of a plan that count toward each group of `groups`."""
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
-        return [int(group.holds(target_of[own], place).sum()) for group in self.groups]
+        return [int(group.holds(target_of[own], place, own).sum()) for group in self.groups]
 
     def meets_requirements(self, target_of: np.ndarray, slack: float = 0.0) -> bool:
         """Return whether a plan meets all requirements.
@@ -363,9 +351,11 @@ class AllocationProblem:
             if n < one.minimum:
                 possible = self._possible(group)
                 hint = self._hint(group, possible)
-                found.append(Shortfall(one, group.spectrograph, one.minimum, n, possible, hint))
+                found.append(Shortfall(one, group.spectrograph, one.minimum, n, possible, hint, group.place))
             elif one.maximum is not None and n > one.maximum:
-                found.append(Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group)))
+                found.append(
+                    Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group), place=group.place)
+                )
         used = target_of[target_of >= 0]
         if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
             possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
@@ -387,14 +377,9 @@ class AllocationProblem:
     def _possible(self, group: Group) -> int:
         """Return the number of targets of a group that are in reach of the fibers of the group."""
         own, target = self.pairs.owner, self.pairs.target
-        held = group.holds(target, self.spectrograph_of(own, target))
+        held = group.holds(target, self.spectrograph_of(own, target), own)
         n = len(np.unique(target[held]))
         if self.watched is not None:
             stuck = np.flatnonzero(self.watched >= 0)
-            n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck])).sum())
+            n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck]), stuck).sum())
         return n
-
-
-def _holds(column: np.ndarray, word: str) -> bool:
-    """Return whether at least one target has the text ``word`` in a column, such as the categories of the targets."""
-    return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

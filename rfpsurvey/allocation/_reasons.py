@@ -130,6 +130,8 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     xy = allocation.xy_mm[:given]
     reach = focal_plane.arrays.reach(xy, None if types is None else types[:given])
     reach = reach.where(is_idle[reach.owner])
+    if allocation.excluded is not None:
+        reach = reach.where(~allocation.excluded[reach.target])
     n_in_reach = np.bincount(reach.owner, minlength=n)
     reach = reach.where(allocation.positioner_of_target[reach.target] < 0)
     n_free = np.bincount(reach.owner, minlength=n)

@@ -154,7 +154,7 @@ def _without_requirements(problem, **options):
     """
     free = replace(
         problem,
-        options=replace(problem.options, requirements=()),
+        options=problem.options.without_counts(),
         deadline=share(problem.deadline, FOR_FREE),
     )
     if not problem.meets_requirements(lamost(free).target_of_positioner, NEARLY):

@@ -1,5 +1,6 @@
 """Sky positions for fibers: positions in gaps between the targets, and the positions that stuck fibers observe."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -77,16 +78,23 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
-def with_sky(problem: AllocationProblem, separation: float, others: np.ndarray) -> AllocationProblem:
+def with_sky(
+    problem: AllocationProblem, separation: float, others: np.ndarray, excludes: Callable | None = None
+) -> AllocationProblem:
     """Return the problem; if a requirement counts sky positions, add sky positions in gaps between the targets.
 
-    The added positions are at least ``separation`` (mm) from all targets and from the points ``others``.
+    The added positions are at least ``separation`` (mm) from all targets and from the points ``others``. The function
+    ``excludes`` returns which positions must not be added, from the positions (mm) and the fiber types.
     """
     fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
     if not fibers:
         return problem
     plane, n = problem.focal_plane, len(problem.xy)
-    own, points, wanted, stuck = find_sky(plane, np.vstack([problem.xy, others]), separation, fibers)
+    sky = find_sky(plane, np.vstack([problem.xy, others]), separation, fibers)
+    if excludes is not None:
+        allowed = ~excludes(sky.points, None if plane.fiber_types == ("",) else sky.wanted)
+        sky = Sky(*(column[allowed] for column in sky))
+    own, points, wanted, stuck = sky
     k = len(own)
     reach = problem.pairs
     usable = ~stuck

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from rfpsurvey._units import is_seed_given
+from rfpsurvey.allocation._constraints import abilities_of
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._plugin import find_improving
-from rfpsurvey.errors import warn_no_effect, warn_of_unused
+from rfpsurvey.constraints import ONLY_CHECKED
+from rfpsurvey.errors import listed, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
 __all__ = ["given_options", "warn_of_parked", "warn_of_unused_options"]
@@ -34,13 +36,29 @@ def warn_of_unused_options(
         Names of further options that were given.
     """
     first = options[0]
-    independent = ("parked_obstacles", "keep_out", "sky_separation")
+    independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints")
     given = [*(name for name in given_options(first) if name not in independent), *also]
     given += ["rng"] if is_seed_given(rng) else []
     known = [find_improving(name, first.start) for name in METHODS]
     warn_of_unused(given, [one.method for one in options], known, "allocator")
+    _warn_of_only_checked(options, known)
     if plane is not None and not first.parked_obstacles:
         warn_of_parked(plane)
+
+
+def _warn_of_only_checked(options: Sequence, known: list) -> None:
+    """Issue a warning for each constraint that no allocator honors; the results only state how it is violated."""
+    methods, first = [one.method for one in options], options[0]
+    if any(method.options is None for method in methods):  # allocators without a record may honor every constraint
+        return
+    for one in first.all_constraints:
+        is_checked = "obstacles" in one.parts or one in first.constraints
+        if is_checked and all(one.honored(abilities_of(method)) == ONLY_CHECKED for method in methods):
+            users = [method.name for method in known if one.honored(abilities_of(method)) != ONLY_CHECKED]
+            name = f"'{one}'" if one in first.constraints else one.name
+            chosen = f"{'s' if len(methods) > 1 else ''} {' and '.join(repr(method.name) for method in methods)}"
+            who = f"{listed(users)} can honor it" if users else "no allocator honors it"
+            warn_no_effect(name, f"with the allocator{chosen}, except that plans are checked; {who}")
 
 
 def warn_of_parked(plane: FocalPlane) -> None:

@@ -241,8 +241,8 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
     """Return a function that draws configurations and counts their collisions, and the arguments of its calls."""
     if allocation.queues is None:
         raise InputError(
-            "configurations can be drawn only from an allocation with queues, got an allocation by "
-            f"{allocation.allocator!r}"
+            "configurations can be drawn only from an allocation with queues, such as those by 'balanced', got an "
+            f"allocation by {allocation.allocator!r}"
         )
     if len(allocation.target_of_positioner) != len(plane):
         raise InputError(

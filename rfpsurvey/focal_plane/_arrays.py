@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._kernels import arms, collisions, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._allowed import AllowedPoses
-from rfpsurvey.focal_plane._fibers import Fibers, Joints, patrol_radii
+from rfpsurvey.focal_plane._fibers import FiberOffsets, Joints, patrol_radii
 from rfpsurvey.focal_plane._idle import Idle, find_idle
 from rfpsurvey.focal_plane._kinematics import MODELS
 from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
@@ -140,9 +140,9 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
         return locked(reach.annuli(self.geometry.cx, self.geometry.cy, *self.edges))
 
     @cached_property
-    def fibers(self) -> Fibers | None:
+    def fibers(self) -> FiberOffsets | None:
         """Positions of fibers relative to elbows; None if only the lengths of eccentric arms are given."""
-        return None if self.plane.fiber_xy is None else Fibers(self.plane, self.first_index)
+        return None if self.plane.fiber_xy is None else FiberOffsets(self.plane, self.first_index)
 
     @cached_property
     def longest_arm(self) -> np.ndarray:

@@ -8,7 +8,7 @@ from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey._units import to_points_mm, to_radian
 
 
-class Fibers:
+class FiberOffsets:
     """Distances and directions from the elbow to each fiber.
 
     Attributes
@@ -43,7 +43,7 @@ class Joints:
     ----------
     plane : FocalPlane
         Focal plane with at least one of the columns ``zero_points``, ``fiber_xy``, ``theta_range`` and ``phi_range``.
-    fibers : Fibers or None
+    fibers : FiberOffsets or None
         Positions of the fibers relative to the elbows; None if the focal plane has no ``fiber_xy``.
     l1, l2 : ndarray of float, shape (n,) and (k, n)
         Lengths of the central arms, and distances from the elbow to the fiber of each type, mm.
@@ -58,7 +58,7 @@ class Joints:
         Whether joint limits allow all points from ``inner`` to ``outer``, for the handedness 1 (right) and -1 (left).
     """
 
-    def __init__(self, plane, fibers: Fibers | None, l1: np.ndarray, l2: np.ndarray):
+    def __init__(self, plane, fibers: FiberOffsets | None, l1: np.ndarray, l2: np.ndarray):
         n = len(plane)
         zeros = np.zeros((n, 2)) if plane.zero_points is None else to_radian(plane.zero_points, "zero_points")
         self.theta_zero, self.phi_zero = zeros.T.copy()

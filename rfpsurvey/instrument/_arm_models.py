@@ -2,15 +2,12 @@
 
 from collections.abc import Container
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Self
 
 import astropy.units as u
 
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.positioner import ARM_MODELS, ArmOutline
-
-if TYPE_CHECKING:
-    from rfpsurvey.instrument._instrument import Instrument
 
 SECTION = "positioner."
 OUTLINE = "positioner.outline"
@@ -81,7 +78,7 @@ class ArmModels:
         own = self.focal_plane.positioner.arm_model
         return (own, *_others(own, {name.removeprefix(SECTION) for name in self.values}))
 
-    def with_arm_model(self, arm_model: str) -> "Instrument":
+    def with_arm_model(self, arm_model: str) -> Self:
         """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
 
         Parameters

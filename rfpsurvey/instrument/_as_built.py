@@ -2,15 +2,12 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Self
 
 from astropy.time import Time
 
 from rfpsurvey.instrument import _desi, _sdssv
 from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
-
-if TYPE_CHECKING:
-    from rfpsurvey.instrument._instrument import Instrument
 
 
 class AsBuilt:
@@ -35,7 +32,7 @@ class AsBuilt:
         state: str | os.PathLike | None = None,
         exclusions: str | os.PathLike | None = None,
         time: Time | str | None = None,
-    ) -> "Instrument":
+    ) -> Self:
         """Read DESI as built: the metrology of desimeter, or a focal plane of desimodel with its state.
 
         The files contain neither the optics nor the requirements on sky fibers and standard stars; both are taken from
@@ -85,7 +82,7 @@ class AsBuilt:
         fiducials: str | os.PathLike | None = None,
         interference: str | os.PathLike | None = None,
         cobras: str | os.PathLike | list | None = None,
-    ) -> "Instrument":
+    ) -> Self:
         """Read PFS as built from files of the observatory.
 
         The ids of the positioners are the cobraIds, 1 to 2394. Values that the files do not contain are taken from the
@@ -120,7 +117,7 @@ class AsBuilt:
     @classmethod
     def from_sdssv(
         cls, folder: str | os.PathLike, *, site: str | None = None, disabled: list[str] | tuple[str, ...] = ()
-    ) -> "Instrument":
+    ) -> Self:
         """Read SDSS-V as built: the calibration of the focal plane system at Apache Point or Las Campanas.
 
         The ids of the positioners are the names of their holes, such as R-1C14. The joint angles theta and phi are

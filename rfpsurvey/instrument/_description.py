@@ -19,12 +19,12 @@ from rfpsurvey.projection import RadialMap
 PRESETS = Path(str(files("rfpsurvey"))) / "presets"
 
 
-def load(path: Path, heirs: tuple = ()) -> dict:
+def load(path: Path, inheriting: tuple = ()) -> dict:
     """Read a description, and add default values and the values of the description that it inherits from.
 
     The key ``inherits`` contains the name of the other description, which is a file in the same folder or a preset.
     """
-    if path in heirs:
+    if path in inheriting:
         raise InputError(f"{path} inherits from itself")
     content = with_defaults(read_toml(path))
     parent = content.pop("inherits", None)
@@ -36,7 +36,7 @@ def load(path: Path, heirs: tuple = ()) -> dict:
     if not beside.exists():
         known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
         beside = PRESETS / f"{check_choice(parent, known, f'value of inherits in {path}:')}.toml"
-    base = load(beside, (*heirs, path))
+    base = load(beside, (*inheriting, path))
     own = content.get("positioner")
     if isinstance(own, dict) and isinstance(base.get("positioner"), dict):
         base["positioner"] = switch_inherited(base["positioner"], own)

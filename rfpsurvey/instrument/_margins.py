@@ -1,15 +1,12 @@
 """Methods of `Instrument` that set the margins of its focal plane."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Self
 
 import astropy.units as u
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import Margins
-
-if TYPE_CHECKING:
-    from rfpsurvey.instrument._instrument import Instrument
 
 PREFIX = "margins."
 """Beginning of the names of entries with published margins; a result depends on them only if the margins are used."""
@@ -35,7 +32,7 @@ class WithMargins:
         broken: u.Quantity | None = None,
         broken_factor: float | None = None,
         hidden_factor: float | None = None,
-    ) -> "Instrument":
+    ) -> Self:
         """Return the instrument with margins, which plans keep from mechanical limits (:doc:`/margins`).
 
         Without arguments, the margins in the description of the instrument are used (``published_margins``). With
@@ -86,7 +83,7 @@ class WithMargins:
             )
         return self.use_margins(margins)
 
-    def use_margins(self, margins: Margins) -> "Instrument":
+    def use_margins(self, margins: Margins) -> Self:
         """Return the instrument with the given margins.
 
         Parameters

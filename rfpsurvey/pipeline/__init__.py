@@ -6,22 +6,16 @@ steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import are_among
-from rfpsurvey.pipeline._field import (
-    FieldPlan,
-    FieldReach,
-    FieldTargets,
-    field_radius_rad,
-    find_reach,
-    plan_field,
-    project_field,
-)
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints
+from rfpsurvey.pipeline._field import FieldPlan, FieldReach, FieldTargets, field_radius_rad, find_reach, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
+from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBuilder, FieldRows, SelectedRows
 
 __all__ = [
     "OUTCOMES",
     "PLANNED_COLUMNS",
+    "Applied",
     "BlankIds",
     "CatalogTargets",
     "FieldBuilder",
@@ -31,7 +25,7 @@ __all__ = [
     "FieldTargets",
     "Outcome",
     "SelectedRows",
-    "are_among",
+    "apply_constraints",
     "category_classes",
     "field_radius_rad",
     "find_reach",

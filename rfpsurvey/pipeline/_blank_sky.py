@@ -7,8 +7,6 @@ import numpy as np
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["BlankIds", "blank_ids"]
-
 PREFIX = "blank-sky-"
 # DIGITS is the largest number of digits after the prefix of identifiers that are text. ROOM is the number of integers
 # that are reserved for blank sky positions if identifiers are integers.

@@ -1,120 +1,149 @@
-"""Convert constraints: circles that no arm may cover become obstacles, and required ids become a mask of targets."""
+"""Apply constraints to a field: their obstacles, the targets that they exclude, and the check of the finished plan."""
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
-import astropy.units as u
 import numpy as np
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.collision import CollisionReport
+from rfpsurvey.constraints import Constraint, ConstraintField
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.projection import FieldProjection
 
-__all__ = ["are_among", "mark_required", "with_keep_out"]
+if TYPE_CHECKING:
+    from rfpsurvey.pipeline._field import FieldTargets
 
 
-# Number of points on the rim of a circle on the sky, and factor by which the radius of the image is enlarged. The
-# factor is larger than 1 because the image of the rim can be slightly farther from the center between two of these
-# points.
-N_RIM, MARGIN = 360, 1 + 1e-4
+@dataclass(frozen=True, eq=False)
+class Applied:
+    """The result of applying constraints to a field."""
+
+    instrument: Instrument
+    """The instrument with the obstacles of the constraints."""
+    excluded: np.ndarray | None
+    """Whether each target of the field must not be observed; None if all of them may be observed."""
+    excludes_sky: Callable | None
+    """Function that returns which sky positions must not be observed, from their positions (mm) and fiber types."""
+    constraints: tuple[Constraint, ...]
+    field: ConstraintField
+    obstacle_of: np.ndarray
+    """Index of the constraint that added each of the last obstacles of the instrument."""
+
+    def violations(
+        self, report: CollisionReport, target: np.ndarray, sky_vectors: np.ndarray, sky_xy: np.ndarray
+    ) -> dict[str, list[str]]:
+        """Return sentences, for the text of each constraint, that state how a finished plan violates the constraint.
+
+        ``target`` contains the rows of the targets that have a fiber; the arrays ``sky_vectors`` and ``sky_xy``
+        describe sky positions that were added between the targets and have a fiber.
+        """
+        if not self.constraints:
+            return {}
+        field = self.field.with_blank_sky(sky_vectors, sky_xy) if len(sky_xy) else self.field
+        has_fiber = np.zeros(len(field.id), dtype=bool)
+        has_fiber[len(self.field.id) :] = True
+        has_fiber[target] = True
+        own, obstacle = report.obstacle_pairs.T
+        first = len(self.instrument.focal_plane.arrays.obstacles) - len(self.obstacle_of)
+        maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
+        n_covering = [len(np.unique(own[maker == k])) for k in range(len(self.constraints))]
+        return {
+            str(one): answer(one, partial(one.check, field, has_fiber, n))
+            for one, n in zip(self.constraints, n_covering, strict=True)
+        }
 
 
-def with_keep_out(instrument: Instrument, projection: FieldProjection, options: AllocationOptions) -> Instrument:
-    """Return the instrument with an additional obstacle for each circle in ``options.keep_out`` near its arms."""
-    if not options.keep_out:
-        return instrument
-    arrays, circles = instrument.focal_plane.arrays, options.circles
-    size = (np.hypot(*arrays.xy.T) + arrays.arm_reach).max() + arrays.separation
-    # The arms at the edge extend slightly beyond the field.
-    limit = circles[:, 3] + 1.1 * size / instrument.plate_scale.to_value(u.mm / u.rad)
-    apart = np.arccos(np.clip(circles[:, :3] @ projection.basis[2], -1, 1))
-    images = np.array([image_of_circle(projection, *circles[k]) for k in np.flatnonzero(apart <= limit)])
-    images = images.reshape(-1, 3)
-    # If a circle contains all directions that have an image, its rim has no image.
-    images[np.isnan(images[:, 2]) & (apart < circles[:, 3])[apart <= limit]] = 0, 0, 2 * size
-    near = np.hypot(*images[:, :2].T) <= size + images[:, 2]  # false if the circle has no image
-    if not near.any():
-        return instrument
-    return replace(
+def apply_constraints(
+    instrument: Instrument,
+    projection: FieldProjection | None,
+    options: AllocationOptions,
+    targets: "FieldTargets",
+    xy: np.ndarray | None = None,
+) -> Applied:
+    """Return the obstacles that constraints add to a field, and the targets that they exclude.
+
+    If ``targets`` are only those that have a fiber, their positions on the focal plane must be given as ``xy`` (mm).
+    """
+    constraints = tuple(one for one in options.all_constraints if one.uses_field)
+    field = constraint_field(instrument, projection, targets, xy) if constraints else None
+    circles, excluded = [np.empty((0, 3))], None
+    for one in constraints:
+        circles.append(answer(one, partial(one.obstacles, field)) if "obstacles" in one.parts else circles[0])
+        wrong = excluded_by(one, field)
+        excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
+    sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)
+    if len(circles):
+        instrument = replace(
+            instrument,
+            focal_plane=with_circles(instrument.focal_plane, circles),
+            plate_scale=None if instrument.distortion else instrument.plate_scale,
+        )
+
+    def excludes_sky(points: np.ndarray, fiber_type: np.ndarray | None) -> np.ndarray:
+        wider = field.with_blank_sky(projection.unproject(points, fiber_type), points)
+        parts = [excluded_by(one, wider) for one in constraints]
+        parts = [part[len(field.id) :] for part in parts if part is not None]
+        return np.any(parts, axis=0) if parts else np.zeros(len(points), dtype=bool)
+
+    return Applied(
         instrument,
-        focal_plane=with_circles(instrument.focal_plane, images[near]),
-        plate_scale=None if instrument.distortion else instrument.plate_scale,
+        None if excluded is None else excluded[: len(targets.id)],
+        excludes_sky if any("exclusion" in one.parts for one in constraints) else None,
+        constraints,
+        field,
+        np.repeat(np.arange(len(sizes)), sizes),
     )
 
 
-def image_of_circle(
-    projection: FieldProjection, x: float, y: float, z: float, radius_rad: float
-) -> tuple[float, float, float]:
-    """Return x, y and radius (mm) of a circle on the focal plane that contains the image of a circle on the sky.
+def constraint_field(
+    instrument: Instrument, projection: FieldProjection | None, targets: "FieldTargets", xy: np.ndarray | None = None
+) -> ConstraintField:
+    """Return the targets of a field and, after them, the targets around it, as constraints receive them.
 
-    The image is not a circle if the plate scale varies across the field. The image can also depend on the fiber type;
-    the returned circle contains the images for all fiber types. The center of the circle on the sky may be so far from
-    the field that the center has no image, although a part of the circle has an image. The returned radius is NaN if no
-    point of the rim has an image.
+    If ``around`` is None, no constraint uses the positions of targets on the focal plane, which are then NaN.
     """
-    center = np.array([x, y, z])
-    names = list(projection.distortion) if isinstance(projection.distortion, dict) else [None]
-    east = np.cross(center, projection.basis[2])
-    # If the circle is around the field center, ``east`` is zero. Any perpendicular direction can then replace it.
-    east = east / np.linalg.norm(east) if np.linalg.norm(east) > 1e-9 else projection.basis[0]
-    inward = np.cross(east, center)
-    turn = np.linspace(0, 2 * np.pi, N_RIM, endpoint=False)[:, None]
-    rim = np.cos(radius_rad) * center + np.sin(radius_rad) * (np.cos(turn) * inward + np.sin(turn) * east)
-    rims = np.vstack([projection.project(rim, name) for name in names])
-    middle = np.mean([projection.project(center[None], name)[0] for name in names], axis=0)
-    if not np.isfinite(middle).all():
-        # Extrapolate from the point of the rim nearest to the field center, with the scale at that point.
-        step = 1e-4
-        angles = np.array([[radius_rad], [radius_rad + step]])
-        steps = np.cos(angles) * center + np.sin(angles) * inward
-        nearest, beyond = projection.project(steps, names[0])
-        middle = nearest - (beyond - nearest) * radius_rad / step
-    apart = np.hypot(*(rims - middle).T)
-    return *middle, np.max(apart[np.isfinite(apart)], initial=np.nan if np.isnan(apart).all() else 0.0) * MARGIN
+    is_complete = xy is None
+    if targets.around is None:
+        parts, xy = [targets], [np.broadcast_to(np.nan, (len(targets.id), 2)) if xy is None else xy]
+    else:
+        parts = [targets, targets.around]
+        xy = [project_field(instrument, projection, one.vectors, one.columns.fiber_type)[0] for one in parts]
+    found = {"vectors": [one.vectors for one in parts], "xy": xy, "id": [one.id for one in parts]}
+    found["is_available"] = [np.full(len(one.id), one is targets) for one in parts]
+    for name, usual in (("kind", "science"), ("category", ""), ("priority", 0.0)):
+        columns = [getattr(one.columns, name) for one in parts]
+        found[name] = [np.full(len(one.id), usual) if c is None else c for one, c in zip(parts, columns, strict=True)]
+    extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
+    columns = {name: np.concatenate(values) for name, values in found.items()}
+    return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete)
 
 
-def mark_required(required: tuple, parts: Iterable[np.ndarray]) -> np.ndarray | None:
-    """Return whether each target of a catalog is required, or None if no targets are required.
-
-    The catalog may consist of several parts; ``parts`` contains an array with the identifiers of each part.
-    """
-    if not required:
+def excluded_by(constraint: Constraint, field: ConstraintField) -> np.ndarray | None:
+    """Return the targets that a constraint excludes; raise an error if the constraint returns anything else."""
+    if "exclusion" not in constraint.parts:
         return None
-    marked, known = [], np.zeros(len(required), dtype=bool)
-    names = np.array(required)
-    for ids in parts:
-        wanted, comparable = _alike(names, ids)
-        marked.append(np.isin(ids, wanted[comparable]))
-        known |= comparable & np.isin(wanted, ids[marked[-1]])
-    if not known.all():
-        strange = names[~known]
-        raise InputError(
-            f"required must hold ids of the catalog, got {strange[0]} ({len(strange)} of {len(names)} unknown)"
-        )
-    return np.concatenate(marked)
+    found = answer(constraint, partial(constraint.excluded, field))
+    if found is None:
+        return None
+    mask = to_plain(found)
+    if mask.shape != (len(field.id),) or mask.dtype.kind != "b":
+        text = f"the constraint '{constraint}' must return one boolean per target, shape ({len(field.id)},)"
+        raise InputError(f"{text}, got {mask.dtype.name} of the shape {mask.shape}")
+    return mask
 
 
-def are_among(required: tuple, ids: np.ndarray) -> np.ndarray:
-    """Return whether each required identifier is one of ``ids``."""
-    wanted, comparable = _alike(np.array(required), ids)
-    return comparable & np.isin(wanted, ids)
-
-
-def _alike(names: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return names with the type of ``ids`` (integers or text), and a mask of the names that can be converted."""
-    if names.dtype.kind == ids.dtype.kind:
-        return names, np.ones(len(names), dtype=bool)
-    if ids.dtype.kind == "U":
-        return names.astype(str), np.ones(len(names), dtype=bool)
-    # Names from the command line are text, but identifiers of a catalog can be integers.
-    numbers = np.zeros(len(names), dtype=np.int64)
-    comparable = np.zeros(len(names), dtype=bool)
-    for k, name in enumerate(names.tolist()):
-        try:
-            numbers[k] = int(name)
-        except (ValueError, OverflowError):
-            continue
-        comparable[k] = str(numbers[k]) == name
-    return numbers, comparable
+def answer(constraint: Constraint, ask: Callable) -> object:
+    """Return the answer of a method of a constraint; an exception of the constraint becomes an error that names it."""
+    try:
+        return ask()
+    except InputError as error:
+        raise InputError(f"the constraint '{constraint}': {error}") from error
+    except Exception as error:  # constraints of users can raise any exception
+        raise InputError(f"the constraint '{constraint}' failed: {type(error).__name__}: {error}") from error

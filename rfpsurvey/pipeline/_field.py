@@ -7,7 +7,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_lonlat
+from rfpsurvey._units import to_lonlat, values_at
 from rfpsurvey.allocation import (
     Allocation,
     AllocationOptions,
@@ -22,10 +22,9 @@ from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import with_keep_out
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints
+from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.projection import FieldProjection
-
-__all__ = ["FieldPlan", "FieldReach", "FieldTargets", "field_radius_rad", "find_reach", "plan_field", "project_field"]
 
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
@@ -45,25 +44,34 @@ class FieldTargets(NamedTuple):
     """Additional columns of the plan; each key is the name of a column, and each value contains a value per target."""
     numbered: bool = False
     """Whether the identifiers are row numbers, because the catalog has no identifiers."""
+    around: "FieldTargets | None" = None
+    """Other targets in and around the field, which cannot be observed; None if no constraint uses the targets."""
 
 
 class FieldReach(NamedTuple):
     """The pairs of positioners and targets in reach, with the positions of the targets on the focal plane."""
 
     instrument: Instrument
-    """The instrument, whose obstacles include the circles that no arm may cover."""
+    """The instrument, whose obstacles include those of the constraints."""
     xy: np.ndarray
     """Positions of the targets in mm, shape (n, 2)."""
     fiber_type: np.ndarray | None
     """Fiber type that each target requires; None if all fibers can observe all targets."""
     pairs: Reach
+    excluded: np.ndarray | None = None
+    """Whether each target must not be observed; None if all targets may be observed."""
+
+    @property
+    def allowed(self) -> Reach:
+        """The pairs of the targets that may be observed."""
+        return self.pairs if self.excluded is None else self.pairs.where(~self.excluded[self.pairs.target])
 
 
 class FieldPlan(NamedTuple):
     """The plan of a field; each array has one value per positioner with a target, in the order of the focal plane."""
 
     instrument: Instrument
-    """The instrument, whose obstacles include the circles that no arm may cover."""
+    """The instrument, whose obstacles include those of the constraints."""
     allocation: Allocation
     arms: Arms
     report: CollisionReport
@@ -82,6 +90,8 @@ class FieldPlan(NamedTuple):
     NaN, empty text, False or -1, depending on the type of the column."""
     seconds: dict
     """Computing time of each stage of the pipeline, in seconds."""
+    violations: dict[str, list[str]]
+    """For the text of each constraint, sentences that state how the plan violates the constraint, except counts."""
 
 
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
@@ -109,34 +119,20 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
     return float(radius + shift / RING**3)  # the shift increases at most with the cube of the distance from the center
 
 
-def project_field(
-    instrument: Instrument, projection: FieldProjection, vectors: np.ndarray, fiber_type: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the positions (mm) of targets on the focal plane, and the fiber type that each target requires.
-
-    Instead of the fiber types, None is returned if all fibers can observe all targets.
-    """
-    if instrument.focal_plane.fiber_types == ("",):
-        fiber_type = None  # all fibers have the same unnamed type, and can observe all targets
-    elif isinstance(instrument.distortion, dict):
-        # Each fiber type has its own image of the sky. A target that requires no fiber type uses the first fiber type.
-        first = next(iter(instrument.distortion))
-        given = np.full(len(vectors), "") if fiber_type is None else fiber_type
-        fiber_type = np.where(given == "", first, given)
-    return projection.project(vectors, fiber_type), fiber_type
-
-
 def find_reach(
     instrument: Instrument, projection: FieldProjection, targets: FieldTargets, options: AllocationOptions
 ) -> FieldReach:
     """Return the pairs of a positioner and a target of a field in its reach; the parameters are as in `plan_field`."""
-    instrument = with_keep_out(instrument, projection, options)
+    applied = apply_constraints(instrument, projection, options, targets)
+    instrument = applied.instrument
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    return FieldReach(instrument, xy, fiber_type, instrument.focal_plane.arrays.reach(xy, fiber_type))
+    pairs = instrument.focal_plane.arrays.reach(xy, fiber_type)
+    return FieldReach(instrument, xy, fiber_type, pairs, applied.excluded)
 
 
-def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocation:
-    """Assign the targets of a field; the obstacles of the instrument must include the keep-out circles."""
+def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> Allocation:
+    """Assign the targets of a field, to which the constraints have been applied."""
+    instrument = applied.instrument
     begin = perf_counter()
     xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
     others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
@@ -149,6 +145,7 @@ def _assign(instrument, projection, targets, options, rng, tell=None) -> Allocat
         columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
     elif options.breaks_ties:
         others["order"] = tie_order(xy, None if targets.numbered else targets.id)
+    others |= {"excluded": applied.excluded, "excludes_sky": applied.excludes_sky}
     allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
     allocation.seconds["projection"] = seconds
     return allocation
@@ -187,8 +184,9 @@ def plan_field(
     FieldPlan
         The plan.
     """
-    instrument = with_keep_out(instrument, projection, options)
-    allocation = _assign(instrument, projection, targets, options, rng, tell)
+    applied = apply_constraints(instrument, projection, options, targets)
+    instrument = applied.instrument
+    allocation = _assign(applied, projection, targets, options, rng, tell)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
@@ -209,17 +207,11 @@ def plan_field(
         ids[~given] = blank.take(len(found))
         vectors[~given] = projection.unproject(allocation.xy_mm[found], types)
     lon, lat = to_lonlat(vectors)
+    violations = applied.violations(report, target[given], vectors[~given], allocation.xy_mm[target[~given]])
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
-    carried = {name: _values_at(values, target) for name, values in columns.items() if values is not None}
+    carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}
     lon %= 2 * np.pi
-    return FieldPlan(instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds)
-
-
-def _values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Return the values of the given rows; row -1 has the value NaN, empty text, False or -1, depending on the type."""
-    if (row >= 0).all():
-        return values[row]
-    found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
-    found[row >= 0] = values[row[row >= 0]]
-    return found
+    return FieldPlan(
+        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, violations
+    )

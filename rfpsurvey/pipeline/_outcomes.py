@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey._units import exact_text
 
-__all__ = ["OUTCOMES", "Outcome", "category_classes", "outcome_codes", "priority_classes"]
-
 
 class Outcome(IntEnum):
     """Whether a target is observed and, if not, the reason."""

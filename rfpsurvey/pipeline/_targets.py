@@ -13,11 +13,9 @@ import numpy as np
 from rfpsurvey._units import to_visits
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex, move_vectors
+from rfpsurvey.constraints import mark_required
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._constraints import mark_required
 from rfpsurvey.pipeline._field import FieldTargets
-
-__all__ = ["PLANNED_COLUMNS", "CatalogTargets", "FieldBuilder", "FieldRows", "SelectedRows"]
 
 PLANNED_COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 """Optional columns of a catalog that allocators use."""
@@ -35,13 +33,21 @@ class SelectedRows(NamedTuple):
     """Given rows of a catalog, which take the place of a `SkyIndex` if there is only one field."""
 
     order: np.ndarray
-    """Row of each target, in ascending order."""
+    """Row of each target: first the targets of the field, then those around it, both in ascending order."""
     vectors: np.ndarray
     """Direction of each target as an ICRS unit vector."""
+    radius_rad: float
+    """Radius of the field in radians."""
+    n_inside: int
+    """Number of targets of the field."""
 
     def near(self, center: np.ndarray, radius_rad: float, left: np.ndarray | None = None) -> np.ndarray:
-        """Return the slots of the targets, except those for which ``left`` is 0; all targets are inside the circle."""
-        return np.arange(len(self.order)) if left is None else np.flatnonzero(left)
+        """Return the slots of the targets of the field, except those for which ``left`` is 0.
+
+        If the radius is larger than that of the field, the targets around the field are included.
+        """
+        n = self.n_inside if radius_rad <= self.radius_rad else len(self.order)
+        return np.arange(n) if left is None else np.flatnonzero(left[:n])
 
 
 class CatalogTargets:
@@ -100,12 +106,14 @@ class CatalogTargets:
         by_row: bool = False,
         years: float = 0.0,
         margin_rad: float = 0.0,
+        around_rad: float | None = None,
     ) -> FieldRows:
         """Return the targets in a circle for which ``left`` is not 0.
 
         ``left`` is in the order of slots or, if ``by_row`` is true, in the order of rows. If ``rest`` is true, the
         field also contains the directions of all other targets in the circle, as ``targets.others``. The targets are
-        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``.
+        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``. If ``around_rad``
+        is given, ``targets.around`` contains all other targets in a circle whose radius is larger by this angle.
         """
         left, others = self.to_slots(left) if by_row else left, None
         slot = self.index.near(center, radius_rad + margin_rad, None if rest else left)
@@ -115,12 +123,19 @@ class CatalogTargets:
         if rest:
             others = self._vectors(slot[left[slot] == 0], years)
             slot = slot[left[slot] > 0]
+        around = None
+        if around_rad is not None:
+            near = self.index.near(center, radius_rad + margin_rad + around_rad)
+            around = self._targets(near[~np.isin(near, slot)], years)
+        return FieldRows(slot, self.index.order[slot], self._targets(slot, years, others, around))
+
+    def _targets(self, slot: np.ndarray, years: float, others=None, around=None) -> FieldTargets:
         row, catalog = self.index.order[slot], self.catalog
         columns = {name: getattr(catalog, name) for name in PLANNED_COLUMNS}
         columns = TargetColumns(**{name: None if values is None else values[row] for name, values in columns.items()})
         extra = {name: values[row] for name, values in catalog.arrays.extra.items()}
         vectors = self._vectors(slot, years)
-        return FieldRows(slot, row, FieldTargets(vectors, catalog.id[row], columns, others, extra, catalog.numbered))
+        return FieldTargets(vectors, catalog.id[row], columns, others, extra, catalog.numbered, around)
 
 
 class FieldBuilder:
@@ -157,13 +172,17 @@ class FieldBuilder:
         Remaining visits before the first tile: ``wanted`` or, for standards and sky positions that fields contain, 1.
     reusable : ndarray of bool or None
         Whether each target is a standard or sky position that fields contain; None if there are none.
+    around_rad : float or None
+        Angle up to which constraints use targets around a field; None if no constraint uses targets.
     spends : ndarray of bool or None
         Whether a visit reduces the number of remaining visits of each target; None if this is true for all targets.
     """
 
     def __init__(self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True):
         self.source, self.options, self._subpriority = source, options, subpriority
-        marked = mark_required(options.required, source.ids_by_part())
+        margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
+        self.around_rad = max(margins, default=None)
+        marked = mark_required(options.required_ids, source.ids_by_part())
         self.n_required = 0 if marked is None else int(np.count_nonzero(marked))
         self.is_required = None if marked is None else source.to_slots(marked)
         visits = source.by_slot("visits") if visits is None else source.to_slots(to_visits(visits, len(source)))
@@ -174,9 +193,9 @@ class FieldBuilder:
         science = None if kind is None else kind == "science"
         self.visits = visits
         self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
-        if science is not None and (options.requirements or marked is not None):
+        if science is not None and (options.counts or marked is not None):
             self.spends, self.reusable = science, ~science & (visits > 0)
-            if not options.requirements:
+            if not options.counts:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.wanted)
 
@@ -215,7 +234,9 @@ class FieldBuilder:
         """
         # blank sky positions must not be close to any target, including targets without remaining visits
         rest, left = self.options.sky_separation is not None, self.left if left is None else left
-        field = self.source.field(center, radius_rad, left, rest=rest, years=years, margin_rad=margin_rad)
+        field = self.source.field(
+            center, radius_rad, left, rest=rest, years=years, margin_rad=margin_rad, around_rad=self.around_rad
+        )
         columns = field.targets.columns
         if self.is_required is not None:
             columns = columns._replace(is_required=self.is_required[field.slot])

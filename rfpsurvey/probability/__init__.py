@@ -12,7 +12,6 @@ from rfpsurvey.probability._simulate import QUEUEING, Simulation
 from rfpsurvey.probability._surrogate import (
     AXES,
     interior_probability,
-    make_surrogate,
     outside_box,
     surrogate_probability,
     surrogate_spline,
@@ -34,7 +33,6 @@ __all__ = [
     "find_method",
     "interior_probability",
     "make_source",
-    "make_surrogate",
     "outside_box",
     "quantile",
     "rate_interval",

@@ -258,15 +258,15 @@ def _is_usual(value, usual, *types) -> bool:
 
 def _check_science_only(options):
     """Raise an error if the options contain requirements, a sky separation, required targets or keep-out regions."""
-    if options.requirements or options.sky_separation is not None:
+    if options.counts or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets are treated as science "
             f"targets, got {options!r}"
         )
-    if options.required or options.keep_out:
+    if options.all_constraints:
         raise InputError(
-            f"allocator must have no required targets and no keep_out, since a collision probability describes random "
-            f"configurations, not one field, got {options!r}"
+            f"allocator must have no required targets and no other constraints, since a collision probability "
+            f"describes random configurations, not one field, got {options!r}"
         )
 
 

@@ -7,8 +7,8 @@ from rfpsurvey.allocation import Allocation
 from rfpsurvey.collision import make_setup, queue_segments
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability._simulate import Tally
-from rfpsurvey.probability._workspace import make_entries, make_positioners
+from rfpsurvey.probability._simulate import CollisionSums
+from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners
 
 
 def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | None:
@@ -29,7 +29,7 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
     return list(some)
 
 
-def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> Tally:
+def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> CollisionSums:
     """Return the expected numbers of collisions if each positioner draws its target at random from its combined queue.
 
     The combined queue of a positioner contains the targets of its queues in all ``allocations``.
@@ -41,18 +41,7 @@ def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: 
     entries = make_entries(len(plane), len(own))
     entries.segments[:, : len(own)] = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
     setup = make_setup(plane.arrays, parked_obstacles)
-    sums, times, counted = np.empty((1, 5)), np.zeros(len(plane)), np.zeros(len(plane), dtype=np.int64)
-    positioners, pair_probability = make_positioners(plane, setup), np.empty(len(plane.arrays.neighbors))
-    simulate.expect_given(
-        indptr,
-        plane.arrays.neighbors,
-        positioners,
-        setup,
-        entries,
-        np.empty(len(plane)),
-        pair_probability,
-        sums[0],
-        times,
-        counted,
-    )
-    return Tally(sums[:, :4], sums[:, 4], times, counted)
+    sums, pairs = np.empty((1, 5)), plane.arrays.neighbors
+    expected = make_expected(len(plane), len(pairs))
+    simulate.expect_given(indptr, pairs, make_positioners(plane, setup), setup, entries, expected, sums[0])
+    return CollisionSums(sums[:, :4], sums[:, 4], expected.times, expected.counted)

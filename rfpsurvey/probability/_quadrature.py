@@ -18,7 +18,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._workspace import make_entries, make_positioners
+from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners
 
 DENSITIES = ("uniform", "shared", "voronoi")
 SCRAMBLES = 8
@@ -93,20 +93,11 @@ class Quadrature:
         pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
         obstacles = self._setup.obstacle_pairs
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
-        probability, pair_probability = np.empty(len(own)), np.empty(len(pairs))
-        queues.expect(
-            pairs,
-            plane.arrays.geometry_of(own),
-            _limits_of(self._setup.limits, own),
-            obstacles,
-            self._setup.obstacles,
-            self._setup.clearance,
-            entries,
-            probability,
-            pair_probability,
-        )
+        setup = self._setup._replace(limits=_limits_of(self._setup.limits, own), obstacle_pairs=obstacles)
+        expected = make_expected(len(own), len(pairs))
+        queues.expect(pairs, plane.arrays.geometry_of(own), setup, entries, expected)
         # a pair of positioners that can both move is counted twice, once for each positioner, with the weight 0.5
-        return float(probability[0]), float(pair_probability @ np.where(moving[1:], 0.5, 1.0))
+        return float(expected.probability[0]), float(expected.pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
     def _tips(self, rows, points):
         """Return points (mm) in the patrol areas, computed from points in the unit square by an equal-area map."""

@@ -12,7 +12,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._options import Precision
-from rfpsurvey.probability._simulate import Tally, merge
+from rfpsurvey.probability._simulate import CollisionSums, merge
 
 FIRST_TASKS = 2
 """Number of tasks (groups of realizations) that are simulated before the error is first estimated."""
@@ -40,7 +40,7 @@ TOO_FEW = (
 
 
 def run(
-    task: Callable[[int, np.random.Generator], Tally],
+    task: Callable[[int, np.random.Generator], CollisionSums],
     chunk: int,
     precision: Precision,
     plane: FocalPlane,
@@ -49,13 +49,13 @@ def run(
     bar: Progress,
     *,
     given: bool,
-) -> tuple[Tally, dict]:
+) -> tuple[CollisionSums, dict]:
     """Simulate realizations until the requested precision or the maximum number of realizations is reached.
 
     The function returns the tally of all realizations and its summary. The number of tasks and the number of
     realizations per task depend only on earlier results. Therefore, the number of workers does not change the result.
     """
-    parts: list[Tally] = []
+    parts: list[CollisionSums] = []
     means, total, used, done = [], 0.0, 0, 0
     note = ""
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
@@ -104,7 +104,9 @@ def _fewest(tally, precision):
     return FLOOR / precision.standard_error * min(1.0, 2 / float(tally.colliding[:, 1].mean()))
 
 
-def summarize(tally: Tally, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool) -> dict:
+def summarize(
+    tally: CollisionSums, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool
+) -> dict:
     """Return the mean collision rate of a tally, its confidence interval and standard error, and a half width.
 
     The half width determines when iterations end: it contains only the error that more iterations reduce. If the

@@ -10,14 +10,14 @@ from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, a
 from rfpsurvey.collision import make_setup, make_workspace, queue_segments
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
-from rfpsurvey.probability._workspace import make_entries, make_positioners, make_realization
+from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners, make_realization
 
 QUEUEING = "balanced"
 """The allocator whose queues define the estimand, unless the user chooses another one; kernels simulate this one."""
 
 
 @dataclass(frozen=True)
-class Tally:
+class CollisionSums:
     """Numbers of collisions in each realization, and numbers of collisions of each positioner in all realizations."""
 
     colliding: np.ndarray
@@ -56,10 +56,10 @@ class Tally:
         return part[whole > 0] / whole[whole > 0]
 
 
-def merge(parts: list[Tally]) -> Tally:
-    """Return one `Tally` that contains the realizations of all ``parts``."""
+def merge(parts: list[CollisionSums]) -> CollisionSums:
+    """Return one `CollisionSums` that contains the realizations of all ``parts``."""
     rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
-    return Tally(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
+    return CollisionSums(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Simulation:
         """Whether compiled kernels run the whole simulation."""
         return self.source.compiled and self.options.allocator == QUEUEING and self.plane.arrays.poses_free
 
-    def draw(self, size: int, rng: np.random.Generator) -> Tally:
+    def draw(self, size: int, rng: np.random.Generator) -> CollisionSums:
         """Draw realizations, and return the numbers of collisions in one configuration of each realization."""
         n = len(self.plane)
         counts, counted = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(n, dtype=np.int64)
@@ -104,15 +104,15 @@ class Simulation:
                 uniform, own = rng.random((1, n)), counts[row : row + 1]
                 batch.count_draws(uniform, indptr, segments, self._positioners.idle, self._setup, workspace, own, hits)
         columns = [batch.COLLIDING, batch.COUNTED, batch.COLLIDING_ASSIGNED, batch.ASSIGNED]
-        return Tally(
+        return CollisionSums(
             counts[:, columns].astype(float), counts[:, batch.PAIRS].astype(float), hits.astype(float), counted
         )
 
-    def expect(self, size: int, rng: np.random.Generator) -> Tally:
+    def expect(self, size: int, rng: np.random.Generator) -> CollisionSums:
         """Draw realizations, and return collision counts, averaged over all configurations that the queues allow."""
         n = len(self.plane)
-        sums, times, counted = np.empty((size, 5)), np.zeros(n), np.zeros(n, dtype=np.int64)
-        probability, pair_probability = np.empty(n), np.empty(len(self.plane.arrays.neighbors))
+        sums, pairs = np.empty((size, 5)), self.plane.arrays.neighbors
+        expected = make_expected(n, len(pairs))
         if self.compiled:
             numbers = self.source.numbers(size, rng)
             most = int(numbers.max())
@@ -124,33 +124,19 @@ class Simulation:
                 self.source.sky,
                 self._positioners,
                 realization,
-                self.plane.arrays.neighbors,
+                pairs,
                 self._setup,
                 entries,
-                probability,
-                pair_probability,
+                expected,
                 sums,
-                times,
-                counted,
             )
         else:
             for own in sums:
                 indptr, segments = self._queue_segments(rng, thin=True)
                 entries = make_entries(n, segments.shape[1])
                 entries.segments[:, : segments.shape[1]] = segments
-                simulate.expect_given(
-                    indptr,
-                    self.plane.arrays.neighbors,
-                    self._positioners,
-                    self._setup,
-                    entries,
-                    probability,
-                    pair_probability,
-                    own,
-                    times,
-                    counted,
-                )
-        return Tally(sums[:, :4], sums[:, 4], times, counted)
+                simulate.expect_given(indptr, pairs, self._positioners, self._setup, entries, expected, own)
+        return CollisionSums(sums[:, :4], sums[:, 4], expected.times, expected.counted)
 
     @property
     def _most(self):

@@ -1,17 +1,13 @@
 """Interpolate the collision probability of a design with a spline through the values for a grid of designs."""
 
-from concurrent.futures import Executor
 from functools import cache
 from importlib.resources import as_file, files
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._executors import map_with_progress
-from rfpsurvey._io import output_path
-from rfpsurvey._units import to_generator, to_mm
+from rfpsurvey._units import to_mm
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
@@ -27,7 +23,6 @@ AXES = {
 }
 """Nodes of the grid of designs, by axis; the range of the grid contains the designs of Chen et al. (2024)."""
 PITCH = 25.0
-N_POINTS = 1024
 FILE = "surrogate.npz"
 
 
@@ -112,19 +107,6 @@ def interior_probability(
     task = Quadrature(plane, "uniform")
     values = [task(len(plane) // 2, n_points, own)[0] for own in rng.spawn(SCRAMBLES)]
     return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(SCRAMBLES))
-
-
-def make_surrogate(
-    path: Path | str, *, rng: int = 0, executor: Executor | None = None, progress: bool = False, overwrite: bool = False
-) -> None:
-    """Compute the collision probabilities of the grid of designs, and write them to a file."""
-    grid = np.stack(np.meshgrid(*AXES.values(), indexing="ij"), axis=-1)
-    shapes = [tuple(s) for s in grid.reshape(-1, 3).tolist()]
-    sources, numbers = to_generator(rng).spawn(len(shapes)), [N_POINTS] * len(shapes)
-    found = map_with_progress(executor, progress, "designs", interior_probability, shapes, numbers, sources)
-    values = [value for value, _ in found]
-    with output_path(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, risk=np.array(values, dtype=np.float32).reshape(grid.shape[:-1]))
 
 
 @cache

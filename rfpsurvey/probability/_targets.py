@@ -53,9 +53,9 @@ class Source:
         return self.kind in KINDS
 
     @property
-    def sky(self) -> simulate.Sky:
+    def sky(self) -> simulate.TargetCircle:
         """The circle that contains the targets, and their minimum separation, as the kernels require them."""
-        return simulate.Sky(*self.center, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
+        return simulate.TargetCircle(*self.center, self.radius, self.separation if self.kind == "poisson_disc" else 0.0)
 
     def numbers(self, size: int, rng: np.random.Generator) -> np.ndarray:
         """Return the number of targets in each of ``size`` realizations."""

@@ -58,3 +58,8 @@ def make_entries(n: int, number: int) -> queues.Entries:
         hit=np.zeros(size),
         ahead=np.empty(size),
     )
+
+
+def make_expected(n: int, n_pairs: int) -> queues.Expected:
+    """Return arrays for the probabilities of n positioners and of their pairs; the values of realizations are 0."""
+    return queues.Expected(np.empty(n), np.empty(n_pairs), np.zeros(n), np.zeros(n, dtype=np.int64))

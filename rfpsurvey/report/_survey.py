@@ -39,7 +39,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         ),
     ]
     if s.get("unmet"):
-        sections.insert(1, Section("Requirements", [Text(list(s["unmet"]))]))
+        sections.insert(1, Section("Constraints", [Text(list(s["unmet"]))]))
     visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')}"
     lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)

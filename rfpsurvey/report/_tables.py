@@ -75,7 +75,7 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
         still = [Text("The interactive view of the plans requires a browser that runs scripts.")]
         sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
     if unmet:
-        sections.append(Section("Requirements that are not met", [Text(unmet)]))
+        sections.append(Section("Constraints that are not met", [Text(unmet)]))
     provenance = {k: v for k, v in _without_private(meta).items() if k != "unmet"}
     return Page("Comparison", f"Allocators on a field of {meta['instrument']}", words, {}, sections, provenance)
 

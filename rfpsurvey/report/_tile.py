@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import METHODS, recorded_constraints
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
@@ -64,9 +64,9 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
             ],
         ),
     ]
-    if summary.get("unmet") or parameters.get("requirements"):
-        unmet = summary.get("unmet") or ["All requirements are met."]
-        sections.append(Section("Requirements", [Text(list(unmet))]))
+    if summary.get("unmet") or recorded_constraints(parameters):
+        unmet = summary.get("unmet") or ["All constraints are met."]
+        sections.append(Section("Constraints", [Text(list(unmet))]))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
@@ -93,11 +93,7 @@ def _asked(tile) -> dict:
     if catalog.get("columns"):
         asked["columns of the catalog"] = catalog["columns"]
     asked["epoch"] = p.get("epoch") or "not stated"
-    asked["requirements"] = p.get("requirements") or "none"
-    if p.get("required"):
-        asked["required targets"] = p["required"]
-    if p.get("keep_out"):
-        asked["circles that no arm may cover"] = p["keep_out"]
+    asked["constraints"] = recorded_constraints(p) or "none"
     if p.get("sky_separation_mm"):
         asked["minimum distance of sky positions from targets"] = f"{p['sky_separation_mm']:.4g} mm"
     if p["allocator"] in METHODS and METHODS[p["allocator"]].searches:

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["PER_WORD", "count_bits", "n_words", "pack_bits", "unpack_bits"]
-
 PER_WORD = 64
 """Number of realizations whose bits one integer contains."""
 

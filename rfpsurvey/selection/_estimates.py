@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["inverse_probability", "inverse_probability_error", "probability_error"]
-
 
 def inverse_probability(count: np.ndarray, n: int) -> np.ndarray:
     """Return the estimate ``(n + 1) / (count + 1)`` of the inverse probability of targets that a survey observed.

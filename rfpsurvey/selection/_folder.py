@@ -10,8 +10,6 @@ from rfpsurvey._readers import open_file, read_arrays
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.selection._state import State
 
-__all__ = ["NAME", "SelectionFolder"]
-
 EVERY = 60.0
 """Minimum time between two checkpoints of a block, in seconds."""
 NAME = "selection.fits"

@@ -21,8 +21,6 @@ from rfpsurvey.selection._run import count_tiles, count_type, in_order
 from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
-__all__ = ["PotentialAssignments", "potential_assignments"]
-
 COLUMNS = {
     "tile": "identifier of the tile",
     "positioner": "identifier of the positioner",

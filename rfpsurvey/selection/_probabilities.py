@@ -18,8 +18,6 @@ from rfpsurvey.selection._estimates import inverse_probability, inverse_probabil
 from rfpsurvey.selection._result import TARGETS
 from rfpsurvey.tile import describe
 
-__all__ = ["SelectionProbabilities"]
-
 COLUMNS = ("target_id", "requested", "n_tiles", "BITWEIGHTS")
 NAMES = "SELECTION", "REALIZATIONS"
 # Number of rows that are written together.

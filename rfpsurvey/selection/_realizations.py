@@ -8,8 +8,6 @@ from rfpsurvey._kernels.realizations import MOST
 from rfpsurvey.selection._rules import RULES
 from rfpsurvey.survey import Request
 
-__all__ = ["Block", "blocks_of", "in_batch", "request_of", "seeds_of"]
-
 
 def seeds_of(seed: int, n: int) -> list[int]:
     """Return the seeds of n realizations; if n is increased, the first seeds remain the same."""
@@ -25,7 +23,7 @@ def in_batch(request: Request) -> bool:
     """Return whether all realizations of a block can be planned together."""
     options = request.options
     # the rules do not meet requirements, which some of the allocators with a rule ignore as well
-    simple = options.sky_separation is None and not (options.requirements and options.method.uses("requirements"))
+    simple = options.sky_separation is None and not (options.counts and options.method.uses("requirements"))
     return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
 

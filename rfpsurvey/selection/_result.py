@@ -5,8 +5,6 @@ from astropy.table import QTable
 
 from rfpsurvey.tile import describe, model_sentence
 
-__all__ = ["TARGETS", "realization_table"]
-
 REALIZATIONS = {
     "realization": "number of the realization, and of its bit in BITWEIGHTS",
     "seed": "seed of the subpriorities and of the random numbers of the realization",

@@ -13,8 +13,6 @@ from rfpsurvey.allocation import id_numbers
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.pipeline import FieldReach
 
-__all__ = ["RULES", "BlockProblem"]
-
 
 class BlockProblem(NamedTuple):
     """The targets of a field, and the pairs of a target and a positioner that may be assigned."""
@@ -36,7 +34,7 @@ class BlockProblem(NamedTuple):
     @classmethod
     def of(cls, reach: FieldReach, given) -> "BlockProblem":
         """Return the problem of the tile whose `BlockJob` is ``given``."""
-        targets, pairs = given.job.field.targets, reach.pairs
+        targets, pairs = given.job.field.targets, reach.allowed
         columns, n, n_sharing = targets.columns, len(targets.id), reach.instrument.focal_plane.arrays.n_sharing
         allowed = np.ones(n, dtype=bool) if columns.kind is None else columns.kind == "science"
         rank = np.zeros(n, dtype=np.int64)

@@ -21,8 +21,6 @@ from rfpsurvey.selection._state import State
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
 from rfpsurvey.survey import Request, told
 
-__all__ = ["count_tiles", "count_type", "in_order", "run"]
-
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
 
@@ -127,7 +125,8 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:
     job = request.job(tile, state.is_open, as_file=False)
-    job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+    if job.field.targets.around is None:  # no constraint uses the further columns
+        job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
 
 

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole, used_elsewhere, warn
 from rfpsurvey.instrument import Instrument
@@ -18,8 +18,6 @@ from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
 from rfpsurvey.survey import prepare_request
 from rfpsurvey.tiling import Tiling
-
-__all__ = ["selection_probabilities"]
 
 log = logging.getLogger("rfpsurvey")
 MOST = 1 << 20
@@ -32,7 +30,7 @@ def selection_probabilities(
     tiles: Tiling | Table | SkyCoord,
     n_realizations: int = 128,
     *,
-    allocator: AllocationOptions | str | Callable = "nearest",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
@@ -63,7 +61,8 @@ def selection_probabilities(
     n_realizations : int, optional
         Number of realizations, at least 1.
     allocator : AllocationOptions or str or callable, optional
-        The allocator for all tiles, with or without its options. The option ``subpriority`` must not be given.
+        The allocator for all tiles, with or without its options; it must be the allocator of the survey whose
+        selection is studied. The default is the default of `plan_survey`. The option ``subpriority`` must not be given.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional

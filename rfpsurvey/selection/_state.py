@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.pipeline import FieldBuilder
 
-__all__ = ["State"]
-
 
 class State:
     """The remaining visits of each target in each realization of a block.

@@ -12,8 +12,6 @@ from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection._rules import RULES, BlockProblem
 from rfpsurvey.survey import Job, reach_of, work
 
-__all__ = ["BlockDone", "BlockJob", "Poses", "plan_alone", "plan_together", "reach_counts"]
-
 
 class BlockJob(NamedTuple):
     """The input of `plan_together` and `plan_alone`: one tile, and the realizations for which it is planned."""

@@ -4,8 +4,6 @@ import numpy as np
 
 from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
 
-__all__ = ["Bookkeeping", "Tally"]
-
 SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
 

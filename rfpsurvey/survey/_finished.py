@@ -10,8 +10,6 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.survey._folder import JOINT, TABLES, part_name
 from rfpsurvey.survey._survey import Survey
 
-__all__ = ["read_finished"]
-
 
 def read_finished(folder: Path, n_tiles: int, *, joint: bool) -> Survey | None:
     """Return the survey in a folder; None if it is not finished, or if its files do not agree with each other.

@@ -5,8 +5,6 @@ from pathlib import Path
 from rfpsurvey._folder import RequestFolder, read_verified
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["JOINT", "TABLES", "Folder", "part_name"]
-
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
 OTHERS = (JOINT, "joint/state.npz")

@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey._kernels import zones
 from rfpsurvey.catalog import SkyIndex, half_chord_squared
 
-__all__ = ["ORDERS", "make_rounds"]
-
 
 def _number(index: SkyIndex, reach_rad: float, group: np.ndarray, *, smallest: bool) -> np.ndarray:
     """Return a number for each tile such that neighboring tiles have different numbers.

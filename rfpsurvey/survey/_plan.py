@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options, hint_of_name, warn_of_unused_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
@@ -31,8 +31,6 @@ from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_programs, warn_of_targets
 
-__all__ = ["plan_survey", "prepare_request"]
-
 log = logging.getLogger("rfpsurvey")
 
 
@@ -42,7 +40,7 @@ def plan_survey(
     instrument: Instrument | str,
     tiles: Tiling | Table | SkyCoord,
     *,
-    allocator: AllocationOptions | str | Callable = "lamost",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     visits: int | np.ndarray | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
@@ -60,9 +58,8 @@ def plan_survey(
     If an executor is given, tiles that do not share targets are planned at the same time. The plan does not depend on
     the executor. Required targets (`AllocationOptions`) take precedence in every tile as long as they have remaining
     visits, and at least one visit of each required target is requested. A standard or sky position that is a required
-    target can be used any number of times, even if the options contain no requirements. Circles that no arm may cover
-    (``keep_out`` of `AllocationOptions`) are obstacles in the tiles whose arms can touch these
-    circles.
+    target can be used any number of times, even if the options contain no requirements. Constraints apply to each tile:
+    targets that they exclude are not observed, and the tile has their obstacles.
 
     Parameters
     ----------
@@ -232,7 +229,7 @@ def _warn_of_lacks(request) -> None:
     """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
-    asked = {one.what: one for one in request.options.requirements if one.minimum}
+    asked = {one.what: one for one in request.options.counts if one.minimum}
     if request.options.sky_separation is not None:
         asked.pop("sky", None)
     there = {"science"}

@@ -29,8 +29,6 @@ from rfpsurvey.tiling import (
     years_of_tiles,
 )
 
-__all__ = ["Request", "make_request"]
-
 FIELDS_DIFFER = 0.01
 
 

@@ -3,14 +3,12 @@
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.allocation import brief
+from rfpsurvey.errors import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
-
-__all__ = ["completeness_table", "outcome_table", "tile_table"]
 
 TILES = {
     "tile": "identifier of the tile",

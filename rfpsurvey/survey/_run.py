@@ -19,8 +19,6 @@ from rfpsurvey.survey._result import completeness_table, outcome_table, tile_tab
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import N_FIELD, Done, cards_of, reach_of, work
 
-__all__ = ["IN_FLIGHT", "run", "told"]
-
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
 

@@ -11,8 +11,6 @@ from rfpsurvey.allocation import TargetColumns
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex
 from rfpsurvey.pipeline import PLANNED_COLUMNS, CatalogTargets, FieldRows, FieldTargets
 
-__all__ = ["InMemory", "Partitioned", "digest"]
-
 
 class InMemory(CatalogTargets):
     """A catalog that fits into memory; the slot of a target is its position in the spatial index."""
@@ -111,29 +109,25 @@ class Partitioned:
         rest: bool = False,
         years: float = 0.0,
         margin_rad: float = 0.0,
+        around_rad: float | None = None,
     ) -> FieldRows:
         """Return the targets in a circle that still require a visit.
 
         ``left`` is the number of remaining visits of each target, in the order of slots. If ``rest`` is true, the field
         also contains the directions of the targets without remaining visits, as ``targets.others``. The targets are
-        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``.
+        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``. If ``around_rad``
+        is given, ``targets.around`` contains all other targets in a circle whose radius is larger by this angle.
         """
-        fields = []
-        for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad).tolist():
+        found, more = [], {"years": years, "margin_rad": margin_rad, "around_rad": around_rad}
+        for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad + (around_rad or 0.0)).tolist():
             first, last = self._first[k : k + 2]
-            field = self._part(k).field(
-                center, radius_rad, left[first:last], rest=rest, by_row=True, years=years, margin_rad=margin_rad
-            )
-            if len(field.row) or rest or not fields:
-                fields.append(field._replace(slot=field.row + first, row=field.row + first))
-        if not fields:
-            return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8))
-        slot, row, targets = zip(*fields, strict=True)
-        vectors, ids, columns, others, extra, numbered = zip(*targets, strict=True)
-        columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
-        extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
-        targets = FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0])
-        return FieldRows(_stack(slot), _stack(row), targets)
+            field = self._part(k).field(center, radius_rad, left[first:last], rest=rest, by_row=True, **more)
+            if len(field.row) or rest or around_rad is not None or not found:
+                found.append(field._replace(slot=field.row + first, row=field.row + first))
+        if not found:
+            return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8), around_rad=around_rad)
+        slot, row, targets = zip(*found, strict=True)
+        return FieldRows(_stack(slot), _stack(row), _stack_targets(targets))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:
         """Return the sum of the values of the targets inside each circle.
@@ -195,6 +189,15 @@ class Partitioned:
     def digest(self) -> str:
         """Return a digest that identifies the catalog, computed from the columns that a survey requires."""
         return self._parts.digest()
+
+
+def _stack_targets(targets: tuple[FieldTargets, ...]) -> FieldTargets:
+    """Concatenate the targets of several partitions."""
+    vectors, ids, columns, others, extra, numbered, around = zip(*targets, strict=True)
+    columns = TargetColumns(*(_stack(parts) for parts in zip(*columns, strict=True)))
+    extra = {name: _stack([part[name] for part in extra]) for name in extra[0]}
+    around = None if around[0] is None else _stack_targets(around)
+    return FieldTargets(_stack(vectors), _stack(ids), columns, _stack(others), extra, numbered[0], around)
 
 
 def _stack(parts: tuple) -> np.ndarray | None:

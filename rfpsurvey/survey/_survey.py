@@ -17,8 +17,6 @@ from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import JOINT, TABLES, part_name
 from rfpsurvey.tile import with_unit
 
-__all__ = ["Survey"]
-
 # Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
 COLUMNS = (
     ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),

@@ -7,9 +7,7 @@ import numpy as np
 from rfpsurvey.allocation import AllocationOptions, Shortfall
 from rfpsurvey.errors import listed, number_of
 
-__all__ = ["sentences_of", "shortfall_cards", "shortfall_counts", "texts_of", "without_shortfalls"]
-
-MISSING, EXCESS = "missing ", "too many "
+MISSING, EXCESS, VIOLATED = "missing ", "too many ", "violations "
 REQUIRED = "required targets"
 MOST_TILES = 5
 """Largest number of tiles that a sentence lists."""
@@ -19,30 +17,37 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     """Return header cards of the file of a tile for the targets that requirements lack, as in ``COUNTS``.
 
     Each requirement has a card for the number of missing targets and, if it has a maximum, a card for the number of
-    targets above the maximum.
+    targets above the maximum. Each constraint that is more than counts and has no short form has a card, too.
     """
     cards = {}
-    for k, one in enumerate(options.requirements):
+    for k, one in enumerate(options.counts):
         cards[f"MISS{k}"] = f"{MISSING}{one}", f"targets that requirement {k} lacks"
         if one.maximum is not None:
             cards[f"MORE{k}"] = f"{EXCESS}{one}", f"targets above the maximum of requirement {k}"
-    if options.required:
+    if options.required_ids:
         cards["MISSREQ"] = f"{MISSING}{REQUIRED}", "required targets of the field without a fiber"
+    for k, one in enumerate(one for one in options.constraints if one.uses_field):
+        cards[f"VIOL{k}"] = f"{VIOLATED}{one}", f"violations of constraint {k}"
     return cards
 
 
-def shortfall_counts(unmet: Iterable[Shortfall], options: AllocationOptions) -> dict[str, int]:
-    """Return the numbers of missing targets in a plan, and of targets above maxima, for the cards of a tile."""
+def shortfall_counts(
+    unmet: Iterable[Shortfall], violations: dict[str, list[str]], options: AllocationOptions
+) -> dict[str, int]:
+    """Return the numbers of missing targets, of targets above maxima, and of violations, for the cards of a tile."""
     found = {name: 0 for name, _ in shortfall_cards(options).values()}
     for one in unmet:
         sign = MISSING if one.requested > one.found else EXCESS
         found[f"{sign}{REQUIRED if one.requirement is None else one.requirement}"] += abs(one.requested - one.found)
+    for text, sentences in violations.items():
+        if f"{VIOLATED}{text}" in found:
+            found[f"{VIOLATED}{text}"] += len(sentences)
     return found
 
 
 def without_shortfalls(counts: dict[str, np.ndarray]) -> tuple[dict, dict]:
     """Divide the counts of all tiles into the counts that become columns, and the numbers of missing targets."""
-    lacking = {name: values for name, values in counts.items() if name.startswith((MISSING, EXCESS))}
+    lacking = {name: values for name, values in counts.items() if name.startswith((MISSING, EXCESS, VIOLATED))}
     return {name: values for name, values in counts.items() if name not in lacking}, lacking
 
 
@@ -61,10 +66,11 @@ def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]
         what, word = _words(name)
         if len(rows) and what != REQUIRED:  # later tiles can observe required targets
             where = f"{len(rows)} of {number_of(len(tiles), 'tile')} ({listed(tiles[rows].tolist(), MOST_TILES)})"
-            found.append(f"requirement {what}: {int(values.sum())} {word} in {where}")
+            kind = "constraint" if word == VIOLATED.strip() else "requirement"
+            found.append(f"{kind} {what}: {int(values.sum())} {word} in {where}")
     return found
 
 
 def _words(name: str) -> tuple[str, str]:
-    word = MISSING if name.startswith(MISSING) else EXCESS
+    word = next(word for word in (MISSING, EXCESS, VIOLATED) if name.startswith(word))
     return name.removeprefix(word), word.strip()

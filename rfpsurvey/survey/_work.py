@@ -11,10 +11,8 @@ from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, find_reach, plan_field
-from rfpsurvey.survey._unmet import shortfall_cards, shortfall_counts
+from rfpsurvey.survey._unmet import VIOLATED, shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
-
-__all__ = ["N_FIELD", "Done", "Job", "Model", "cards_of", "plan_of", "projection_of", "reach_of", "work"]
 
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
 N_FIELD = "NFIELD"
@@ -158,8 +156,9 @@ def work(job: Job) -> Done:
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "n_unmet": len(plan.allocation.unmet),
-        **shortfall_counts(plan.allocation.unmet, model.options),
+        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options),
     }
+    counts["n_unmet"] += sum(n > 0 for name, n in counts.items() if name.startswith(VIOLATED))
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")

@@ -15,8 +15,6 @@ from rfpsurvey.tile._table import TableOfTile, status_of
 from rfpsurvey.tile._targets import TargetsOfField
 from rfpsurvey.tile._tile import Tile
 
-__all__ = ["build_tile", "versions"]
-
 MODEL = "static geometry in the focal plane at one wavelength; no refraction, no dynamic collisions"
 REFRACTED = "static geometry in the focal plane with atmospheric refraction; no dynamic collisions"
 

@@ -4,17 +4,6 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 
-__all__ = [
-    "COMPLETENESS",
-    "KEPT_COLUMN",
-    "OUTCOMES_COLUMNS",
-    "TARGET_COLUMNS",
-    "TILE_COLUMNS",
-    "describe",
-    "only_with_target",
-    "with_unit",
-]
-
 TARGET_COLUMNS = {
     "ra": "right ascension of the target (ICRS)",
     "dec": "declination of the target (ICRS)",

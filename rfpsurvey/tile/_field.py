@@ -8,16 +8,6 @@ from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError, warn
 
-__all__ = [
-    "field_center",
-    "field_value",
-    "north_of_date",
-    "recorded_equinox",
-    "recorded_projection",
-    "warn_of_north",
-    "where",
-]
-
 # names under which planners store the center and the orientation of a field, in columns or in the meta of a table
 FIELD = {
     "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),

@@ -12,8 +12,6 @@ from rfpsurvey.tile._columns import describe
 if TYPE_CHECKING:
     from rfpsurvey.tile._targets import TargetsOfField
 
-__all__ = ["idle_tables"]
-
 IDLE_COLUMNS = {
     "id": "identifier of the positioner",
     "reason": "reason why the positioner has no target",

@@ -6,8 +6,6 @@ from rfpsurvey.collision import Arms, Configuration, near_pairs
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import MODELS
 
-__all__ = ["collision_shape", "model_sentence"]
-
 TYPES = {
     2: "only arms of adjacent positioners can touch (collision type 2)",
     3: "arms of positioners that are not adjacent can also touch (collision type 3)",

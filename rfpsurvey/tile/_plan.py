@@ -13,10 +13,10 @@ from astropy.time import Time
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_center, to_generator, to_vectors
 from rfpsurvey.allocation import (
+    DEFAULT_ALLOCATOR,
     KINDS,
     AllocationOptions,
     as_options,
-    brief,
     hint_of_name,
     packages,
     sentences,
@@ -31,7 +31,6 @@ from rfpsurvey.pipeline import (
     FieldBuilder,
     FieldPlan,
     SelectedRows,
-    are_among,
     field_radius_rad,
     plan_field,
 )
@@ -39,8 +38,6 @@ from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
-
-__all__ = ["plan_tile"]
 
 # Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
 MOST_OBJECTIVES = 100
@@ -56,7 +53,7 @@ def plan_tile(
     *,
     position_angle: u.Quantity = 0 * u.deg,
     epoch: Time | str | float | None = None,
-    allocator: AllocationOptions | str | Callable = "lamost",
+    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
     conditions: ObservingConditions | None = None,
     projection: str | None = None,
     progress: bool | Callable = False,
@@ -146,9 +143,10 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     _warn_of_unknown_categories(asked, catalog)
+    margin = max([one.margin_rad for one in options.all_constraints], default=0.0)
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
-        near = catalog.arrays.rows_near(center, radius, used)
+        near = catalog.arrays.rows_near(center, radius + margin, used)
         catalog = catalog[near].at_epoch(used)
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
@@ -158,12 +156,15 @@ def plan_tile(
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
             f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
         )
-    vectors = catalog.arrays.vectors.take(rows, axis=0)
-    source = CatalogTargets(everything, SelectedRows(rows if used is None else near[rows], vectors))
+    outside = np.setdiff1d(catalog.arrays.rows_within(center, radius + margin), rows) if margin else rows[:0]
+    wider = np.append(rows, outside)
+    vectors = catalog.arrays.vectors.take(wider, axis=0)
+    selected = SelectedRows(wider if used is None else near[wider], vectors, radius, len(rows))
+    source = CatalogTargets(everything, selected)
     builder = FieldBuilder(source, options)
     slot, _, targets = builder.field(to_vectors(center, "center", one=True)[0], radius)
     if len(slot) == 0:
-        _refuse_empty(builder)
+        _refuse_empty(builder, len(rows))
     n_twice = len(slot) - len(np.unique(targets.id)) if catalog.arrays.repeated_ids else 0
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
@@ -178,7 +179,7 @@ def plan_tile(
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
-        what = "target" if options.requirements else "science target"
+        what = "target" if options.counts else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
@@ -188,10 +189,10 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows[builder.visits > 0], plan),
+        "kinds": counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
         "n_required": builder.n_required,
         "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
-        "unmet": sentences(allocation.unmet) + _outside(options.required, targets.id),
+        "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],
         "search": allocation.meta,
         "projection": chosen,
         "epoch": moved,
@@ -228,13 +229,13 @@ def plan_tile(
     )
 
 
-def _refuse_empty(builder: FieldBuilder) -> None:
-    """Raise the error that states why a tile may use none of the targets in its field."""
+def _refuse_empty(builder: FieldBuilder, n: int) -> None:
+    """Raise the error that states why a tile may use none of the n targets in its field, which are the first slots."""
     kind = builder.source.by_slot("kind")
-    science = np.ones(len(builder.wanted), dtype=bool) if kind is None else kind == "science"
+    science = np.ones(n, dtype=bool) if kind is None else kind[:n] == "science"
     what = "is a science target" + (" with requested visits" if science.any() else "")
     remedy = "requirements such as 'sky=20' also assign targets of other kinds"
-    remedy = remedy if builder.visits.any() else "the column of visits states 0 for all of them"
+    remedy = remedy if builder.visits[:n].any() else "the column of visits states 0 for all of them"
     raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
 
 
@@ -242,13 +243,6 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
     """Return the number of targets marked in ``is_required`` that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
     return 0 if is_required is None else int(is_required[observed].sum())
-
-
-def _outside(required: tuple, ids: np.ndarray) -> list[str]:
-    """Return a list with a sentence on the required targets outside the field; the list is empty if there are none."""
-    there = are_among(required, ids) if required else np.ones(0, dtype=bool)
-    outside = tuple(name for name, is_there in zip(required, there.tolist(), strict=True) if not is_there)
-    return [f"required targets outside the field: {brief(outside)}"] if outside else []
 
 
 def _objectives(levels: list) -> list:
@@ -268,10 +262,10 @@ def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) ->
 
     There is no warning if the option ``requirements`` is ``"instrument"``.
     """
-    if isinstance(options.requirements, str) or not options.requirements:
+    if not options.counts:
         return
     category = np.array([""]) if catalog.category is None else catalog.category
-    for one in options.requirements:
+    for one in options.counts:
         if one.minimum and one.what not in KINDS and not (category == one.what).any():
             there = [] if catalog.category is None else np.unique(category).tolist()
             hint = hint_of_name(one.what, there) or f"the catalog's categories are: {listed(there, 8)}"

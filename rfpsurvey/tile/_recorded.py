@@ -13,8 +13,6 @@ from rfpsurvey.errors import number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.plans import is_plan
 
-__all__ = ["Recorded", "find_recorded", "sentence_of", "warn_of_neglected"]
-
 GOOD = 1  # fiberStatus of PFS
 TOLERANCE_MM = 0.1
 """Largest distance between the position of a fiber and the position computed from its recorded joint angles."""
@@ -153,3 +151,18 @@ def _angles_of_positions(find, owner, has_target, plane) -> np.ndarray:
         angles = np.array([angle.to_value(u.rad) for angle in plane.inverse(xy * u.mm, name)])
         found = np.where(np.isfinite(found), found, angles)
     return found
+
+
+def on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:
+    """Return the recorded positions of the targets in mm, one row for each positioner; NaN if there are none."""
+    found = np.full((n, 2), np.nan)
+    if None not in names:
+        found[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+    return found
+
+
+def sky_deg_of(find: Finder) -> np.ndarray:
+    """Return the right ascensions and declinations of a table in deg, shape (2, n); NaN if the table has none."""
+    if find.name_of("ra") is None or find.name_of("dec") is None:
+        return np.full((2, len(find.table)), np.nan)
+    return np.array([find.quantity("ra").value, find.quantity("dec").value])

@@ -14,6 +14,7 @@ from rfpsurvey._units import rows_of, to_center, to_direction, to_flags, to_plai
 from rfpsurvey.allocation import warn_of_parked
 from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text, read_columns
 from rfpsurvey.collision import find_collisions, place_arms
+from rfpsurvey.constraints import Constraint
 from rfpsurvey.errors import (
     InputError,
     RfpsurveyWarning,
@@ -29,6 +30,7 @@ from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
+from rfpsurvey.tile._constraints import find_constraints
 from rfpsurvey.tile._field import (
     field_center,
     field_value,
@@ -38,11 +40,9 @@ from rfpsurvey.tile._field import (
     warn_of_north,
     where,
 )
-from rfpsurvey.tile._recorded import find_recorded, sentence_of, warn_of_neglected
+from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, sentence_of, sky_deg_of, warn_of_neglected
 from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
-
-__all__ = ["score_tile"]
 
 MOST_OUT_OF_REACH = 0.2
 """Fraction of targets out of reach from which on a warning states that plan and instrument do not match."""
@@ -63,6 +63,7 @@ def score_tile(
     units: dict | None = None,
     parked_obstacles: bool = True,
     missing: str = "refuse",
+    constraints: list | Constraint | str | None = None,
 ) -> Tile:
     """Find the collisions in assignments that another program planned.
 
@@ -109,6 +110,9 @@ def score_tile(
     missing : {"refuse", "skip"}, optional
         What to do if assigned rows have no position. By default, an error names these rows. With ``"skip"``, the other
         rows are scored, their positioners have no target, and a warning names the skipped rows.
+    constraints : list of Constraint or str, optional
+        Constraints that are checked, as in `AllocationOptions`. Their obstacles count in the collisions, and the entry
+        ``unmet`` of the summary contains a sentence on each constraint that the plan violates.
 
     Returns
     -------
@@ -167,7 +171,7 @@ def score_tile(
     accepted_types(plane, asked, len(part))
     fibers = plane.arrays.first_type[who]
     fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
-    others, moved = _without(find, name), None
+    others, moved, plain = _without(find, name), None, None
     ids = others.labels("id")
     ids = np.arange(len(part)) if ids is None else ids
     parameters = {
@@ -219,14 +223,18 @@ def score_tile(
         for unused in (name for name, value in given.items() if value is not None):
             remedy = "to use positions on the sky, give positions='sky' (or --positions sky)"
             warn_no_effect(unused, f"because the table has positions on the focal plane; {remedy}")
-        xy = _on_focal_plane(find, xy_names, len(plane), who)[who]
-        sky_deg = _sky_deg(find)
+        xy = on_focal_plane(find, xy_names, len(plane), who)[who]
+        sky_deg = sky_deg_of(find)
     n, n_rows = len(plane), len(rows)
     has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
-    own = _on_focal_plane(find, xy_names if has_places else [None], n, who)
+    own = on_focal_plane(find, xy_names if has_places else [None], n, who)
     keep = _placed(np.isfinite(xy).all(axis=1), rows, part[name], len(table), skip=missing == "skip")
     part, rows, who, ids, fibers, xy = part[keep], rows[keep], who[keep], ids[keep], fibers[keep], xy[keep]
     sky_deg = sky_deg[:, keep]
+    if constraints is not None:
+        checked = find_constraints(constraints, instrument, plain, others, keep, ids, sky_deg, xy, fibers)
+        instrument, plane = checked.applied.instrument, checked.applied.instrument.focal_plane
+        parameters["constraints"] = [str(one) for one in checked.options.all_constraints]
     tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
     tips[who], target_of[who] = xy, np.arange(len(who))
     types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
@@ -264,6 +272,7 @@ def score_tile(
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
+        **({} if constraints is None else {"unmet": checked.unmet(report, target_of)}),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
@@ -373,18 +382,3 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
             )
         warn(f"{where} have no finite position and are skipped {who}")
     return np.flatnonzero(has_place)
-
-
-def _on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:
-    """Return the recorded positions of the targets in mm, one row for each positioner; NaN if there are none."""
-    found = np.full((n, 2), np.nan)
-    if None not in names:
-        found[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
-    return found
-
-
-def _sky_deg(find: Finder) -> np.ndarray:
-    """Return the right ascensions and declinations of a table in deg, shape (2, n); NaN if the table has none."""
-    if find.name_of("ra") is None or find.name_of("dec") is None:
-        return np.full((2, len(find.table)), np.nan)
-    return np.array([find.quantity("ra").value, find.quantity("dec").value])

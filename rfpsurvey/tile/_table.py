@@ -10,8 +10,6 @@ from rfpsurvey.collision import Arms, CollisionReport, nearest_distance
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.tile._columns import KEPT_COLUMN, TILE_COLUMNS, describe, id_column
 
-__all__ = ["TableOfTile", "status_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class TableOfTile:

@@ -14,8 +14,6 @@ from rfpsurvey.pipeline import OUTCOMES, FieldPlan, Outcome, category_classes, o
 from rfpsurvey.tile._columns import COMPLETENESS, KEPT_COLUMN, OUTCOMES_COLUMNS, describe, only_with_target, with_unit
 from rfpsurvey.tile._idle import idle_tables
 
-__all__ = ["TargetsOfField", "by_positioner", "completeness_table", "counts_by_kind"]
-
 COLUMNS = ("kind", "category", "priority")
 LOST, OBSERVED, UNREACHED, UNUSED = (
     OUTCOMES[k] for k in (Outcome.LOST_TO_A_COLLISION, Outcome.OBSERVED, Outcome.OUT_OF_REACH, Outcome.NOT_REQUESTED)

@@ -22,8 +22,6 @@ from rfpsurvey.tile._model import collision_shape
 from rfpsurvey.tile._table import TableOfTile
 from rfpsurvey.tile._targets import TargetsOfField, completeness_table
 
-__all__ = ["Tile"]
-
 MUST_HAVE = (
     "summary.n_positioners",
     "summary.n_assigned",

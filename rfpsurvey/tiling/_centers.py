@@ -13,8 +13,6 @@ from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import InputError, InputTypeError, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
 
-__all__ = ["Centers", "Declinations", "as_centers", "given_tiles"]
-
 # Tolerance (radians) for rounding errors at the limits of declination.
 ROUNDING = 1e-12
 

@@ -7,8 +7,6 @@ from rfpsurvey._units import to_flags
 from rfpsurvey.catalog import Finder
 from rfpsurvey.errors import InputError, check_choice, number_of, refusal, warn
 
-__all__ = ["COLUMNS", "find_names", "read_angles", "without_others"]
-
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
 # Common names of the columns, in order of preference. Upper case and lower case are not distinguished.
 NAMES = {

@@ -20,17 +20,6 @@ from rfpsurvey.pipeline import field_radius_rad
 if TYPE_CHECKING:
     from rfpsurvey.tiling._tiling import Tiling
 
-__all__ = [
-    "WHEN",
-    "conditions_of_tiles",
-    "convert_when",
-    "largest_field_rad",
-    "places_of_tiles",
-    "times_of_tiles",
-    "when_of",
-    "years_of_tiles",
-]
-
 WHEN = ("time", "hour_angle")
 # If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
 MARGIN = 1.001

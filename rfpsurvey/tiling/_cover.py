@@ -13,8 +13,6 @@ from rfpsurvey.tiling._centers import Centers, Declinations
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
-__all__ = ["RegionCover", "cover_targets", "in_any", "snap"]
-
 # Spacing of the samples of a region as a fraction of the radius of a tile, and the largest number of samples.
 FINE = 1 / 40
 MOST_SAMPLES = 200_000

@@ -8,8 +8,6 @@ import numpy as np
 
 from rfpsurvey.errors import InputError
 
-__all__ = ["basis_of", "dither", "hexagonal", "lattice", "spiral", "widest_gap"]
-
 GOLDEN = np.pi * (3 - np.sqrt(5))
 # Area of a regular hexagon inscribed in a circle of radius 1. No covering by equal circles has a larger area per
 # circle.

@@ -8,8 +8,6 @@ from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
-__all__ = ["density_gradient", "max_density", "mean_shift", "ring"]
-
 # Lengths as fractions of the radius of a tile: spacing of the candidate centers, standard deviation of the smoothing,
 # radius of the circle that determines where targets are densest, smallest step, and shifts of a tile that observes no
 # target.

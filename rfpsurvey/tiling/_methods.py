@@ -11,8 +11,6 @@ from rfpsurvey.tiling._network import sdss
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_given
 
-__all__ = ["METHODS", "TilingMethod", "check_region_options", "warn_of_unused_passes"]
-
 
 @dataclass(frozen=True)
 class TilingMethod(Method):

@@ -14,8 +14,6 @@ from rfpsurvey.tiling._greedy import ring
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_all
 
-__all__ = ["sdss"]
-
 # Lengths as fractions of the radius of a tile. The flow can assign targets outside a tile to this tile, up to the
 # distance OUTSIDE from its edge. CELL is the size of the cells.
 OUTSIDE = 0.2

@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._methods import describe_methods
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import is_seed_given, to_scalar, to_seed
-from rfpsurvey.allocation import AllocationOptions, as_options, warn_of_unused_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, SkyIndex, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import (
     InputError,
@@ -36,8 +36,6 @@ from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unu
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
-
-__all__ = ["place_tiles"]
 
 MOST_LEVELS = 100
 """Largest number of priority classes; tiles are placed for one class after the other."""
@@ -96,7 +94,7 @@ def place_tiles(
         of these targets. Without an allocator, the fibers reach any target of the field.
     allocator : AllocationOptions or str or callable, optional
         Allocator of the positioners, which determines the targets that a tile observes, as in `plan_survey`; see
-        `AllocationOptions`. The default is ``lamost``. By default, a target is not observed if the arm at this target
+        `AllocationOptions`. The default is ``repair``. By default, a target is not observed if the arm at this target
         collides; see `~rfpsurvey.tiling.Fibers`. Required targets take precedence in each tile. Circles that no arm may
         cover are obstacles in each tile.
     radius : Quantity, optional
@@ -198,7 +196,7 @@ def place_tiles(
     summary.update({} if moved is None else {"epoch": moved})
     if len(catalog) == 0:
         raise InputError("the catalog must have at least one target with finite coordinates, got none")
-    options = as_options("lamost" if allocator is None else allocator)
+    options = as_options(DEFAULT_ALLOCATOR if allocator is None else allocator)
     if by_positioners:
         options.check_for_fields("place_tiles")
         warn_of_unused_options([options], model.focal_plane, rng)

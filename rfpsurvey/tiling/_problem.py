@@ -9,8 +9,6 @@ from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._centers import Declinations
 from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
-__all__ = ["TilingProblem", "TilingState"]
-
 
 @dataclass(frozen=True)
 class TilingProblem:

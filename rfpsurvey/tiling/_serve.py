@@ -14,8 +14,6 @@ from rfpsurvey.pipeline import FieldBuilder, field_radius_rad, plan_field
 from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles, years_of_tiles
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
-__all__ = ["Fibers", "FocalPlaneFibers", "FreeFibers", "neighbors_within"]
-
 
 @check_keywords
 @dataclass(frozen=True)

@@ -9,8 +9,6 @@ from rfpsurvey.errors import listed, number_of, warn
 from rfpsurvey.tiling._columns import COLUMNS
 from rfpsurvey.tiling._tiling import Tiling
 
-__all__ = ["warn_of_programs", "warn_of_targets"]
-
 OF_TILES = re.compile(
     r".*(tile|plate|field|center|racen|ra_cen|dece?cen|dec_cen|pass|layer|pos_?ang|position_?angle).*|pa|program"
 )

@@ -18,8 +18,6 @@ from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.tiling._columns import COLUMNS, find_names, read_angles, without_others
 from rfpsurvey.tiling._conditions import convert_when
 
-__all__ = ["Tiling", "as_tiling", "place_of", "to_ra_dec"]
-
 
 @dataclass(frozen=True, eq=False)
 class Tiling:

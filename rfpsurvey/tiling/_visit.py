@@ -6,8 +6,6 @@ import numpy as np
 
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 
-__all__ = ["visit_all", "visit_given"]
-
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
     """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.

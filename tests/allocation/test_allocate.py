@@ -77,7 +77,8 @@ def test_balanced_draws_uniformly_from_each_queue():
     plane = PLANES["equal"]
     xy = [[1, 0], [2, 0], [3, 0], [4, 0]] * MM  # all targets are in the queue of the central positioner
     draws = Counter(
-        int(rs.allocate(plane, xy, rng=np.random.default_rng(k)).target_of_positioner[3]) for k in range(4000)
+        int(rs.allocate(plane, xy, rng=np.random.default_rng(k), allocator="balanced").target_of_positioner[3])
+        for k in range(4000)
     )
     assert set(draws) == {0, 1, 2, 3}
     # with 3 degrees of freedom, chi-squared exceeds 21.1 once in 10^4 cases
@@ -123,7 +124,7 @@ def test_both_hands_are_used_where_the_joints_ask_for_it():
 
 
 def test_nothing_in_reach_is_not_an_error():
-    allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM)
+    allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM, allocator="balanced")
     assert allocation.n_assigned == 0
     assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost").n_assigned == 0
 
@@ -199,7 +200,7 @@ def test_options_are_checked(options, message):
 
 
 def test_options_say_what_differs_from_the_default():
-    assert repr(rs.AllocationOptions()) == "AllocationOptions('lamost')"
+    assert repr(rs.AllocationOptions()) == "AllocationOptions('repair')"
     changed = rs.AllocationOptions("optimal", requirements="sky=2", parked_obstacles=False)
     assert repr(changed) == (
         "AllocationOptions('optimal', requirements=(Requirement('sky=2'),), parked_obstacles=False)"
@@ -237,7 +238,7 @@ def test_claims_of_an_answer_are_checked(answer, message):
 
 def test_a_fiber_type_for_all_may_be_a_broadcast_array():
     plane = rs.FocalPlane([[0, 0]] * u.mm, PLANES["equal"].positioner, fiber_type=["A+B"])
-    plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2))
+    plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2), allocator="balanced")
     assert plan.fiber_type.tolist() == ["B"]
     assert plan.target_fiber_type.tolist() == ["B", "B"]
 
@@ -261,7 +262,7 @@ def test_requirements_may_be_an_array():
 
 def test_what_holds_for_one_field_is_refused_for_several():
     plane = PLANES["equal"]
-    start = rs.allocate(plane, [[0, 0]] * u.mm)
+    start = rs.allocate(plane, [[0, 0]] * u.mm, allocator="balanced")
     sky = SkyCoord([0, 0.1] * u.deg, [0, 0] * u.deg)
     with pytest.raises(rs.InputError, match="for a survey, start must be the name of an allocator"):
         rs.plan_survey(sky, "moons", sky, allocator=rs.AllocationOptions("repair", start=start))

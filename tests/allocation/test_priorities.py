@@ -41,7 +41,7 @@ def test_integers_without_an_exact_float_are_refused():
     large = [2**53 + 1, 2**53 + 2]
     message = "integers from -2\\^53 to 2\\^53, or floating-point numbers, got 9007199254740993"
     with pytest.raises(InputError, match=message):
-        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=large)
+        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=large, allocator="balanced")
     with pytest.raises(InputError, match=message):
         rs.Catalog(SkyCoord([1, 2], [3, 4], unit="deg"), priority=large)
     table = Table({"ra": [1.0, 2.0], "dec": [3.0, 4.0], "priority": large})
@@ -49,4 +49,4 @@ def test_integers_without_an_exact_float_are_refused():
     with pytest.raises(InputError, match=message):
         rs.Catalog.from_table(table, columns={"priority": "-priority"})
     with pytest.raises(InputError, match="priority must be numbers: could not convert"):
-        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=["a", "b"])
+        rs.allocate(PLANE, [[0, 0], [1, 1]] * u.mm, priority=["a", "b"], allocator="balanced")

@@ -108,7 +108,7 @@ def test_a_free_target_that_does_not_collide_is_reported():
 
 def test_no_positioner_is_idle():
     plane = rs.FocalPlane([[0, 0]] * u.mm, EQUAL)
-    plan = rs.allocate(plane, [[5, 0]] * u.mm)
+    plan = rs.allocate(plane, [[5, 0]] * u.mm, allocator="balanced")
     found = find_idle_reasons(plane, plan, plan.place_arms(plane))
     assert [len(column) for column in found] == [0] * 7
 
@@ -119,6 +119,6 @@ def test_every_reason_has_a_text():
 
 def test_a_plan_of_another_focal_plane_is_refused():
     one, two = (rs.FocalPlane([[40 * k, 0] for k in range(n)] * u.mm, EQUAL) for n in (1, 2))
-    plan = rs.allocate(one, [[5, 0]] * u.mm)
+    plan = rs.allocate(one, [[5, 0]] * u.mm, allocator="balanced")
     with pytest.raises(rs.InputError, match="allocation must have the 2 positioners"):
         find_idle_reasons(two, plan, plan.place_arms(one))

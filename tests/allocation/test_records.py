@@ -1,5 +1,6 @@
 """The record of an allocator: one entry in the table is sufficient for a new allocator."""
 
+import inspect
 import subprocess
 import sys
 
@@ -10,7 +11,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey._methods import describe_methods, help_of
-from rfpsurvey.allocation import METHODS, Allocator
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS, Allocator
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
@@ -73,7 +74,7 @@ def test_comparisons_reports_and_descriptions_contain_a_new_allocator(new, sky, 
 
 def test_the_help_of_a_command_contains_every_allocator():
     lines = [
-        "from rfpsurvey.allocation import METHODS, Allocator",
+        "from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS, Allocator",
         "METHODS['lazy'] = Allocator('lazy', len, summary='for tests')",
         "from rfpsurvey._cli import main",
         "main()",
@@ -115,3 +116,15 @@ def test_an_invalid_declaration_is_an_error(name, value, words):
     setattr(own, name, value)
     with pytest.raises(rs.InputError, match=words):
         rs.AllocationOptions(own)
+
+
+def test_every_function_and_command_has_the_same_default_without_collisions(run, sky):
+    assert METHODS[DEFAULT_ALLOCATOR].avoids_collisions
+    assert rs.AllocationOptions().allocator == DEFAULT_ALLOCATOR
+    for function in (rs.plan_tile, rs.plan_survey, rs.allocate, rs.selection_probabilities):
+        assert inspect.signature(function).parameters["allocator"].default == DEFAULT_ALLOCATOR
+    tiling = rs.place_tiles(sky, "moons", n_tiles=1)
+    assert tiling.summary["completeness_means"].startswith(f"the allocator {DEFAULT_ALLOCATOR} plans")
+    for command in ("plan", "survey", "select"):
+        assert f"[default: {DEFAULT_ALLOCATOR}]" in " ".join(run(command, "--help")[1].split())
+    assert f"The default is {DEFAULT_ALLOCATOR};" in " ".join(run("tile", "--help")[1].split())

@@ -233,11 +233,17 @@ def test_equal_subpriorities_are_ordered_by_identifier(rng):
         (lambda: rs.AllocationOptions(subpriority=True), "must be an integer, got True"),
         (lambda: subpriorities([1.5], 0), "integers or text"),
         (
-            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[np.nan]),
+            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[np.nan], allocator="balanced"),
             "a finite number for every target, but 1 of 1 rows",
         ),
-        (lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=["a"]), "must be numbers"),
-        (lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[1, 2]), "shape \\(1,\\), got \\(2,\\)"),
+        (
+            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=["a"], allocator="balanced"),
+            "must be numbers",
+        ),
+        (
+            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[1, 2], allocator="balanced"),
+            "shape \\(1,\\), got \\(2,\\)",
+        ),
         (
             lambda: rs.allocate(
                 PLANES["equal"], [[0, 0]] * MM, allocator=rs.AllocationOptions(subpriority=1), subpriority=[1]

@@ -12,7 +12,7 @@ from rfpsurvey.allocation import METHODS, OPTIONS
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
-INDEPENDENT = ("keep_out", "sky_separation")
+INDEPENDENT = ("keep_out", "sky_separation", "constraints")
 """Options that affect the results of every allocator."""
 
 
@@ -115,5 +115,5 @@ def test_arrays_of_allocate_without_effect_cause_a_warning():
     points = [[3, 3], [5, 5]] * u.mm
     (text,) = told_by(lambda: rs.allocate(plane, points, allocator="balanced", required=[1]))
     assert text.startswith("required has no effect with the allocator 'balanced'")
-    (text,) = told_by(lambda: rs.allocate(plane, points, avoid=points))
+    (text,) = told_by(lambda: rs.allocate(plane, points, avoid=points, allocator="balanced"))
     assert text.startswith("avoid has no effect without sky_separation")

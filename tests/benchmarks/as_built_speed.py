@@ -42,7 +42,7 @@ def work(instrument):
 
     def survey():
         with tempfile.TemporaryDirectory() as folder:
-            rs.plan_survey(sky, instrument, tiles, folder=Path(folder) / "survey", progress=False)
+            rs.plan_survey(sky, instrument, tiles, allocator="lamost", folder=Path(folder) / "survey", progress=False)
 
     return {
         "find_collisions": lambda: rs.find_collisions(plane, tips),

@@ -59,7 +59,7 @@ def tile_by_positioners(n):
     """Return one tile with n positioners and five targets for each."""
     model = instrument(rings_of(n))
     catalog = targets(5 * len(model.focal_plane), model.field_radius)
-    return len(model.focal_plane), lambda: rs.plan_tile(catalog, model, center=CENTER)
+    return len(model.focal_plane), lambda: rs.plan_tile(catalog, model, center=CENTER, allocator="lamost")
 
 
 def collisions(n):
@@ -112,7 +112,7 @@ def tiling(n):
 def survey(n):
     model, tiles, side = wide(n)
     catalog = targets(len(tiles) * 500, 0.75 * side)
-    return len(tiles), lambda: rs.plan_survey(catalog, model, tiles)
+    return len(tiles), lambda: rs.plan_survey(catalog, model, tiles, allocator="lamost")
 
 
 def realizations(n):

@@ -26,17 +26,17 @@ CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
 
 def sdss(_):
     sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo"), {}
+    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo", allocator="lamost"), {}
 
 
 def lamost(_):
     sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "lamost", rs.place_tiles(sky, "lamost"), {}
+    return sky, "lamost", rs.place_tiles(sky, "lamost", allocator="lamost"), {}
 
 
 def moons(_):
     sky = rs.Catalog.read(DATA / "zcosmos_bright.ecsv")
-    return sky, "moons", rs.place_tiles(sky, "moons", passes=2), {"patch_size": 600}
+    return sky, "moons", rs.place_tiles(sky, "moons", passes=2, allocator="lamost"), {"patch_size": 600}
 
 
 def desi(options):

@@ -61,7 +61,7 @@ def tile():
     plane, stages, total = lamost.focal_plane, {}, np.inf
     for _ in range(60):
         begin = perf_counter()
-        found = rs.plan_tile(catalog, lamost, center=CENTER)
+        found = rs.plan_tile(catalog, lamost, center=CENTER, allocator="lamost")
         total = min(total, perf_counter() - begin)
         for name, value in found.summary["seconds"].items():
             stages[name] = min(stages.get(name, np.inf), value)
@@ -73,7 +73,7 @@ def tile():
     targets = found.outcomes
     xy = np.column_stack([targets["x"].to_value(u.mm), targets["y"].to_value(u.mm)])
     pairs = plane.arrays.reach(xy)
-    posed = rs.allocate(plane, xy * u.mm).place_arms(plane)
+    posed = rs.allocate(plane, xy * u.mm, allocator="balanced").place_arms(plane)
     show("of which clearances", smallest_ms(lambda: nearest_distance(plane, posed)))
     show("of which pairs in reach alone", smallest_ms(lambda: plane.arrays.reach(xy)))
     # vectors are read twice and written once, positions written and read twice, pairs (17 bytes) written and read

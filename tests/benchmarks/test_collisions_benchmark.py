@@ -133,7 +133,7 @@ def test_8_thousand_configurations(benchmark, tile, workers):
 def test_9_ten_thousand_draws_from_queues(benchmark, tile, workers):
     edge = np.abs(tile.plane.xy.value).max()
     xy = np.random.default_rng(4).uniform(-edge, edge, (20_000, 2)) * u.mm
-    allocation = rs.allocate(tile.plane, xy)
+    allocation = rs.allocate(tile.plane, xy, allocator="balanced")
     with ThreadPoolExecutor(workers) as executor:
         pool = executor if workers > 1 else None
         benchmark.pedantic(

@@ -47,4 +47,4 @@ def test_7_clearances(benchmark, lamost, xy):
 
 
 def test_8_whole_tile(benchmark, lamost, stars):
-    benchmark(lambda: rs.plan_tile(stars, lamost, CENTER))
+    benchmark(lambda: rs.plan_tile(stars, lamost, CENTER, allocator="lamost"))

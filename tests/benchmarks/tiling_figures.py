@@ -39,8 +39,12 @@ def promises(name):
     for method in ("hexagonal", "max_density", "sdss"):
         for goal in ({"n_tiles": 20}, {"completeness": 0.9}):
             for fibers in (n, None):
-                tiling, seconds = place(catalog, instrument, method=method, fibers=fibers, **goal)
-                surveys = [rs.plan_survey(catalog, instrument, tiling, order=order) for order in ("given", "color")]
+                rule = {"allocator": "lamost"} if fibers is None else {"fibers": fibers}
+                tiling, seconds = place(catalog, instrument, method=method, **rule, **goal)
+                surveys = [
+                    rs.plan_survey(catalog, instrument, tiling, allocator="lamost", order=order)
+                    for order in ("given", "color")
+                ]
                 found = "  ".join(f"{one.summary['completeness']:.4f}" for one in surveys)
                 said = tiling.summary["completeness"]
                 what = f"{len(tiling)} tiles, {seconds:.2f} s, says {said:.4f}, survey {found}"

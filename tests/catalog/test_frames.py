@@ -83,7 +83,7 @@ def test_tilings_of_dataframes_are_those_of_their_tables():
 
 @pytest.mark.parametrize("positions", ["focal_plane", "sky"])
 def test_assignments_of_dataframes_are_scored_as_their_tables(frame, positions):
-    tile = rs.plan_tile(frame, "sdss_apo", "95 23")
+    tile = rs.plan_tile(frame, "sdss_apo", "95 23", allocator="lamost")
     rows = tile.table["status"] == "assigned"
     columns = {"hole": tile.table["id"][rows]}
     for name in ("ra", "dec") if positions == "sky" else ("tip_x", "tip_y"):

@@ -135,6 +135,9 @@ def test_masked_spectrographs_are_refused(presets):
 def test_masked_positions_on_the_focal_plane_are_not_assigned(presets):
     plane = presets["sdss_apo"].focal_plane
     xy, missing = plane.xy[:N] + 1 * u.mm, np.column_stack([MISSING, MISSING])
-    plans = [rs.allocate(plane, values) for values in (Masked(xy, mask=missing), np.where(missing, np.nan, xy))]
+    plans = [
+        rs.allocate(plane, values, allocator="balanced")
+        for values in (Masked(xy, mask=missing), np.where(missing, np.nan, xy))
+    ]
     assert plans[0].target_of_positioner.tolist() == plans[1].target_of_positioner.tolist()
     assert plans[0].n_assigned == np.count_nonzero(~MISSING)

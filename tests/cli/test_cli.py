@@ -61,7 +61,7 @@ def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
 def test_the_embedded_default(run):
     code, out, _ = run("plan")
     assert code == 0
-    assert out.startswith("lamost, allocator lamost\n")
+    assert out.startswith("lamost, allocator repair\n")
     assert "collision rate" in out
 
 

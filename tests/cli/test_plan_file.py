@@ -9,7 +9,7 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey._cli import _app, _plan_file, plan, survey
+from rfpsurvey._cli import _plan_file, plan, survey
 from rfpsurvey._cli._keys import Part, build, keys_of
 
 SURVEY = keys_of(survey.SurveyKeys)
@@ -240,8 +240,9 @@ def test_commands_list_their_keys_and_have_fewer_than_20_options(run, command):
 
 
 def test_constraints_are_those_of_the_library():
-    texts = ["sky=20", "required 4711", "required star 7", "keep_out 95 23 0.5"]
-    found = _app.allocation_options({"constraints": texts})
+    texts = ["sky=20", "required 4711", "required 'star 7'", "keep_out 95 23 0.5"]
+    found = build(survey.SurveyKeys, {"options.constraints": texts})
+    found = rs.AllocationOptions(**found.options)
     region = rs.Region.parse("cap 95 23 0.5")
     expected = rs.AllocationOptions(requirements="sky=20", required=["4711", "star 7"], keep_out=region)
     assert found.record == expected.record

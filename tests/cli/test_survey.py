@@ -109,11 +109,12 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     wanted, outside = np.flatnonzero(sky.visits > 0)[:2], int(np.argmax(sky.coord.separation(CENTER)))
     required, circles = [*wanted.tolist(), outside], ["95.0 23.0 0.02", "94.8 23.05 0.01"]
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
+    words += ("--allocator", "lamost")
     words += tuple(word for k in required for word in ("--constraint", f"required {k}"))
     words += tuple(word for circle in circles for word in ("--constraint", f"keep_out {circle}"))
     out, err = call(*words, "--folder", tmp_path / "plan")
     regions = [rs.Region.parse(text) for text in ("cap 95 23 0.02", "cap 94.8 23.05 0.01")]
-    options = rs.AllocationOptions(required=required, keep_out=regions)
+    options = rs.AllocationOptions("lamost", required=required, keep_out=regions)
     with pytest.warns(rs.RfpsurveyWarning, match="required targets never observed"):
         expected = rs.plan_survey(sky, "moons", tiling, allocator=options)
     found = rs.Survey.read(tmp_path / "plan")
@@ -131,7 +132,7 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
 def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
     """A required target that is assigned to a colliding arm is not observed."""
     folder, sky, _ = files
-    tile = rs.plan_tile(sky, "moons", CENTER)
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator="lamost")
     names = tile.outcomes["target_id"][np.isin(tile.outcomes["outcome"], ["lost to a collision", "out of reach"])]
     QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}).write(tmp_path / "one.ecsv")
     required = [int(name) for name in (*names[:4], *np.flatnonzero(sky.visits > 0)[:2])]
@@ -194,7 +195,7 @@ def test_one_tile_has_the_same_words(call, files, tmp_path, command):
     ]
     words += ["--allocator", "lamost", "--output", tmp_path / "out.ecsv"]
     call(command, folder / "stars.fits", *words)
-    options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    options = rs.AllocationOptions("lamost", required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
     tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
     assert tile.summary["n_obstacle_collisions"] > 0
     if command == "plan":
@@ -229,13 +230,13 @@ def test_a_folder_of_partitions(call, files, tmp_path):
         (["--constraint", "required nobody"], "required must hold ids of the catalog, got nobody (1 of 1 unknown)"),
         (
             ["--constraint", "keep_out 95 23"],
-            "keep_out RA DEC RADIUS in deg, such as keep_out 95.0 23.0 0.01, got 'keep_out 95 23'",
+            "keep_out must have the form 'keep_out RA DEC RADIUS' (deg), got '95 23'",
         ),
         (
             ["--constraint", "keep_out 95 93 1"],
-            "keep_out RA DEC RADIUS in deg, such as keep_out 95.0 23.0 0.01, got 'keep_out 95 93 1'",
+            "got '95 93 1'",
         ),
-        (["--constraint", "keep_out box 1 2 3 4"], "keep_out RA DEC RADIUS in deg"),
+        (["--constraint", "keep_out box 1 2 3 4"], "keep_out must have the form"),
     ],
 )
 def test_wrong_words(call, files, words, sentence):

@@ -43,7 +43,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
     edge = np.abs(plane.arrays.xy).max()
     xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
-    allocation = rs.allocate(plane, xy * MM, fiber_type=types)
+    allocation = rs.allocate(plane, xy * MM, fiber_type=types, allocator="balanced")
     counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
     if plane.positioner.handedness == "both":
         assert (allocation.handedness == "left").any()
@@ -72,7 +72,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
 def test_an_executor_changes_nothing(pool, rng):
     plane = lamost_like()
     tips = many_tips(plane, rng, 130)
-    allocation = rs.allocate(plane, rng.uniform(-70, 70, (150, 2)) * MM)
+    allocation = rs.allocate(plane, rng.uniform(-70, 70, (150, 2)) * MM, allocator="balanced")
     with pool(2) as executor:
         for given, options in ((tips, {}), (allocation, {"n_configurations": 200, "rng": 3})):
             here = rs.count_collisions(plane, given, **options)
@@ -163,24 +163,29 @@ def test_bad_draws_are_named():
     plane = lamost_like(1)
     xy = plane.xy + 1 * MM
     with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
-        rs.count_collisions(plane, rs.allocate(plane, xy))
-    with pytest.raises(rs.InputError, match="drawn only from an allocation with queues, got an allocation by 'lamost'"):
+        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
+    with pytest.raises(
+        rs.InputError,
+        match="drawn only from an allocation with queues, such as those by 'balanced', got an allocation by 'lamost'",
+    ):
         rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
     with pytest.raises(
         rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
     ):
-        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, method="cuda")
+        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, method="cuda")
     with pytest.raises(rs.InputError, match="the allocation must be for the 19 positioners of the focal plane, got 7"):
-        rs.count_collisions(lamost_like(2), rs.allocate(plane, xy), n_configurations=3)
+        rs.count_collisions(lamost_like(2), rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
     elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
     with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
-        rs.count_collisions(elsewhere, rs.allocate(plane, xy), n_configurations=3)
+        rs.count_collisions(elsewhere, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
     with pytest.raises(rs.InputError, match=r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"):
-        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, rng=np.random.RandomState(1))
+        rs.count_collisions(
+            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, rng=np.random.RandomState(1)
+        )
     for wrong in ("lamost", rs.Instrument.preset("lamost")):
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.count_collisions(wrong, xy)
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.find_collisions(wrong, xy)
     with pytest.raises(rs.InputError, match="handedness and fiber_type must be None for an Allocation"):
-        rs.count_collisions(plane, rs.allocate(plane, xy), n_configurations=3, handedness="left")
+        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, handedness="left")

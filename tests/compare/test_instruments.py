@@ -96,7 +96,7 @@ def test_the_loss_is_against_a_maximum_matching(table, sky, centers):
 
 def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
     wide = design("wide", 8.25, 8.25)
-    tiles = [rs.plan_tile(sky, wide, center).summary for center in centers]
+    tiles = [rs.plan_tile(sky, wide, center, allocator="lamost").summary for center in centers]
     assert sum(t["n_parked"] for t in tiles) > 0
     counted = sum(t["n_assigned"] + t["n_parked"] for t in tiles)
     assert row_of(table, "wide", "lamost")["probability"] == pytest.approx(

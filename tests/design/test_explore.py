@@ -95,7 +95,9 @@ def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, 
     for counts in lost:
         n = rng.poisson(each * np.pi * radius**2 / (np.sqrt(3) / 2 * 25.6**2))
         r, alpha = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
-        plan = rs.allocate(plane, np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, rng=rng)
+        plan = rs.allocate(
+            plane, np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, rng=rng, allocator="balanced"
+        )
         assigned = middle & (plan.target_of_positioner >= 0)
         counts[:] = assigned.sum(), rs.find_collisions(plane, plan).in_collision[assigned].sum()
     truth = lost[:, 1].sum() / lost[:, 0].sum()

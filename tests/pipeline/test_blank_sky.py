@@ -126,7 +126,7 @@ def test_names_of_more_than_a_hundred_sky_positions_are_new(presets):
         catalog,
         presets["lamost"],
         CENTER,
-        allocator=rs.AllocationOptions(requirements="sky=120", sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost", requirements="sky=120", sky_separation=10 * u.arcsec),
     )
     names = tile.table["target_id"][tile.table["kind"] == "sky"].tolist()
     assert len(names) == 120
@@ -137,7 +137,7 @@ def test_names_of_found_sky_are_new_where_the_catalog_has_such_names(small):
     coord = SkyCoord([95, 95.05], [23.02, 23], unit="deg")
     catalog = rs.Catalog(coord, id=["blank-sky-0", "blank-sky-3"])
     tile = rs.plan_tile(
-        catalog, small, CENTER, allocator=rs.AllocationOptions(requirements="sky=5", sky_separation=4 * MM)
+        catalog, small, CENTER, allocator=rs.AllocationOptions("lamost", requirements="sky=5", sky_separation=4 * MM)
     )
     names = tile.table["target_id"][tile.table["status"] == "assigned"].tolist()
     assert len(set(names)) == len(names)
@@ -150,7 +150,7 @@ def test_a_separation_in_a_real_field(tycho, presets):
         catalog,
         presets["lamost"],
         center,
-        allocator=rs.AllocationOptions(requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost", requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec),
     )
     blank = tile.table["kind"] == "sky"
     assert tile.summary["unmet"] == []

@@ -4,7 +4,7 @@ A tile is planned by `plan_tile`, by a survey of one tile, by a joint plan of on
 and by selection probabilities of one realization.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import astropy.units as u
 import numpy as np
@@ -34,7 +34,28 @@ COLUMNS = {
     "subpriority": lambda rng: rng.random(N),
     "extra": lambda rng: {"first": rng.permutation(N)},
 }
+
+
+@dataclass(frozen=True)
+class AwayFrom(rs.Constraint):
+    """Exclude targets near the first targets, by the column ``first``, wherever these are and whoever observes them."""
+
+    number: int
+    radius_deg: float
+
+    name = "away_from"
+
+    @property
+    def margin_rad(self):
+        return np.deg2rad(self.radius_deg)
+
+    def excluded(self, field):
+        few = field.column("first") < self.number
+        return field.is_near(field.vectors[few], self.margin_rad) & ~few
+
+
 OPTIONS = {
+    "constraints": lambda rng, catalog: [AwayFrom(9, 0.05)],
     "required": lambda rng, catalog: rng.choice(catalog.id, 25, replace=False).tolist(),
     "keep_out": lambda rng, catalog: [rs.Region.cap(one, 0.01 * u.deg) for one in catalog.coord[:10]],
     "requirements": lambda rng, catalog: ["standard=2", "sky=4", "bright=3", "faint=2-8"],
@@ -50,6 +71,7 @@ CASES = {
     "fiber types": ("fiber_type",),
     "required": ("required", "kind", "visits", "priority"),
     "keep_out": ("keep_out",),
+    "constraints": ("constraints", "extra", "visits"),
     "requirements": ("requirements", "kind", "category", "visits"),
     "sky_separation": ("sky_separation", "requirements", "kind", "category", "visits"),
     "subpriorities of the catalog": ("subpriority of the catalog", "priority"),
@@ -158,6 +180,18 @@ def test_the_same_targets_are_observed_in_each_case(name, monkeypatch):
 def test_the_same_targets_are_observed_by_each_allocator(allocator, monkeypatch):
     check("everything", allocator, monkeypatch)
     check("visits", allocator, monkeypatch)
+
+
+def test_added_sky_positions_of_a_tile_avoid_targets_without_requested_visits():
+    """Regression: `plan_tile` ignored targets with 0 visits when it added sky positions between the targets."""
+    catalog, instrument, _, _ = make_case("visits")
+    asked = rs.AllocationOptions("lamost", requirements="sky=12", sky_separation=6 * u.mm)
+    tile = rs.plan_tile(catalog, instrument, CENTER, allocator=asked)
+    table = tile.table[np.asarray(tile.table["kind"]) == "sky"]
+    assert len(table) >= 8
+    targets = instrument.projection(CENTER).plain.project(catalog.arrays.vectors)
+    sky = np.column_stack([table[name].to_value(u.mm) for name in ("tip_x", "tip_y")])
+    assert np.linalg.norm(sky[:, None] - targets, axis=2).min() > 6 - 1e-9
 
 
 @pytest.mark.exhaustive

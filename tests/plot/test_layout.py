@@ -77,10 +77,10 @@ def results(presets, small):
         meta={"instrument": "mine"},
     )
     return {
-        "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg),
-        "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER),
+        "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg, allocator="lamost"),
+        "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER, allocator="lamost"),
         "targets": sky,
-        "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2)),
+        "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost"),
         "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
         "instruments": instruments,
         "allocators": allocators,

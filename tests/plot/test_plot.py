@@ -138,6 +138,7 @@ def test_only_fiber_tips_are_shaded_where_only_they_collide(small):
         rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=200, rng=1),
         replace(small, focal_plane=plane),
         CENTER,
+        allocator="lamost",
     )
     t = tile.table[(tile.table["status"] == "assigned") & ~tile.table["in_collision"]]
     bodies = np.array(

@@ -202,7 +202,7 @@ def test_a_configuration_without_a_choice_is_scored_exactly(rng):
     plane, rates = sdss_like(2), []
     for _ in range(30):
         xy = rng.uniform(-50, 50, (7, 2))
-        allocation = rs.allocate(plane, xy * MM)
+        allocation = rs.allocate(plane, xy * MM, allocator="balanced")
         report = rs.find_collisions(plane, allocation)
         if (np.diff(allocation.queues[0]) > 1).any():
             continue

@@ -229,7 +229,7 @@ def queues_of(plane, xy):
 def test_queues_of_an_allocation_are_conditional_of_its_targets(plane, parked, rng):
     xy = rng.uniform(-70, 70, (60, 2)) * MM
     given = flat.collision_probability(plane, targets=xy, parked_obstacles=parked)
-    density = rs.allocate(plane, xy)
+    density = rs.allocate(plane, xy, allocator="balanced")
     for some in (density, [density], (density, density)):
         got = flat.collision_probability(plane, method="quadrature", density=some, parked_obstacles=parked)
         for field in (*NUMBERS, "low", "high", "standard_error", "n_effective"):
@@ -246,7 +246,7 @@ def test_queues_of_several_allocations_are_put_together(rng):
     plane = rs.FocalPlane([[0, 0], [22.4, 0], [11.2, 19.4], [33.6, 19.4]] * MM, unit)
     skies = [rng.uniform(-10, 40, (n, 2)) for n in (4, 6, 1)]
     queues = [list(itertools.chain(*q)) for q in zip(*(queues_of(plane, xy) for xy in skies), strict=True)]
-    allocations = [rs.allocate(plane, xy * MM) for xy in skies]
+    allocations = [rs.allocate(plane, xy * MM, allocator="balanced") for xy in skies]
     got = rs.collision_probability(plane, method="quadrature", density=allocations)
     *numbers, per_positioner = expectation(plane, queues)
     np.testing.assert_allclose([getattr(got, k) for k in NUMBERS], numbers, atol=1e-12)
@@ -303,10 +303,12 @@ def test_allocations_have_to_fit(rng):
     with pytest.raises(rs.InputError, match="density must be Allocations with queues"):
         rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost"))
     with pytest.raises(rs.InputError, match="for the 19 positioners of the focal plane, got .* for 7"):
-        rs.collision_probability(lamost_like(2), method="quadrature", density=rs.allocate(plane, xy))
+        rs.collision_probability(
+            lamost_like(2), method="quadrature", density=rs.allocate(plane, xy, allocator="balanced")
+        )
     moved = replace(plane, xy=plane.xy + 900 * MM)
     with pytest.raises(rs.InputError, match="the allocation is for another focal plane"):
-        rs.collision_probability(moved, method="quadrature", density=rs.allocate(plane, xy))
+        rs.collision_probability(moved, method="quadrature", density=rs.allocate(plane, xy, allocator="balanced"))
 
 
 def test_the_probability_of_outlines_is_the_rate_of_random_configurations(presets):

@@ -6,7 +6,7 @@ import pytest
 from rfpsurvey._progress import Progress
 from rfpsurvey.probability import Precision
 from rfpsurvey.probability._run import run
-from rfpsurvey.probability._simulate import Tally
+from rfpsurvey.probability._simulate import CollisionSums
 from scenes import lamost_like
 
 PLANE = lamost_like(1)
@@ -19,7 +19,7 @@ def rare(p, counted):
         colliding = np.zeros((size, 4))
         colliding[:, 0], colliding[:, 1] = 2 * (rng.random(size) < p), counted
         hits = colliding[:, 0].sum()
-        return Tally(colliding, colliding[:, 0] / 2, np.full(7, hits / 7), np.full(7, size * counted // 7 + 1))
+        return CollisionSums(colliding, colliding[:, 0] / 2, np.full(7, hits / 7), np.full(7, size * counted // 7 + 1))
 
     return task
 

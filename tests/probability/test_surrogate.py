@@ -6,7 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from rfpsurvey.probability._environments import environments
-from rfpsurvey.probability._surrogate import AXES, interior_probability, make_surrogate
+from rfpsurvey.probability._surrogate import AXES, interior_probability
 
 MM = u.mm
 PITCH = 31.0
@@ -82,12 +82,12 @@ def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
 
 
 def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
-    from rfpsurvey.probability import _surrogate
+    from reproduction import _surrogate
 
     few = {name: nodes[::8] for name, nodes in AXES.items()}
     monkeypatch.setattr(_surrogate, "AXES", few)
     monkeypatch.setattr(_surrogate, "N_POINTS", 64)
-    make_surrogate(tmp_path / "some.npz")
+    _surrogate.make_surrogate(tmp_path / "some.npz")
     with np.load(tmp_path / "some.npz") as data:
         risk = data["risk"]
     assert risk.shape == tuple(len(n) for n in few.values())
@@ -99,7 +99,7 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
     )
     assert risk[1, 1, 1] == pytest.approx(shipped, abs=0.02)
     with pytest.raises(rs.InputError, match="exists"):
-        make_surrogate(tmp_path / "some.npz")
+        _surrogate.make_surrogate(tmp_path / "some.npz")
 
 
 def test_environments_of_an_irregular_plane_are_all_different(rng):

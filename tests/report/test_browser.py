@@ -131,9 +131,9 @@ def write_page(kind, folder, small):
     """Write the page of a small result."""
     sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=200 / u.deg**2, rng=3)
     if kind == "tile":
-        result = rs.plan_tile(sky, "sdss_apo", CENTER)
+        result = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost")
     elif kind == "survey":
-        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2))
+        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost")
     elif kind == "tiling":
         result = rs.place_tiles(sky, small, passes=2)
     elif kind == "allocators":

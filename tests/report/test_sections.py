@@ -50,10 +50,10 @@ def test_the_page_of_a_tile_has_its_requirements_and_constraints(small, catalog,
     assert not tile.summary.get("unmet")
     found = page(tile, tmp_path)
     facts = found.facts()
-    assert facts["required targets"] == ", ".join(map(str, near))
-    assert facts["circles that no arm may cover"] == "cap 95.0 23.0 0.01"
+    ids = " ".join(map(str, near))
+    assert facts["constraints"] == f"standard=3, sky=2, required {ids}, keep_out 95.0 23.0 0.01"
     assert facts["minimum distance of sky positions from targets"] == "2 mm"
-    assert "All requirements are met." in text_of(found)
+    assert "All constraints are met." in text_of(found)
     assigned = tile.table["kind"][tile.table["status"] == "assigned"].tolist()
     labels = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
     counts = {f"    {label}": assigned.count(kind) for kind, label in labels.items()}

@@ -110,7 +110,7 @@ def test_colliding_pairs_of_the_view_are_those_of_the_tile(opened, presets):
     """Rounded coordinates of the page differ from those of the tile by less than a micrometer."""
     apo = presets["sdss_apo"]
     sky = rs.synthetic_catalog("poisson", CENTER, apo.field_radius, density=apo.target_density, rng=1)
-    tile = rs.plan_tile(sky, apo, CENTER)
+    tile = rs.plan_tile(sky, apo, CENTER, allocator="lamost")
     page = opened(tile)
     for name in ("x", "y", "plan.tip_x", "plan.tip_y", "plan.elbow_x", "plan.elbow_y", "plan.arm_x", "plan.arm_y"):
         shown = np.array(page.evaluate(f"{VIEW}.{name}.map((v) => Number.isNaN(v) ? null : v)"), dtype=float)

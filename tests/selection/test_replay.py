@@ -38,7 +38,7 @@ def test_observing_conditions_and_losses_that_count():
     sky = sky_of(1.0, 3000)
     conditions = rs.ObservingConditions("kitt peak", hour_angle=30 * u.deg)
     tiles = tiles_of(0.6, 2).with_conditions(conditions)
-    found = rs.selection_probabilities(sky, "moons", tiles, N, lost_in_collision=False)
+    found = rs.selection_probabilities(sky, "moons", tiles, N, lost_in_collision=False, allocator="nearest")
     assert found.realizations["n_lost"].max() == 0
     check(found, sky, "moons", tiles, "nearest", SOME[:1], lost_in_collision=False)
 
@@ -108,7 +108,7 @@ def test_arms_of_all_kinds(scene, allocator):
 def test_outlines_of_arms():
     instrument = rs.Instrument.preset("desi").with_arm_model("outline")
     sky, tiles = sky_of(0.4, 3000), tiles_of(0.2, 2)
-    found = rs.selection_probabilities(sky, instrument, tiles, 2)
+    found = rs.selection_probabilities(sky, instrument, tiles, 2, allocator="nearest")
     assert found.realizations["n_lost"].min() > 0
     check(found, sky, instrument, tiles, "nearest", (0, 1))
 

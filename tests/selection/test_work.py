@@ -56,7 +56,7 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
 def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
     """If all realizations are uncertain, the result is the same."""
     sky, tiles = sky_of(1.0, 1200), tiles_of(0.5, 2)
-    expected = rs.selection_probabilities(sky, small, tiles, 5)
+    expected = rs.selection_probabilities(sky, small, tiles, 5, allocator="nearest")
     assert expected.realizations["n_lost"].min() > 0
     assert not calls
 
@@ -64,7 +64,7 @@ def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
         args[-2][:], args[-1][:] = False, True
 
     monkeypatch.setattr(_work.kernels, "find_lost", unsure)
-    found = rs.selection_probabilities(sky, small, tiles, 5)
+    found = rs.selection_probabilities(sky, small, tiles, 5, allocator="nearest")
     assert len(calls) == 5 * len(tiles)
     np.testing.assert_array_equal(found.bits, expected.bits)
 

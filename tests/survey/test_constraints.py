@@ -215,7 +215,7 @@ def test_many_ids_and_circles_are_recorded_by_their_number_and_a_digest(sky):
     (text,) = more.record["required"]
     assert text.startswith("1001 in all, digest ")
     assert text != rs.AllocationOptions(required=np.arange(1, 1002)).record["required"][0]
-    assert repr(more) == "AllocationOptions('lamost', required=(0, 1, 2, 3, 4 (1001 in all)))"
+    assert repr(more) == "AllocationOptions('repair', required=(0, 1, 2, 3, 4 (1001 in all)))"
 
 
 def test_a_circle_is_recorded_as_region_reads_it(circles):

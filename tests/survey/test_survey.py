@@ -120,13 +120,13 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
     center = rs.Tiling.from_table(QTable({"ra": [CENTER.ra.deg] * u.deg, "dec": [CENTER.dec.deg] * u.deg}))
     said = {}
     for name, instrument in {"small": small, "lamost": presets["lamost"], "sdss_apo": presets["sdss_apo"]}.items():
-        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name)
+        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name, allocator="lamost")
         said[name] = survey.summary["model"]
         assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
         n_pairs = len(instrument.focal_plane.neighbor_pairs())
         assert f"{n_pairs} pairs of arms can touch. In each tile, distances are computed only for pairs" in said[name]
         # the model of a tile also states its number of pairs
-        tile = rs.plan_tile(sky, instrument, CENTER).summary["model"]
+        tile = rs.plan_tile(sky, instrument, CENTER, allocator="lamost").summary["model"]
         assert tile.split(". ")[0] == said[name].split(". ")[0]
         assert tile.split(" exact for ")[1] == said[name].split(" exact for ")[1]
     assert "(collision type 2)" in said["lamost"]
@@ -135,12 +135,12 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
     assert "radial map, one for each fiber type" in said["sdss_apo"]
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
     apart = rs.Instrument("apart", far, plate_scale=300 * u.mm / u.deg)
-    survey = rs.plan_survey(sky, apart, center)
+    survey = rs.plan_survey(sky, apart, center, allocator="lamost")
     assert "No two arms can touch (collision type 1), and no pair was tested" in survey.summary["model"]
 
 
 def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
-    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False).targets
+    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False, allocator="lamost").targets
     pairs = np.column_stack([visits["tile"], visits["target_row"]])
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     times = np.bincount(visits["target_row"], minlength=len(sky))
@@ -162,7 +162,9 @@ def test_standards_and_sky_are_never_used_up(small):
     kind = np.where(np.arange(60) < 20, "sky", np.where(np.arange(60) < 30, "standard", "science"))
     catalog = rs.Catalog(coord, kind=kind)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    survey = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements=["sky=5", "standard=2"]))
+    survey = rs.plan_survey(
+        catalog, small, tiles, allocator=rs.AllocationOptions("lamost", requirements=["sky=5", "standard=2"])
+    )
     for tile in (0, 1):
         kinds = survey.tile(tile)["kind"].tolist()
         assert kinds.count("sky") == 5
@@ -171,7 +173,7 @@ def test_standards_and_sky_are_never_used_up(small):
     assert survey.summary["n_targets"] == 30
     assert not survey.outcomes["observed"][:30].any()
     with pytest.warns(rs.RfpsurveyWarning, match=r"requirement sky=25: \d+ missing in 2 of 2 tiles \(0, 1\)"):
-        lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions(requirements="sky=25"))
+        lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions("lamost", requirements="sky=25"))
     missing = 25 - lacking.tiles["n_sky"]
     assert lacking.tiles["unmet"].tolist() == [f"sky=25: {n} missing" for n in missing]
     assert lacking.summary["unmet"] == [f"requirement sky=25: {missing.sum()} missing in 2 of 2 tiles (0, 1)"]
@@ -190,7 +192,7 @@ def test_blank_sky_has_its_position(small):
         catalog,
         small,
         CENTER.reshape(1),
-        allocator=rs.AllocationOptions(requirements="sky=3", sky_separation=30 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost", requirements="sky=3", sky_separation=30 * u.arcsec),
     )
     visits = survey.targets
     sky = visits[visits["kind"] == "sky"]
@@ -287,7 +289,7 @@ def test_what_is_told_is_told_once(sky, small):
         sky,
         small,
         grid(1.2),
-        allocator=rs.AllocationOptions(requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost", requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec),
     )
 
 
@@ -302,7 +304,7 @@ def test_a_tile_of_a_survey_can_be_scored(presets):
     sdss = presets["sdss_apo"]
     catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
     fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
-    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1))
+    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1), allocator="lamost")
     tile = rs.score_tile(survey.tile(0), sdss, center=CENTER, position_angle=0 * u.deg)
     for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
         assert tile.summary[name] == survey.tiles[name][0]
@@ -316,7 +318,7 @@ def test_order_and_passes(sky, small):
     only = rs.plan_survey(sky, small, tiling, passes=[2])
     assert len(only) == 9
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
-    given = rs.plan_survey(sky, small, tiling, order="given")
+    given = rs.plan_survey(sky, small, tiling, allocator="lamost", order="given")
     left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
     assert np.array_equal(given.outcomes["requested"] - given.outcomes["observed"].astype(int), left)
 
@@ -361,7 +363,7 @@ def test_columns_of_the_catalog_travel(small, tmp_path):
     extra = {"g": rng.uniform(14, 20, 80) * u.mag, "n": np.arange(80), "flag": rng.random(80) < 0.5}
     catalog = rs.Catalog(coord, **columns, extra=extra)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    options = {"allocator": rs.AllocationOptions(requirements="sky=3", sky_separation=30 * u.arcsec)}
+    options = {"allocator": rs.AllocationOptions("lamost", requirements="sky=3", sky_separation=30 * u.arcsec)}
     survey = rs.plan_survey(catalog, small, tiles, folder=tmp_path / "s", **options)
     for visits in (survey.targets, rs.plan_survey(catalog, small, tiles, **options).targets):
         given = visits["target_row"] >= 0

@@ -245,7 +245,7 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     options = {"method": "max_density", "n_tiles": 2, "centers": where}
     kept = rs.tiling.Fibers(lost_in_collision=False)
     tiling = rs.place_tiles(near, instrument, fibers=kept, **options)
-    tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG)
+    tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG, allocator="lamost")
     assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
     lost = rs.place_tiles(near, instrument, **options)
     assert (

@@ -13,10 +13,8 @@ from rfpsurvey.errors import InputError, short
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, places_of_tiles, when_of
 
-__all__ = ["FixedTile", "candidates_of", "fixed_tiles"]
-
 # Options that determine where the arms of a tile are, and whether a visit counts.
-SAME = ("epoch", "lost_in_collision", "keep_out", "conditions")
+SAME = ("epoch", "lost_in_collision", "keep_out", "constraints", "conditions")
 # Largest difference (degrees) between the centers, position angles and targets of two equal tiles: about 1 mas.
 TOLERANCE = 3e-7
 

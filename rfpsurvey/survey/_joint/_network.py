@@ -13,8 +13,6 @@ from scipy.sparse.csgraph import maximum_flow
 
 from rfpsurvey.allocation import TileCandidates
 
-__all__ = ["Network", "make_network"]
-
 
 @dataclass(frozen=True, eq=False)
 class Network:

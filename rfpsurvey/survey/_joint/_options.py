@@ -14,8 +14,6 @@ from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
 
-__all__ = ["JointOptions", "as_joint", "check_joint"]
-
 
 @check_keywords
 @dataclass(frozen=True)
@@ -140,3 +138,6 @@ def check_joint(options) -> None:
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
             raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")
+    for one in options.constraints:
+        if not one.parts <= {"obstacles", "exclusion"}:
+            raise InputError(f"a joint plan must have no constraints with counts or required targets, got '{one}'")

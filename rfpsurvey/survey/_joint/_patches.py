@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey.allocation import WeightedProblem
 from rfpsurvey.survey._joint._network import Network
 
-__all__ = ["Patches", "divide"]
-
 # Plans whose total weights differ by less than this value may be treated as equal. The weights of targets of
 # different priority classes differ by at least 1.
 PRECISION = 0.5

@@ -11,8 +11,6 @@ import numpy as np
 from rfpsurvey._kernels import paths as kernels
 from rfpsurvey.survey._joint._network import Network
 
-__all__ = ["Paths"]
-
 # Depths, that is, largest numbers of positioners in a path. The search uses these depths one after the other, because
 # short paths are found much faster.
 DEPTHS = (4, 16, 64, 256)

@@ -23,8 +23,6 @@ from rfpsurvey.survey._joint._start import (
 from rfpsurvey.survey._joint._state import read_state, write_state
 from rfpsurvey.survey._request import Request
 
-__all__ = ["Together"]
-
 log = logging.getLogger("rfpsurvey")
 
 

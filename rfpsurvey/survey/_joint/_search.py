@@ -20,8 +20,6 @@ from rfpsurvey.survey._joint._options import JointOptions
 from rfpsurvey.survey._joint._patches import Patches, divide
 from rfpsurvey.survey._joint._paths import Paths
 
-__all__ = ["Search", "Step", "levels_of"]
-
 # Stages of the computation of prices: width of the smooth maximum (see `RowPrices.improve`), and number of sweeps.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 # Fraction of the time limit that is available for computing the prices before the first iteration.

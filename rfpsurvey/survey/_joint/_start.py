@@ -14,8 +14,6 @@ from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._work import Job, Model, plan_of, projection_of
 
-__all__ = ["TilePlan", "class_names", "first_plans", "given_plan", "list_all", "place", "plans_of"]
-
 
 class TilePlan(NamedTuple):
     """The plan of a tile."""

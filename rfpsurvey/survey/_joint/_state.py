@@ -8,8 +8,6 @@ import numpy as np
 from rfpsurvey._readers import read_arrays
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["STATE", "State", "read_state", "write_state"]
-
 STATE = "joint/state.npz"
 
 

@@ -7,9 +7,8 @@ from numbers import Number
 
 import numpy as np
 
+from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
-
-__all__ = ["KINDS", "Group", "Requirement", "Shortfall", "as_requirements", "hint_of_name", "sentences"]
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
@@ -17,9 +16,63 @@ FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\
 MOST = 10**9
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph.
+
+    Parameters
+    ----------
+    requirement : Requirement
+        The requirement.
+    spectrograph : int or None
+        Only fibers of this spectrograph count; None if the fibers of all spectrographs count.
+    targets : ndarray of bool, shape (n_targets,)
+        Whether each target counts toward the requirement.
+    fibers : ndarray of bool, shape (n_positioners,), optional
+        Whether the fiber of each positioner counts; by default, all fibers count.
+    place : str, optional
+        Name of the part of the focal plane that ``fibers`` marks, for messages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import rfpsurvey as rs
+    >>> group = rs.constraints.Group(rs.Requirement("sky", 1), None, np.array([True, False]))
+    >>> group.holds(np.array([0, 1, -1]), np.array([1, 1, 1]), np.array([0, 1, 2]))
+    array([ True, False, False])
+    """
+
+    requirement: "Requirement"
+    spectrograph: int | None
+    targets: np.ndarray
+    fibers: np.ndarray | None = None
+    place: str = ""
+
+    def holds(self, target: np.ndarray, spectrograph: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return whether assignments count toward the requirement.
+
+        Parameters
+        ----------
+        target : ndarray of int
+            Row of the target of each assignment, or -1 for no target.
+        spectrograph : ndarray of int
+            Spectrograph that receives the light of each target.
+        own : ndarray of int
+            Row of the positioner of each assignment.
+
+        Returns
+        -------
+        ndarray of bool
+            One value per assignment.
+        """
+        inside = np.append(self.targets, False)[target]
+        inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
+        return inside if self.fibers is None else inside & self.fibers[own]
+
+
 @check_keywords
 @dataclass(frozen=True)
-class Requirement:
+class Requirement(Constraint):
     """A minimum and a maximum number of observed targets of one kind or category.
 
     The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
@@ -59,6 +112,39 @@ class Requirement:
     maximum: int | None = None
     per: str = "tile"
     fiber_type: str = ""
+
+    uses_targets = False
+
+    @property
+    def counts(self) -> tuple["Requirement"]:
+        """The requirement itself."""
+        return (self,)
+
+    def groups(self, problem: object) -> list[Group]:
+        """Return the groups of targets and fibers to each of which the minimum and the maximum apply.
+
+        Subclasses can override this method, for example to count sky fibers in each part of the focal plane.
+
+        Parameters
+        ----------
+        problem : AllocationProblem
+            The targets and the focal plane.
+
+        Returns
+        -------
+        list of Group
+            One group for the tile, or one for each spectrograph.
+        """
+        if _holds(problem.category, self.what):
+            targets = problem.category == self.what
+        elif self.what in KINDS:
+            targets = problem.kind == self.what
+        else:
+            targets = np.zeros(len(problem.xy), dtype=bool)
+        if self.fiber_type:
+            targets = targets & (problem.fiber_type == self.fiber_type)
+        places = [None] if self.per == "tile" else np.unique(problem.focal_plane.spectrograph).tolist()
+        return [Group(self, place, targets) for place in places]
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
@@ -117,90 +203,6 @@ class Requirement:
         return f"Requirement({str(self)!r})"
 
 
-@dataclass(frozen=True)
-class Shortfall:
-    """A requirement that a plan does not meet, with the required number and the actual number of targets.
-
-    Parameters
-    ----------
-    requirement : Requirement or None
-        The requirement; None if targets of the parameter ``required`` have no fiber.
-    spectrograph : int or None
-        Spectrograph in which the requirement is not met; None if the requirement applies to the whole tile.
-    requested : int
-        Required number of targets; the maximum if the plan contains too many targets.
-    found : int
-        Number of targets in the plan that count toward the requirement.
-    possible : int
-        Number of targets that count toward the requirement and are in reach of positioners that can observe them.
-    hint : str, optional
-        A similar name that the user may have intended, or the reason why targets are missing.
-    """
-
-    requirement: Requirement | None
-    spectrograph: int | None
-    requested: int
-    found: int
-    possible: int
-    hint: str = ""
-
-    @property
-    def what(self) -> str:
-        """Description of the targets, such as ``sky targets for BOSS``."""
-        if self.requirement is None:
-            return "required targets"
-        fiber = f" for {self.requirement.fiber_type}" if self.requirement.fiber_type else ""
-        return f"{self.requirement.what} targets{fiber}"
-
-    def __str__(self):
-        where = "" if self.spectrograph is None else f" in spectrograph {self.spectrograph}"
-        missing = self.requested - self.found
-        if missing < 0:
-            return f"{self.what}{where}: {self.found}, {-missing} more than the maximum of {self.requested}"
-        why = f"; {_few(self.possible)} in reach" if self.possible < self.requested else ""
-        hint = f"; {self.hint}" if self.hint else ""
-        return f"{self.what}{where}: {self.found} of {self.requested}, {missing} missing{why}{hint}"
-
-
-def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
-    """Return one sentence for each requirement that is not met."""
-    by_requirement: dict = {}
-    for one in shortfalls:
-        by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
-    found = []
-    for (_, lacking), rows in by_requirement.items():
-        if len(rows) == 1 or not lacking:
-            found += [str(one) for one in rows]
-            continue
-        missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
-        places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
-        why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
-        found.append(
-            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} spectrographs "
-            f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
-        )
-    return found
-
-
-def _few(n):
-    return "none is" if n == 0 else f"only {n} {'is' if n == 1 else 'are'}"
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph."""
-
-    requirement: Requirement
-    spectrograph: int | None
-    targets: np.ndarray
-    """Whether each target counts toward the requirement, shape (n_targets,)."""
-
-    def holds(self, target: np.ndarray, spectrograph: np.ndarray) -> np.ndarray:
-        """Return whether each pair of a target (-1: no target) and a spectrograph counts toward the requirement."""
-        inside = np.append(self.targets, False)[target]
-        return inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
-
-
 def hint_of_name(what: str, names: Iterable[str]) -> str:
     """Return a hint for an unknown name: a similar name among the kinds of targets and the categories ``names``."""
     names = {*KINDS, *names} - {""}
@@ -224,3 +226,8 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
             raise InputError(f"{text}, got {short(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # a repeated requirement counts once
+
+
+def _holds(column: np.ndarray, word: str) -> bool:
+    """Return whether at least one target has the text ``word`` in a column, such as the categories of the targets."""
+    return bool(np.any((column[:1] if column.strides == (0,) else column) == word))

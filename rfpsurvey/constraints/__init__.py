@@ -1,0 +1,42 @@
+"""Constraints on the plans of fields: excluded targets, obstacles, targets that take precedence, and counts."""
+
+from rfpsurvey.constraints._constraint import (
+    AS_GOAL,
+    EXACTLY,
+    ONLY_CHECKED,
+    Abilities,
+    Constraint,
+    ConstraintField,
+)
+from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
+from rfpsurvey.constraints._required import Required, as_required, mark_required
+from rfpsurvey.constraints._requirement import KINDS, Group, Requirement, as_requirements, hint_of_name
+from rfpsurvey.constraints._shortfall import Shortfall, sentences
+from rfpsurvey.constraints._text import BUILT_IN, as_constraints, named_plugins
+
+__all__ = [
+    "AS_GOAL",
+    "EXACTLY",
+    "KINDS",
+    "ONLY_CHECKED",
+    "Abilities",
+    "Constraint",
+    "ConstraintField",
+    "Group",
+    "KeepOut",
+    "Required",
+    "Requirement",
+    "Shortfall",
+    "as_circles",
+    "as_constraints",
+    "as_required",
+    "as_requirements",
+    "circle_text",
+    "hint_of_name",
+    "mark_required",
+    "named_plugins",
+    "sentences",
+]
+
+# every constraint of the package is public
+globals().update({one.__name__: one for one in BUILT_IN.values()})

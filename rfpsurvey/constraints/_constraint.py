@@ -1,0 +1,347 @@
+"""The interface of all constraints, and the description of a field that constraints receive."""
+
+import shlex
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from rfpsurvey._units import values_at
+from rfpsurvey.errors import InputError, listed, number_of
+from rfpsurvey.projection import FieldProjection
+
+if TYPE_CHECKING:
+    from rfpsurvey.instrument import Instrument
+
+EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
+LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
+MOST_LISTED = 5
+NO_CIRCLES = np.empty((0, 3))
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
+
+    Parameters
+    ----------
+    obstacles : str
+        Whether arms avoid obstacles.
+    precedence : str
+        Whether some targets take precedence over all other targets.
+    counts : str
+        Whether minimum and maximum numbers of targets are met.
+    """
+
+    obstacles: str = ONLY_CHECKED
+    precedence: str = ONLY_CHECKED
+    counts: str = ONLY_CHECKED
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintField:
+    """The targets in a field and near its edge, as constraints receive them; arrays have one element per target.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The instrument.
+    projection : FieldProjection or None
+        Projection of the sky onto the focal plane; None if only positions on the focal plane are known.
+    vectors : ndarray of float, shape (n, 3)
+        Directions of the targets as ICRS unit vectors; NaN if they are not known.
+    xy : ndarray of float, shape (n, 2)
+        Positions of the targets on the focal plane in mm; NaN for targets outside the image.
+    id : ndarray
+        Identifiers of the targets (integers or text).
+    is_available : ndarray of bool
+        Whether each target can be observed in this field. The other targets are outside the field, or have no
+        remaining visits; a constraint can exclude targets that are close to them.
+    kind : ndarray of str
+        Kind of each target: ``science``, ``standard`` or ``sky``.
+    category : ndarray of str
+        Category of each target; empty text if it has none.
+    priority : ndarray of float
+        Priority of each target.
+    extra : dict
+        Further columns of the catalog, by name.
+    is_complete : bool, optional
+        Whether the field contains all targets of the catalog in the field; False if only the targets are known that
+        have a fiber, as in the plan of another program.
+    """
+
+    instrument: "Instrument"
+    projection: FieldProjection | None
+    vectors: np.ndarray
+    xy: np.ndarray
+    id: np.ndarray
+    is_available: np.ndarray
+    kind: np.ndarray
+    category: np.ndarray
+    priority: np.ndarray
+    extra: dict
+    is_complete: bool = True
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a further column of the catalog, such as a magnitude.
+
+        Parameters
+        ----------
+        name : str
+            Name of the column.
+
+        Returns
+        -------
+        ndarray
+            One value per target; NaN, empty text, False or -1 for a sky position that rfpsurvey adds.
+
+        Raises
+        ------
+        InputError
+            If the catalog has no column of this name.
+        """
+        if name not in self.extra:
+            known = listed(self.extra, 8)
+            raise InputError(f"the catalog must have the column {name!r}, but its further columns are: {known}")
+        return self.extra[name]
+
+    def is_near(self, centers: np.ndarray, radius_rad: float) -> np.ndarray:
+        """Return whether each target is within an angle of at least one of several directions.
+
+        Parameters
+        ----------
+        centers : ndarray of float, shape (k, 3)
+            Unit vectors.
+        radius_rad : float
+            The angle in radians.
+
+        Returns
+        -------
+        ndarray of bool
+            One value per target.
+        """
+        from scipy.spatial import cKDTree
+
+        near, there = np.zeros(len(self.vectors), dtype=bool), np.isfinite(self.vectors).all(axis=1)
+        centers = centers[np.isfinite(centers).all(axis=1)]
+        if len(centers) and there.any():
+            near[there] = cKDTree(centers).query(self.vectors[there])[0] <= 2 * np.sin(min(radius_rad, np.pi) / 2)
+        return near
+
+    def with_blank_sky(self, vectors: np.ndarray, xy: np.ndarray) -> "ConstraintField":
+        """Return the field with additional available targets of the kind ``sky``, which have no other properties.
+
+        Parameters
+        ----------
+        vectors : ndarray of float, shape (k, 3)
+            Directions of the sky positions.
+        xy : ndarray of float, shape (k, 2)
+            Positions on the focal plane in mm.
+
+        Returns
+        -------
+        ConstraintField
+            The field, whose last k targets are the sky positions.
+        """
+        rows = np.append(np.arange(len(self.id)), np.full(len(xy), -1))
+        columns = {name: values_at(getattr(self, name), rows) for name in ("id", "category", "priority")}
+        columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
+        more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), dtype=bool)}
+        more["kind"] = np.full(len(xy), "sky")
+        columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
+        return replace(self, **columns)
+
+
+class Constraint:
+    """A rule for the plans of fields; `KeepOut`, `Required` and `Requirement` are built in.
+
+    A subclass is a frozen dataclass whose fields are the arguments of the constraint. It overrides only what it
+    requires: ``excluded``, ``obstacles``, ``required_ids``, ``counts`` or ``check``. rfpsurvey calls these methods for
+    each field; unless one of them is overridden, it costs no time.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import rfpsurvey as rs
+    >>> @dataclass(frozen=True)
+    ... class Faint(rs.Constraint):
+    ...     limit: float
+    ...     name = "faint"
+    ...
+    ...     def excluded(self, field):
+    ...         return field.column("mag") < self.limit
+    >>> str(Faint(17.5)), Faint.parse("17.5").limit
+    ('faint 17.5', 17.5)
+    """
+
+    name: ClassVar[str] = ""
+    """First word of the text form of the constraint."""
+    required_ids: tuple = ()
+    """Identifiers of targets that take precedence over all other targets."""
+    counts: tuple = ()
+    """The requirements (`Requirement`) on numbers of targets that the constraint consists of."""
+    uses_targets: ClassVar[bool] = True
+    """Whether the methods of the constraint use the positions of targets on the focal plane, or targets around the
+    field; if not, these are not computed."""
+    margin_rad: float = 0.0
+    """Angle by which ``excluded`` must know targets outside of the field, in radians."""
+
+    @classmethod
+    def parse(cls, arguments: str) -> "Constraint":
+        """Make a constraint from the text that follows its name.
+
+        Parameters
+        ----------
+        arguments : str
+            The values of the fields, separated by spaces; quotes surround text that contains spaces.
+
+        Returns
+        -------
+        Constraint
+            The constraint.
+
+        Raises
+        ------
+        InputError
+            If the text has too few or too many values, or if a value is not valid.
+        """
+        names = [one.name for one in fields(cls)]
+        try:
+            words = shlex.split(arguments)
+            types = [getattr(one.type, "__name__", one.type) for one in fields(cls)]
+            values = [CONVERTERS.get(kind, str)(word) for kind, word in zip(types, words, strict=False)]
+            if len(words) <= len(names):
+                return cls(*values)
+        except InputError:
+            raise
+        except (ValueError, TypeError) as error:
+            raise InputError(f"{cls.form()}, got {arguments!r}: {error}") from None
+        raise InputError(f"{cls.form()}, got {arguments!r}")
+
+    @classmethod
+    def form(cls) -> str:
+        """Return the beginning of the error message for text of the wrong form.
+
+        Returns
+        -------
+        str
+            Text such as "the constraint must have the form 'faint LIMIT'".
+        """
+        words = [cls.name, *(one.name.upper() for one in fields(cls))]
+        return f"the constraint must have the form '{' '.join(words)}'"
+
+    def __str__(self):
+        return " ".join([self.name, *(shlex.quote(str(getattr(self, one.name))) for one in fields(self))])
+
+    def for_instrument(self, instrument: "Instrument | None") -> "Constraint":
+        """Return the constraint for an instrument; raise an error if it cannot be used.
+
+        Parameters
+        ----------
+        instrument : Instrument or None
+            The instrument; None if only positions on the focal plane are known, as in `allocate`.
+
+        Returns
+        -------
+        Constraint
+            The constraint, in which everything that depends on the instrument is resolved.
+
+        Raises
+        ------
+        InputError
+            If the constraint requires positions on the sky, but only positions on the focal plane are known.
+        """
+        if instrument is None and self.parts != {"counts"}:
+            raise InputError(f"constraints can be used only with a catalog, got '{self}'; use plan_tile")
+        return self
+
+    def excluded(self, field: ConstraintField) -> np.ndarray | None:
+        """Return which targets must not be observed.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The targets in the field and, up to the angle ``margin_rad``, around it.
+
+        Returns
+        -------
+        ndarray of bool or None
+            One value for each target of the field; None if no target is excluded.
+        """
+        return None
+
+    def obstacles(self, field: ConstraintField) -> np.ndarray:
+        """Return circles on the focal plane that no arm may cover.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field; its arrays of targets are empty unless the constraint overrides ``excluded``.
+
+        Returns
+        -------
+        ndarray of float, shape (k, 3)
+            Positions x and y of the centers, and radii, in mm.
+        """
+        return NO_CIRCLES
+
+    def check(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
+        """Return sentences that state how a finished plan violates the constraint, other than its counts.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int
+            Number of arms that cover circles of ``obstacles``.
+
+        Returns
+        -------
+        list of str
+            The sentences; an empty list if the plan does not violate the constraint.
+        """
+        found = [f"{self}: {number_of(n_covering, 'arm covers', 'arms cover')} circles"] if n_covering else []
+        if "exclusion" in self.parts:
+            excluded = self.excluded(field)
+            wrong = [] if excluded is None else field.id[excluded & has_fiber].tolist()
+            if wrong:
+                text = number_of(len(wrong), "excluded target has", "excluded targets have")
+                found.append(f"{self}: {text} a fiber ({listed(wrong, MOST_LISTED)})")
+            if self.margin_rad and not field.is_complete:
+                found.append(f"{self}: checked only with the targets that have a fiber; the table contains no others")
+        return found
+
+    @cached_property
+    def parts(self) -> frozenset[str]:
+        """Parts of the interface that the constraint uses: ``exclusion``, ``obstacles``, ``precedence``, ``counts``."""
+        own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
+        own |= {part for part, given in (("precedence", self.required_ids), ("counts", self.counts)) if given}
+        return frozenset(own)
+
+    @cached_property
+    def uses_field(self) -> bool:
+        """Whether the constraint contains more than counts, so that its methods are called for each field."""
+        return bool(self.parts - {"counts"}) or type(self).check is not Constraint.check
+
+    def honored(self, abilities: Abilities) -> str:
+        """Return how a method honors the constraint; if the method honors parts differently, the weakest applies.
+
+        Parameters
+        ----------
+        abilities : Abilities
+            How the method honors each part of a constraint. All methods honor exclusions exactly, because an excluded
+            target is in reach of no positioner.
+
+        Returns
+        -------
+        str
+            ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
+        """
+        return max((getattr(abilities, part, EXACTLY) for part in self.parts), key=LEVELS.index, default=ONLY_CHECKED)
+
+
+METHODS = {"exclusion": "excluded", "obstacles": "obstacles"}
+CONVERTERS = {"float": float, "int": int, "str": str}

@@ -1,0 +1,109 @@
+"""Constraints from objects and from text, and the constraints of other packages."""
+
+import importlib
+import pkgutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
+from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._requirement import FORM, Requirement
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
+
+GROUP = "rfpsurvey.constraints"
+"""Entry-point group by which packages add constraints."""
+
+
+def find_constraints(package: str, folder: Path) -> dict[str, type[Constraint]]:
+    """Return the constraints that the modules of a package define, by the first word of their text."""
+    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([str(folder)])]
+    classes = [(module, one) for module in modules for one in vars(module).values() if isinstance(one, type)]
+    return {
+        one.name: one
+        for module, one in classes
+        if issubclass(one, Constraint) and one.__module__ == module.__name__ and one.name
+    }
+
+
+BUILT_IN = find_constraints(__package__, Path(__file__).parent)
+"""Built-in constraints by the first word of their text. `Requirement` has a form of its own, such as ``sky=20``."""
+
+
+def as_constraints(given: object) -> tuple[Constraint, ...]:
+    """Convert one or several constraints, given as objects or as text, to a tuple of constraints.
+
+    Parameters
+    ----------
+    given : Constraint or str or list of these, or None
+        The constraints. Text is a requirement, such as ``sky=20/spectrograph``, or a name and arguments, such as
+        ``keep_out 95.0 23.0 0.01``.
+
+    Returns
+    -------
+    tuple of Constraint
+        The constraints.
+
+    Raises
+    ------
+    InputError
+        If an object is no constraint, or if text does not have one of these forms.
+
+    Examples
+    --------
+    >>> from rfpsurvey.constraints import as_constraints
+    >>> as_constraints("sky=20/spectrograph")
+    (Requirement('sky=20/spectrograph'),)
+    """
+    given = () if given is None else [given] if isinstance(given, str | Constraint) else given
+    if not isinstance(given, Iterable):
+        raise refusal("constraints must be a list of constraints or text", given, list)
+    return tuple(_as_constraint(one) for one in given)
+
+
+def _as_constraint(one: object) -> Constraint:
+    if isinstance(one, Constraint):
+        return one
+    if not isinstance(one, str):
+        text = "a constraint must be a Constraint or text such as 'sky=20/spectrograph'"
+        raise InputTypeError(f"{text}, got {short(one)}")
+    name, _, arguments = one.strip().partition(" ")
+    if name in BUILT_IN:
+        return BUILT_IN[name].parse(arguments)
+    names = plugin_names(GROUP)
+    if name not in names and ("=" in one or FORM.fullmatch(one.strip())):
+        return Requirement.parse(one)
+    if name not in names:
+        check_choice(name, {*BUILT_IN, *names}, "constraint", others=", or a requirement such as sky=20/spectrograph")
+    plugin = find_plugin(GROUP, name, BUILT_IN, "constraint")
+    with plugin.answering():
+        return _class_of(plugin).parse(arguments)
+
+
+def _class_of(plugin: Plugin) -> type[Constraint]:
+    value = plugin.value
+    if not (isinstance(value, type) and issubclass(value, Constraint)):
+        raise InputError(f"it must be a subclass of rfpsurvey.Constraint, got {short(value)}")
+    if value.name != plugin.name:
+        raise InputError(f"its attribute name must be {plugin.name!r}, as in the entry point, got {value.name!r}")
+    return value
+
+
+def named_plugins(constraints: Iterable[Constraint]) -> dict[str, str]:
+    """Return the names and versions of the packages that provide constraints, in the form in which results record them.
+
+    Parameters
+    ----------
+    constraints : iterable of Constraint
+        The constraints.
+
+    Returns
+    -------
+    dict of str to str
+        Versions of packages, by the name of the package.
+    """
+    found, names = {}, None
+    for name in {one.name for one in constraints} - {*BUILT_IN, ""}:
+        names = plugin_names(GROUP) if names is None else names
+        if name in names:
+            found.update(find_plugin(GROUP, name, BUILT_IN, "constraint").software)
+    return found

@@ -1,0 +1,83 @@
+"""Constraints on the plans of other programs: their obstacles, and sentences on the constraints that are violated."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rfpsurvey._units import to_plain
+from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
+from rfpsurvey.catalog import Finder
+from rfpsurvey.collision import CollisionReport
+from rfpsurvey.constraints import sentences
+from rfpsurvey.errors import InputError, check_fiber_type
+from rfpsurvey.focal_plane import Reach
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import Applied, FieldTargets, apply_constraints
+from rfpsurvey.projection import FieldProjection
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredConstraints:
+    """The constraints that a score checks, applied to the targets that have a fiber."""
+
+    options: AllocationOptions
+    applied: Applied
+    columns: TargetColumns
+    xy: np.ndarray
+
+    def unmet(self, report: CollisionReport, target_of: np.ndarray) -> list[str]:
+        """Return sentences on violated constraints; ``target_of`` is the target of each positioner."""
+        plane, n = self.applied.instrument.focal_plane, len(self.xy)
+        none = Reach(np.zeros(n + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
+        problem = AllocationProblem(
+            plane,
+            self.xy,
+            none,
+            np.zeros(n, dtype=np.int64),
+            (0.0,),
+            kind=self.columns.kind,
+            category=self.columns.category,
+            fiber_type=self.columns.fiber_type,
+            options=self.options,
+        )
+        # the table does not state which other targets are in reach
+        lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
+        violations = self.applied.violations(report, np.arange(n), np.empty((0, 3)), np.empty((0, 2)))
+        return sentences(lacking) + [text for texts in violations.values() for text in texts]
+
+
+def find_constraints(
+    given: object,
+    instrument: Instrument,
+    projection: FieldProjection | None,
+    find: Finder,
+    rows: np.ndarray,
+    ids: np.ndarray,
+    sky_deg: np.ndarray,
+    xy: np.ndarray,
+    fiber_type: np.ndarray,
+) -> ScoredConstraints:
+    """Return the constraints on a plan; ``rows`` are the rows of the table of ``find`` that are scored."""
+    options = AllocationOptions(constraints=given).for_instrument(instrument)
+    for one in options.all_constraints:
+        if projection is None and "obstacles" in one.parts:
+            raise InputError(
+                f"the constraint '{one}' can be checked only with positions on the sky: give positions='sky' (or "
+                "--positions sky)"
+            )
+    for one in options.counts:
+        if one.fiber_type:
+            what = f"fiber type of the requirement {str(one)!r}"
+            check_fiber_type(one.fiber_type, instrument.focal_plane.fiber_types, what)
+    kind, category = (find.labels(role) for role in ("kind", "category"))
+    priority = find.numbers("priority")
+    columns = [None if column is None else column[rows] for column in (priority, kind, category)]
+    named = instrument.focal_plane.fiber_types != ("",)
+    columns = TargetColumns(*columns, fiber_type=fiber_type if named else None)
+    extra = {}
+    if options.constraints:
+        extra = {name: to_plain(find.table[name][rows]) for name in find.table.colnames if find.table[name].ndim == 1}
+    lon, lat = np.deg2rad(sky_deg)
+    vectors = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    targets = FieldTargets(vectors, ids, columns, None, extra)
+    return ScoredConstraints(options, apply_constraints(instrument, projection, options, targets, xy), columns, xy)

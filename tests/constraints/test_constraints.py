@@ -1,0 +1,149 @@
+"""Constraints as objects and as text, their short forms in options, and their records."""
+
+import pickle
+from dataclasses import dataclass, replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities, as_constraints
+from rfpsurvey.constraints._text import BUILT_IN, find_constraints
+
+CIRCLE = rs.Region.parse("cap 95 23 0.01")
+
+
+@dataclass(frozen=True)
+class Faint(rs.Constraint):
+    limit: float
+    column: str = "mag"
+
+    name = "faint"
+
+    def excluded(self, field):
+        return field.column(self.column) < self.limit
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("sky=20/spectrograph", rs.Requirement),
+        ("required 4711", rs.Required),
+        ("required 'star 7' b", rs.Required),
+        ("keep_out 95.0 23.0 0.01", rs.KeepOut),
+        ("keep_out 95.0 23.0 0.01 96.5 -23.0 0.02", rs.KeepOut),
+    ],
+)
+def test_constraints_are_read_as_they_are_written(text, kind):
+    (one,) = as_constraints(text)
+    assert (type(one), str(one)) == (kind, text)
+    (again,) = as_constraints([one])
+    assert again is one
+    assert str(pickle.loads(pickle.dumps(one))) == text
+
+
+def test_a_circle_may_contain_commas():
+    assert str(as_constraints("keep_out 95.0,23.0,0.01")[0]) == "keep_out 95.0 23.0 0.01"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("keep_out 95 23", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
+        ("keep_out", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
+        ("keep_out 95 99 1", "declinations must lie between -90 and 90 deg"),
+        ("keep_out a b c", "keep_out must have the form"),
+        ("required", "required must have the form 'required ID ...'"),
+        ("required 'a", "No closing quotation"),
+        ("keepout 95 23 1", "unknown constraint 'keepout'; choose one of: keep_out, required, or a requirement"),
+        ("sky", "unknown constraint 'sky'"),
+        ("", "unknown constraint ''"),
+        ("sky=x", "a requirement must have a form such as"),
+        ([3], "a constraint must be a Constraint or text"),
+        (3, "constraints must be a list of constraints or text, got 3"),
+    ],
+)
+def test_anything_else_causes_an_error(wrong, words):
+    with pytest.raises(rs.InputError, match=words):
+        rs.AllocationOptions(constraints=wrong)
+
+
+def test_fields_of_a_constraint_are_read_with_their_types():
+    assert Faint.parse("17.5") == Faint(17.5)
+    assert Faint.parse("17 'g mag'") == Faint(17.0, "g mag")
+    assert str(Faint(17.0, "g mag")) == "faint 17.0 'g mag'"
+    for text in ("", "x", "1 a b", "1 'a"):
+        with pytest.raises(rs.InputError, match="must have the form 'faint LIMIT COLUMN', got"):
+            Faint.parse(text)
+
+
+def test_short_forms_and_constraints_are_the_same_options():
+    texts = ["sky=2", "required 7 8", "keep_out 95.0 23.0 0.01"]
+    short = rs.AllocationOptions("optimal", requirements="sky=2", required=["7", "8"], keep_out=CIRCLE)
+    full = rs.AllocationOptions("optimal", constraints=texts)
+    assert full.record == short.record
+    assert "constraints" not in full.record
+    assert [str(one) for one in full.all_constraints] == [str(one) for one in short.all_constraints] == texts
+    assert full.requirements == full.counts == (rs.Requirement("sky", 2),)
+    assert full.required == full.required_ids == ("7", "8")
+    both = rs.AllocationOptions("optimal", requirements="standard=1", constraints=texts)
+    assert [str(one) for one in both.counts] == ["standard=1", "sky=2"]
+
+
+def test_replaced_options_keep_or_drop_each_constraint_once():
+    options = rs.AllocationOptions("optimal", constraints=["sky=2", "keep_out 95 23 0.01", Faint(17)])
+    assert replace(options, allocator="lamost").all_constraints == options.all_constraints
+    assert replace(options, keep_out=()).all_constraints == (rs.Requirement("sky", 2), Faint(17))
+    assert replace(options, requirements=()).counts == ()
+    assert options.without_counts().all_constraints[-1] == Faint(17)
+    assert replace(options, constraints="sky=3").counts == (rs.Requirement("sky", 2), rs.Requirement("sky", 3))
+
+
+def test_other_constraints_are_recorded_as_text():
+    options = rs.AllocationOptions(constraints=[Faint(17), "sky=1"])
+    assert options.record["constraints"] == ["faint 17 mag"]
+    assert options.record["requirements"] == ["sky=1"]
+
+
+def test_requirements_of_the_instrument_can_be_combined_with_constraints():
+    lamost = rs.Instrument.preset("lamost")
+    options = rs.AllocationOptions(requirements="instrument", constraints="standard=3").for_instrument(lamost)
+    assert [str(one) for one in options.requirements] == [*lamost.requirements, "standard=3"]
+
+
+@pytest.mark.parametrize("one", ["required 4", "keep_out 95 23 1", Faint(17)])
+def test_constraints_on_the_sky_require_a_catalog(one):
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm))
+    with pytest.raises(rs.InputError, match="can be used only with .*; use plan_tile"):
+        rs.allocate(plane, [[1, 1]] * u.mm, allocator=rs.AllocationOptions(constraints=one))
+
+
+def test_a_constraint_states_how_methods_honor_it():
+    able = Abilities(EXACTLY, AS_GOAL, ONLY_CHECKED)
+    keep_out, required, count = as_constraints(["keep_out 95 23 1", "required 4", "sky=1"])
+    assert [one.honored(able) for one in (keep_out, required, count)] == [EXACTLY, AS_GOAL, ONLY_CHECKED]
+    assert Faint(17).honored(Abilities()) == EXACTLY
+
+
+def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monkeypatch):
+    (tmp_path / "rules").mkdir()
+    (tmp_path / "rules" / "one.py").write_text(
+        "import rfpsurvey as rs\nfrom rfpsurvey import KeepOut\nclass One(rs.Constraint):\n    name = 'one'\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert [*find_constraints("rules", tmp_path / "rules")] == ["one"]
+    assert {"keep_out": rs.KeepOut, "required": rs.Required} == BUILT_IN
+    assert rs.constraints.KeepOut is rs.KeepOut
+
+
+def test_targets_near_directions_are_found():
+    vectors = np.array([[1, 0, 0], [np.cos(0.1), np.sin(0.1), 0], [np.nan] * 3])
+    none = np.zeros(3)
+    field = rs.constraints.ConstraintField(None, None, vectors, none, none, none, none, none, none, {})
+    assert field.is_near(vectors[:1], 0.11).tolist() == [True, True, False]
+    assert field.is_near(vectors[:1], 0.09).tolist() == [True, False, False]
+    assert field.is_near(vectors[2:], 1).tolist() == [False] * 3
+    assert field.is_near(vectors[:0], 1).tolist() == [False] * 3
+    with pytest.raises(rs.InputError, match="the catalog must have the column 'mag', but its further columns are"):
+        field.column("mag")
