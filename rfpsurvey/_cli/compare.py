@@ -91,19 +91,11 @@ def compare(keys: CompareKeys) -> None:
             position_angle=keys.position_angle,
             epoch=keys.epoch,
         )
-<<<<<<< HEAD
-    with _app.files(
-        overwrite=overwrite,
-        output=(output, partial(write_table, table)),
-        plot=(plot, lambda: rs.plot.draw_instruments(table)),
-        report=(report, table, {"data": output}),
-=======
     with _print.files(
         keys.output,
         write=partial(write_table, table),
-        draw=lambda: draw_instruments(table),
+        draw=lambda: rs.plot.draw_instruments(table),
         report=(table, {"data": keys.output.path}),
->>>>>>> work-cli
     ):
         _print_comparison(table, with_margins=bool(state.margins))
 

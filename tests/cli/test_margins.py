@@ -91,13 +91,8 @@ def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
 
 
 def test_a_comparison_of_instruments_with_margins(run):
-<<<<<<< HEAD
-    options = ("--targets", 0.2, "--realizations", 1, "--allocator", "nearest")
-    code, out, err = run("compare", "moons", "pfs", "--margins", "outer=0.3", *options)
-=======
     options = ("--targets-per-positioner", 0.2, "--n-realizations", 1, "--allocator", "nearest")
-    code, out, err = run("compare", "desi", "pfs", "--set", "instrument.margins=outer=0.3", *options)
->>>>>>> work-cli
+    code, out, err = run("compare", "moons", "pfs", "--set", "instrument.margins=outer=0.3", *options)
     assert (code, err) == (0, "")
     assert "margins of pfs: outer_mm 0.3\n" in out
 
