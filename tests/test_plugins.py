@@ -270,7 +270,7 @@ def test_its_dice_agree_with_the_quadrature(installed, run):
 def test_processes_find_it_by_its_name(installed, run, tmp_path):
     """New processes search for packages in the same folders as this process."""
     command = ["survey", "--instrument", "toy", "--allocator", "rarest", "--folder", tmp_path / "survey"]
-    assert run(*command, "--processes", "--workers", 1)[0] == 0
+    assert run(*command, "--set", "processes=true", "--workers", 1)[0] == 0
     survey = rs.Survey.read(tmp_path / "survey")
     assert survey.provenance["software"]["rfpsurvey-example"] == "0.1"
     assert survey.summary["n_assigned"] > 30

@@ -163,3 +163,18 @@ def test_a_closed_standard_output_is_an_error_after_the_files_are_written(tmp_pa
     done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (2, "rfpsurvey: standard output is closed\n")
     assert rs.Tile.read(tmp_path / "tile.fits").summary["n_positioners"] == 1001
+
+
+@pytest.mark.parametrize("words", [["--version"], ["plan", "--nonsense"]])
+def test_the_signal_handlers_of_a_command_are_removed_when_it_returns(words, monkeypatch):
+    """Programs that run ``main`` in their process, such as tests, kept the handlers of the last command."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before, hook = [signal.getsignal(number) for number in numbers], sys.unraisablehook
+    monkeypatch.setattr(sys, "argv", ["rfpsurvey", *words])
+    prepare, seen = _process._prepare, []
+    monkeypatch.setattr(_process, "_prepare", lambda: (prepare(), seen.append(signal.getsignal(signal.SIGINT))))
+    with pytest.raises(SystemExit):
+        _process.main()
+    assert seen == [_process._interrupt]
+    assert [signal.getsignal(number) for number in numbers] == before
+    assert sys.unraisablehook is hook

@@ -344,7 +344,7 @@ def test_command(run, tmp_path):
         tmp_path / "short.toml",
         tmp_path / "robots.toml",
         "pfs",
-        "--realizations",
+        "--n-realizations",
         1,
         "--targets",
         0.5,

@@ -180,7 +180,7 @@ def command(run, tmp_path):
 def test_the_command_plans_a_survey_under_the_conditions_of_a_file(command, tmp_path):
     path = tmp_path / "night.toml"
     path.write_text('site = "paranal"\nhour_angle = "1 hourangle"\n')
-    out, survey = command({}, "--conditions", path, "--wavelength", "0.7")
+    out, survey = command({}, "--set", f"conditions.path={path}", "--set", "conditions.wavelength=0.7")
     assert "with refraction averaged" in out
     record = survey.provenance["parameters"]["conditions"]
     assert record["hour_angle_deg"] == pytest.approx(15)
@@ -188,7 +188,9 @@ def test_the_command_plans_a_survey_under_the_conditions_of_a_file(command, tmp_
 
 
 def test_the_command_plans_each_tile_at_its_hour_angle(command):
-    out, survey = command({"hour_angle": HOURS}, "--site", "paranal", "--exposure-time", 600)
+    out, survey = command(
+        {"hour_angle": HOURS}, "--set", "conditions.site=paranal", "--set", "conditions.exposure_time=600"
+    )
     assert "with refraction averaged" in out
     np.testing.assert_allclose(survey.tiles["hour_angle"].to_value(u.hourangle), HOURS, rtol=0, atol=1e-12)
     assert survey.provenance["parameters"]["conditions"]["exposure_time_s"] == 600
@@ -204,9 +206,12 @@ def test_the_command_neglects_refraction_without_conditions(command):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--hour-angle", "3"], "--site must be given"),
-        (["--site", "paranal"], "either a time or an hour_angle"),
-        (["--site", "paranal", "--hour-angle", "9"], "tile 0: .* must be above the horizon"),
+        (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
+        (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
+        (
+            ["--set", "conditions.site=paranal", "--set", "conditions.hour_angle=9"],
+            "tile 0: .* must be above the horizon",
+        ),
     ],
 )
 def test_the_command_refuses_conditions_that_are_not_valid(run, tmp_path, options, text):

@@ -81,7 +81,7 @@ def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch
 
     code, _, err = run("score", name, "--instrument", model, "--positions", positions)
     assert f"{where}) have none" in sentence(code, err)
-    code, out, err = run("score", name, "--instrument", model, "--positions", positions, "--skip-missing")
+    code, out, err = run("score", name, "--instrument", model, "--positions", positions, "--set", "missing=skip")
     assert code == 0, err
     assert f"({where}) have no finite position and are skipped" in err
     assert f"assigned rows without a position  {n:>10}" in out

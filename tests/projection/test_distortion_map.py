@@ -187,7 +187,7 @@ def test_values_that_are_not_valid_are_errors(traced, change, text):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda table: table.remove_column("X_FP"), "but X_FP is missing"),
+        (lambda table: table.remove_column("X_FP"), "must have the column 'X_FP'"),
         (lambda table: table.replace_column("X_FP", ["far"] * len(table)), "the columns must contain numbers"),
         (lambda table: table["X_FP"].__setitem__(3, np.nan), "all values must be finite"),
         (lambda table: table["ADC1"].__setitem__(3, 5), "ADC1 must be -ADC2"),

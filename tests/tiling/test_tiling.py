@@ -158,7 +158,7 @@ def test_csv_is_in_degrees(tmp_path):
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
         (
             lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "DEC": [1.0]})),
-            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --tiles-unit dec=deg",
+            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --set tiles.units.dec=deg",
         ),
         (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table, a QTable or a DataFrame, got"),
         (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
