@@ -163,6 +163,7 @@ def test_monte_carlo_draws_every_configuration_alike(rng):
     assert (np.abs(mean - per_positioner) <= 4 * error).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("most", [1, pytest.param(2, marks=EXHAUSTIVE)])
 def test_few_entries_are_drawn_alike(rng, most):
     plane = TINY["equal arms"]
