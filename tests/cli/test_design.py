@@ -61,6 +61,7 @@ def test_rows_of_the_front_are_told_apart(capsys):
     }
 
 
+@pytest.mark.exhaustive
 def test_points_of_sobol_and_other_losses(run, tmp_path):
     options = ["--ratio", "1:1.5", "--pitch", "26:30", "--n-designs", 16, "--targets-per-positioner", 2]
     options += [
@@ -128,6 +129,7 @@ plate_scale = { value = 97.0, unit = "um / arcsec" }
 """
 
 
+@pytest.mark.exhaustive
 def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(run, tmp_path):
     (tmp_path / "mine.toml").write_text(MINE)
     output, plot = tmp_path / "d.ecsv", tmp_path / "d.svg"

@@ -90,6 +90,7 @@ def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
     assert n > 10
 
 
+@pytest.mark.exhaustive
 def test_a_comparison_of_instruments_with_margins(run):
     options = ("--targets-per-positioner", 0.2, "--n-realizations", 1, "--allocator", "nearest")
     code, out, err = run("compare", "moons", "pfs", "--set", "instrument.margins=outer=0.3", *options)

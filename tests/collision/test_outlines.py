@@ -91,6 +91,7 @@ def test_central_parts_do_not_collide_with_each_other():
     assert not collide
 
 
+@pytest.mark.exhaustive
 def test_both_orders_give_the_same_verdict():
     rng = np.random.default_rng(4)
     for shape in SHAPES:

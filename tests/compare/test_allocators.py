@@ -122,6 +122,7 @@ def test_what_no_arm_covers_is_a_list_of_circles(keep_out, kind, message):
     assert isinstance(told.value, kind)
 
 
+@pytest.mark.exhaustive
 def test_required_targets_are_found_by_their_ids(crowded):
     named = rs.Catalog(crowded.coord, id=[f"g{k}" for k in range(len(crowded))])
     plain = rs.plan_tile(named, "moons", CENTER, allocator="optimal")

@@ -140,6 +140,7 @@ def test_synthetic_skies_are_as_crowded_as_asked():
     assert found.meta["density_per_deg2"] == 2000
 
 
+@pytest.mark.exhaustive
 def test_workers_change_nothing_but_the_seconds():
     def table(**options):
         two = [design(rings=2), design("wide", 8.25, 8.25, rings=2)]

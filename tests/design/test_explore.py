@@ -83,6 +83,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
         assert row["usable"] == 1 - row["loss"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("each", [pytest.param(0.5, marks=pytest.mark.exhaustive), 4])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
     """Compare with one configuration for each sky. Parked arms are obstacles, but lose no target."""

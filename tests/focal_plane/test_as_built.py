@@ -354,6 +354,7 @@ def test_counts_of_configurations_with_other_fibers():
     assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
 
 
+@pytest.mark.exhaustive
 def test_limits_of_phi_give_the_same_probability_in_compiled_code():
     """The same limits are tested for each target if theta cannot make a full turn."""
     values = []

@@ -148,6 +148,7 @@ def test_bootstrap_is_that_of_scipy(confidence):
     assert got.low < got.value < got.high
 
 
+@pytest.mark.exhaustive
 def test_intervals_cover_the_truth_as_often_as_they_say():
     """The stopping rule is used, which might otherwise prefer simulations with too small errors."""
     plane, options = lamost_like(1), {"n_targets": 30, "method": "monte_carlo", "precision": 0.006}

@@ -182,6 +182,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
 
+@pytest.mark.exhaustive
 def test_a_tile_lists_all_its_assignments(presets, tmp_path):
     """Regression: the page referred to a file with all assignments, and showed only some of them."""
     pfs = presets["pfs"]

@@ -217,6 +217,7 @@ def test_intervals_of_one_sky_are_counted():
     assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
+@pytest.mark.exhaustive
 def test_an_iteration_is_more_than_one_trial(monkeypatch):
     """With every iteration as one trial, the interval is several times too wide, and always contains the true value."""
     loosen(monkeypatch)

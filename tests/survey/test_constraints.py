@@ -240,7 +240,7 @@ def test_place_tiles_has_both():
     assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
 @pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1), (0.5, 3.0)])
 def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):

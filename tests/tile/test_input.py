@@ -129,6 +129,7 @@ def test_targets_with_no_requested_visits_are_not_assigned(presets):
         rs.plan_tile(rs.Catalog(sky.coord, visits=np.zeros(len(sky))), presets["sdss_apo"], CENTER)
 
 
+@pytest.mark.exhaustive
 def test_commands_and_reports_state_which_column_has_which_role(run, tmp_path):
     rng = np.random.default_rng(1)
     table = QTable({"TARGETID": np.arange(50), "RA": rng.uniform(94, 96, 50) * u.deg})
