@@ -89,6 +89,7 @@ def written(result, folder, **options):
     return path.read_text(encoding="utf-8")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, kind):
     text = written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()})
@@ -213,6 +214,7 @@ def test_the_rows_of_a_page_can_be_limited(tile, tmp_path):
     assert f"Shown: 30 of {n} rows; tile.fits contains all rows." in "".join(p["caption"] for p in page.tables)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["tile", "survey"])
 def test_a_number_has_one_form_on_a_page(results, plain_page, kind):
     """Regression: the same rate was 2.10 % at the top of the page, and 0.021 below."""
@@ -281,6 +283,7 @@ def test_no_row_is_left_out_in_silence(tmp_path):
     assert "no rows" in written(QTable({"k": []}), tmp_path)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=() if kind in ("tile", "table") else pytest.mark.exhaustive) for kind in KINDS]
 )
