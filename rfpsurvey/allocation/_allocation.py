@@ -1,4 +1,4 @@
-"""The class `Allocation`, the result of `allocate`."""
+"""The class `~rfpsurvey.allocation.Allocation`, the result of `allocate`."""
 
 from dataclasses import dataclass
 

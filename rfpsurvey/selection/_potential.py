@@ -100,7 +100,7 @@ def potential_assignments(
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
-    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> found = rs.selection.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
     >>> found.table.colnames
     ['tile', 'positioner', 'point']
     >>> int(found.n_tiles().max())
@@ -152,7 +152,7 @@ class PotentialAssignments:
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
-    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> found = rs.selection.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
     >>> sum(len(table) for table in found) == len(found.table)
     True
     """
