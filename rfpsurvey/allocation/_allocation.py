@@ -12,8 +12,6 @@ from rfpsurvey.constraints import Shortfall
 from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["Allocation"]
-
 
 @dataclass(frozen=True, eq=False)
 class Allocation:

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["AllocationAnswer", "Level"]
-
 
 class Level(NamedTuple):
     """One objective of a plan; earlier objectives take precedence over all later ones.

@@ -176,7 +176,18 @@ def plan_survey(
 
 
 def prepare_request(
-    catalog, instrument, tiles, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
+    catalog,
+    instrument,
+    tiles,
+    *,
+    allocator,
+    passes,
+    epoch,
+    lost_in_collision,
+    executor,
+    visits=None,
+    order="color",
+    rng=0,
 ) -> Request:
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
