@@ -81,6 +81,7 @@ def write_help(app):
         "benchmark probability",
     )
     calls = {f"help_{c.replace(' ', '_').replace('-', '_')}": [*c.split(), "--help"] for c in commands}
+    calls |= {"keys_survey": ["survey", "--help-keys"]}
     calls |= {"instruments": ["instruments"], "instruments_columns": ["instruments", "lamost", "desi", "sdss_apo"]}
     runner = CliRunner(env={"COLUMNS": "80"})
     for name, arguments in calls.items():

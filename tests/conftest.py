@@ -19,6 +19,27 @@ settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database
 settings.load_profile("rfpsurvey")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark all but ``n`` tests of a function with the marker ``few(n)`` as exhaustive.
+
+    The ``n`` tests have as many different values of each parameter as possible.
+    """
+    functions = {}
+    for item in items:
+        few = item.get_closest_marker("few")
+        if few is not None and item.get_closest_marker("exhaustive") is None:
+            functions.setdefault((item.path, item.originalname), (*few.args, []))[1].append(item)
+    for number, tests in functions.values():
+        seen = set()
+        for _ in range(min(number, len(tests))):
+            test = max(tests, key=lambda test: len(test.callspec.indices.items() - seen))
+            seen.update(test.callspec.indices.items())
+            tests.remove(test)
+        for test in tests:
+            test.add_marker("exhaustive")
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(20260101)

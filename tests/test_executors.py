@@ -36,10 +36,11 @@ if __name__ == "__main__":
 
 COMMAND = """
 import os, sys, time
+from rfpsurvey._cli._groups import WorkerKeys
 from rfpsurvey._cli._surveys import workers
 
 if __name__ == "__main__":
-    with workers(2, None, processes=True) as pool:
+    with workers(WorkerKeys(2, processes=True)) as pool:
         print(*{pool.submit(os.getpid).result() for _ in range(8)}, flush=True)
         time.sleep(600)
 """

@@ -83,29 +83,34 @@ def test_all_that_is_imported_is_declared():
 
 IMPORTS = f"""
 {BASE}, scipy.spatial, os, time
+others = "asyncio unittest.mock xml.dom.minidom http.server sqlite3 multiprocessing.managers email.mime.text ftplib"
 for _ in range(5):  # the first fills the folder
     if not os.fork():
-        t = time.process_time()
+        begin = time.process_time()
+        for name in (others + " tarfile imaplib smtplib xmlrpc.server logging.config doctest").split():
+            __import__(name)
+        end = time.process_time()
         import rfpsurvey.tile
-        print(time.process_time() - t, flush=True)
+        print(end - begin, time.process_time() - end, flush=True)
         os._exit(0)
     os.wait()
 """
 
 
 def test_import_costs_little(tmp_path):
-    """The import takes at most 0.15 s of processor time after its dependencies are imported (the smallest time of
-    several).
+    """After its dependencies, the package is imported in at most three times the processor time of some modules of
+    Python, which is two times on an idle machine. On a busy machine, both times are longer.
 
-    The test writes bytecode to its own folder. If the environment forbids bytecode, each process would otherwise
-    compile all sources again.
+    The test compares the smallest of several times, and writes bytecode to its own folder. If the environment forbids
+    bytecode, each process would otherwise compile all sources again.
     """
     keep = f"import sys; sys.pycache_prefix = {str(tmp_path)!r}; sys.dont_write_bytecode = False\n"
     code = IMPORTS.replace("for _", keep + "for _", 1)
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
-    seconds = [float(line) for line in done.stdout.split()]
+    seconds = [[float(word) for word in line.split()] for line in done.stdout.splitlines()]
     assert len(seconds) == 5
-    assert min(seconds) < 0.15, seconds
+    others, package = (min(times) for times in zip(*seconds, strict=True))
+    assert package < 3 * others, seconds
 
 
 def test_packages_that_a_plan_does_not_need_are_imported_on_use(stages):

@@ -24,6 +24,7 @@ def table(k):
     return QTable({"a": np.full(2000, k), "b": np.arange(2000.0) * u.deg}, meta={"k": k})
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["tile.fits", "tile.ecsv", "tile.ecsv.gz"])
 def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path, name):
     """Regression: names of temporary files depended only on the process, so that threads wrote into the same file."""

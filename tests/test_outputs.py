@@ -35,6 +35,7 @@ for name, write in {
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("most", [0, 3000])
 def test_nothing_is_left_on_a_full_disk(tmp_path, most):
     """The limit of the size of files has the same effect as a full disk."""
@@ -116,7 +117,7 @@ def test_commands_never_replace_their_input(tmp_path, run):
         assert "must be a new file, got the name of an input" in error
     code, _, error = run("convert", path, path, "--overwrite")
     assert (code, path.read_bytes()) == (2, before)
-    code, _, error = run("plan", path, "--plot", tmp_path / "a.svg", "--quality", tmp_path / "a.svg")
+    code, _, error = run("plan", path, "--plot", tmp_path / "a.svg", "--set", f"output.quality={tmp_path / 'a.svg'}")
     assert code == 2
     assert "the name of another output" in error
 

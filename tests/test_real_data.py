@@ -53,6 +53,7 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
         assert rs.score_tile(field_a, instrument).summary["n_colliding_pairs"] == pairs
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("design", "name"),
     [
@@ -80,6 +81,7 @@ def test_designs_of_both_sites_score_from_the_sky(presets, real_data, design, na
     assert icrs.summary["n_colliding_pairs"] >= tile.summary["n_colliding_pairs"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("file", "instrument", "center", "epoch"),
     [
@@ -109,6 +111,7 @@ def test_real_catalogs_are_planned(presets, real_data, file, instrument, center,
 REQUIRED = {"sky_boss": 300, "standard_boss": 20, "sky_apogee": 50, "standard_apogee": 20}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("where", ["focal plane", "sky"])
 def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_collision(
     presets, real_data, field_a, where
@@ -144,6 +147,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
     assert used.count("science") == 4
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("file", "name", "center", "least"),
     [

@@ -16,6 +16,7 @@ from scenes import CENTER, MM, few
 
 
 @pytest.mark.filterwarnings("ignore:.*with the same id as another target")
+@pytest.mark.few(2)
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv"])
 @pytest.mark.parametrize(
     "ids", [[f"star{k}" for k in range(20)], [""] * 20, np.arange(20, dtype=np.uint64), np.arange(20, dtype=np.int8)]

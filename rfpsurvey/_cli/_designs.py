@@ -1,27 +1,14 @@
 """Functions of the command ``design`` that parse the parameters of a scan and print a summary."""
 
-from pathlib import Path
-from typing import Annotated
-
 import astropy.units as u
 import numpy as np
-import typer
 from astropy.table import vstack
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app
-from rfpsurvey.design import AXES, METHODS
-from rfpsurvey.errors import listed
+from rfpsurvey._cli._print import files
+from rfpsurvey.design import AXES
 
-__all__ = ["DesignMethodOption", "axes", "finish", "loss"]
-
-DesignMethodOption = Annotated[
-    str,
-    typer.Option(
-        help=f"Method of computing the fraction of fibers lost to collisions: {listed(METHODS)}, or auto, which "
-        "selects the fastest method that is accurate enough."
-    ),
-]
+__all__ = ["axes", "finish"]
 
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
@@ -74,23 +61,10 @@ def _axis(name, text, n_designs):
     return np.array(numbers) if nodes is None else np.linspace(*numbers, nodes)
 
 
-def loss(estimand, method, each, density: float | None, n_skies: int, time_limit: float) -> "rs.design.LossOptions":
-    """Convert command-line options to `LossOptions`, which state how the fraction of lost fibers is computed."""
-    return rs.design.LossOptions(
-        estimand,
-        method,
-        targets_per_positioner=each,
-        target_density=None if density is None else density / u.mm**2,
-        n_skies=n_skies,
-        time_limit=time_limit * u.s,
-    )
-
-
-def finish(table, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool) -> None:
+def finish(table, output) -> None:
     """Print the best designs (the Pareto front) and their sensitivities; write the plot and the report if requested."""
-    page = {"title": f"{len(table)} designs", "data": output}
-    draw = (plot, lambda: rs.plot.plot_designs(table).figure)
-    with _app.files(overwrite=overwrite, plot=draw, report=(report, table, page)):
+    page = {"title": f"{len(table)} designs", "data": output.path}
+    with files(output, draw=lambda: rs.plot.plot_designs(table).figure, report=(table, page)):
         front = table[table["pareto"]]
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
         print(
@@ -114,8 +88,8 @@ def finish(table, output: Path | None, plot: Path | None, report: Path | None, *
                 "one percent:"
             )
             print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
-        if output is not None:
-            print(f"wrote {output}")
+        if output.path is not None:
+            print(f"wrote {output.path}")
 
 
 def _print_rows(front, table) -> None:

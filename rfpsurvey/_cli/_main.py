@@ -39,23 +39,8 @@ COMMANDS = {
     "probabilities, for the arms of an instrument.",
 }
 """Summary of each command, stored here so that the list of commands is printed without importing the commands."""
-OPTIONS = {
-    "rotation": "--pa",
-    "position_angle": "--pa",
-    "standard_error": "--precision",
-    "rng": "--seed",
-    "passes": "--pass",
-    "targets_per_positioner": "--targets",
-    "n_realizations": "--realizations",
-    "requirements": "--require",
-    "gap": "--joint-gap",
-    "iterations": "--joint-iterations",
-    "time_limit": "--joint-time",
-    "targets": "--n-targets",
-    "parked_obstacles": "--no-parked",
-    "lost_in_collision": "--kept",
-}
-"""Parameters whose command-line options have different names, and the names of these options."""
+INNER = {"rotation": "position_angle", "standard_error": "precision"}
+"""Names in messages of the library that are not the names of options, and the names of these options."""
 
 
 class Commands(TyperGroup):
@@ -154,19 +139,21 @@ def _complain(error: Exception) -> int:
 
 
 def _with_options(text: str, words: list[str]) -> str:
-    """Replace the names of parameters in a message by the command-line options that the user typed.
+    """Replace the names of parameters in a message by the options, or the keys after --set, that the user typed.
 
     Of two forms of a remedy, such as "overwrite=True (or --overwrite)", only the option remains.
     """
-    typed = {word.partition("=")[0] for word in words if word.startswith("--")}
+    names = {word.partition("=")[0] for word in words}
+    typed = {name[2:].replace("-", "_"): name for name in names if name.startswith("--")}
+    typed |= {other: typed[name] for other, name in INNER.items() if name in typed}
+    typed |= {name.rpartition(".")[2]: name for name in names if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+", name)}
 
     def option(match: re.Match) -> str:
-        names = "--" + match[0].replace("_", "-"), OPTIONS.get(match[0])
-        return next((name for name in names if name in typed), match[0])
+        return typed.get(match[0], match[0])
 
-    text = re.sub(r"[a-z_]+=\S* \(or (--[a-z-]+(?: \w+)?)\)", r"\1", text)
+    text = re.sub(r"[a-z_]+=\S* \(or (--[^)]+)\)", r"\1", text)
     text = re.sub(r"^[a-z_]+(?= (must|has no effect) )", option, text)
-    return re.sub(r"(?<![\w'=-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
+    return re.sub(r"(?<![\w'=.-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
 
 
 def _flush(code: int) -> int:

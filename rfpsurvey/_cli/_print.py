@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from astropy.table import QTable
@@ -34,84 +33,72 @@ MAP = (
 
 
 @contextmanager
-def files(*, overwrite: bool, output=None, plot=None, report=None, quality=None) -> Iterator[None]:
+def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterator[None]:
     """Write the output files before the summary is printed, and print their names after the summary.
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
-    ``output``, ``plot`` and ``quality`` are pairs of a path and a function. The function of ``output`` writes the file
-    with the given path. The functions of ``plot`` and ``quality`` return the figure that is written to the file.
-    ``report`` contains three elements: the path, the result, and the options of `write_report`.
+    ``output`` contains the keys of the outputs. ``write`` writes the file with the given path, and ``draw`` and
+    ``quality`` return the figures of the files ``plot`` and ``quality``. ``report`` contains the result and the options
+    of `write_report`.
     """
     written = []
-    if output is not None and output[0] is not None:
-        path, write = output
-        write(path, overwrite=overwrite)
+    path = getattr(output, "path", None)
+    if write is not None and path is not None:
+        write(path, overwrite=output.overwrite)
         written.append(path)
-    for path, draw in (plot or (None, None), quality or (None, None)):
+    for path, figure in ((output.plot, draw), (getattr(output, "quality", None), quality)):
         if path is None:
             continue
-        with output_path(path, PICTURES, overwrite=overwrite) as temporary:
-            draw().savefig(temporary, dpi=200, format=path.suffix[1:].lower())
+        with output_path(path, PICTURES, overwrite=output.overwrite) as temporary:
+            figure().savefig(temporary, dpi=200, format=path.suffix[1:].lower())
         written.append(path)
-    if report is not None and report[0] is not None:
-        path, result, options = report
-        rs.write_report(result, path, overwrite=overwrite, **options)
-        written.append(path)
+    if output.report is not None:
+        result, options = report
+        rs.write_report(result, output.report, overwrite=output.overwrite, **options)
+        written.append(output.report)
     yield
     for path in written:
         print(f"wrote {path}")
 
 
-def finish(
-    tile: "rs.Tile",
-    output: Path | None,
-    plot: Path | None,
-    report: Path | None,
-    *,
-    overwrite: bool,
-    targets: str | None = None,
-    quality: Path | None = None,
-) -> None:
+def finish(tile: "rs.Tile", output) -> None:
     """Write a tile and, if requested, its figures and its report, and print its summary."""
+    path, color = output.path, getattr(output, "targets", None)
     with files(
-        overwrite=overwrite,
-        output=(output, tile.write),
-        plot=(plot, lambda: rs.plot.plot_focal_plane(tile, targets=targets).figure),
-        quality=(quality, lambda: rs.plot.plot_quality(tile)[0].figure),
-        report=(report, tile, {"data": output}),
+        output,
+        write=tile.write,
+        draw=lambda: rs.plot.plot_focal_plane(tile, targets=color).figure,
+        quality=lambda: rs.plot.plot_quality(tile)[0].figure,
+        report=(tile, {"data": path}),
     ):
         print_summary(tile)
-        if output is not None and tile.outcomes is not None and suffix_of(output) != ".fits":
+        if path is not None and tile.outcomes is not None and suffix_of(path) != ".fits":
             print(
-                f"{output} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
+                f"{path} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
                 "which can hold two tables"
             )
 
 
-def finish_tiling(
-    tiling: "rs.Tiling", shown: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
-) -> None:
+def finish_tiling(tiling: "rs.Tiling", shown: dict, output) -> None:
     """Write a tiling, its plot (with the targets and the region in ``shown``) and its report; print its summary."""
     with files(
-        overwrite=overwrite,
-        output=(output, tiling.write),
-        plot=(plot, lambda: rs.plot.draw_tiling(tiling, **shown)),
-        report=(report, tiling, {"data": output}),
+        output,
+        write=tiling.write,
+        draw=lambda: rs.plot.draw_tiling(tiling, **shown),
+        report=(tiling, {"data": output.path}),
     ):
         for label, value in tiling_facts(tiling).items():
             text = f"{value:.4f}" if isinstance(value, float) else str(value)
             print(f"{label:<44}{text:>10}")
 
 
-def finish_comparison(
-    table, plans: dict, output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
-) -> None:
+def finish_comparison(table, plans: dict, output) -> None:
     """Print a comparison of allocators, and write the files that are requested: the table, the plot and the report."""
     with files(
-        overwrite=overwrite,
-        output=(output, partial(write_table, table)),
-        plot=(plot, lambda: rs.plot.plot_allocators(table).figure),
-        report=(report, table, {"data": output, "plans": plans}),
+        output,
+        write=partial(write_table, table),
+        draw=lambda: rs.plot.plot_allocators(table).figure,
+        report=(table, {"data": output.path, "plans": plans}),
     ):
         kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
         print(
@@ -124,9 +111,7 @@ def finish_comparison(
                 print(f"{name}: not met: {sentence}")
 
 
-def finish_estimate(
-    estimate, model: "rs.Instrument", output: Path | None, plot: Path | None, report: Path | None, *, overwrite: bool
-) -> None:
+def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
     """Print an estimate of a collision probability; write the table, the plot and the report if requested."""
     plane, shape = model.focal_plane, model.focal_plane.positioner.arm_model
     table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
@@ -138,14 +123,9 @@ def finish_estimate(
         return rs.plot.plot_collision_map(estimate, plane).figure
 
     page = {"title": f"Collision probability of {model.name}"}
-    if report is not None:
+    if output.report is not None:
         page["figures"] = {MAP: draw()}
-    with files(
-        overwrite=overwrite,
-        output=(output, partial(write_table, table)),
-        plot=(plot, draw),
-        report=(report, estimate, page),
-    ):
+    with files(output, write=partial(write_table, table), draw=draw, report=(estimate, page)):
         kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
         print(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
@@ -154,17 +134,14 @@ def finish_estimate(
         print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
 
 
-def finish_table(table, draw, output: Path, plot: Path, report: Path | None, *, overwrite: bool) -> None:
+def finish_table(table, draw, output) -> None:
     """Print a table of results, and write it with its plot and, if requested, its report."""
-    name, page = table.meta["instrument"], {"data": output}
-    if report is not None:
+    name, page = table.meta["instrument"], {"data": output.path}
+    if output.report is not None:
         caption = f"Computing time and error of each method, for {name}."
         page |= {"title": f"Benchmark: {name}", "figures": {caption: _first(draw(table))}}
     with files(
-        overwrite=overwrite,
-        output=(output, partial(write_table, table)),
-        plot=(plot, lambda: _first(draw(table)).figure),
-        report=(report, table, page),
+        output, write=partial(write_table, table), draw=lambda: _first(draw(table)).figure, report=(table, page)
     ):
         print_table(table)
 
@@ -197,7 +174,7 @@ def print_summary(tile: "rs.Tile") -> None:
     _print_objectives(tile)
     kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
     if kinds and not values["requirements"]:
-        example = " ".join(f"--require {kind}=20" for kind in sorted(kinds))
+        example = " ".join(f"--constraint {kind}=20" for kind in sorted(kinds))
         print(f"standard stars and sky positions are assigned only if numbers of them are required, such as {example}")
     if tile.completeness is not None and len(tile.completeness) > 1:
         print(

@@ -3,6 +3,7 @@
 The module imports little, because an interrupt before the function ``main`` gives a traceback.
 """
 
+import atexit
 import os
 import signal
 import sys
@@ -25,16 +26,27 @@ def main() -> None:
     temporary files. The process then ends without waiting for threads, because some threads, such as those of HiGHS,
     cannot be stopped and would abort the process.
     """
+    numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+    handlers, hook = {number: signal.getsignal(number) for number in numbers}, sys.unraisablehook
     try:
         _prepare()
         from rfpsurvey._cli._main import run
 
         code = run()
-        _on_signals(lambda *_: os._exit(code))  # the output is complete
     finally:
         if _received:  # even if a function of another package caught the KeyboardInterrupt
             _end()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = hook
+    atexit.unregister(_ignore_signals)
+    atexit.register(_ignore_signals, code)
     sys.exit(code)
+
+
+def _ignore_signals(code: int) -> None:
+    """Let a signal end the process with the exit code of the command, because the output is complete."""
+    _on_signals(lambda *_: os._exit(code))
 
 
 def tell_if_interrupted(sentence: str) -> None:

@@ -9,27 +9,50 @@ from pathlib import Path
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _options
+from rfpsurvey._cli import _app, _groups
+from rfpsurvey._cli._print import files, print_table
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
-from rfpsurvey.plot import draw_survey
+from rfpsurvey._io import write_bytes
+from rfpsurvey.errors import warn_no_effect
 from rfpsurvey.report import survey_facts
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["run", "targets_of", "tiles_of", "workers"]
+__all__ = ["order_of", "read_tiles", "run", "targets_of", "tiles_of", "workers"]
 
 MANY = 0.05  # the collision rate above which a hint is printed
 
 
-def targets_of(path: Path | None, model: "rs.Instrument", seed: int, column, unit, frame: str, fill, keep, hdu):
+LITTLE = 0.001  # the fraction of visits below which the text before a search advises against a long search
+PLAN = "plan.toml"
+"""Name of the plan file in the folder of a survey."""
+
+
+def targets_of(keys, model: "rs.Instrument", seed: int):
     """Read a catalog from a file or a folder of partitions; by default, make a synthetic catalog wider than a field."""
-    if path is None:
-        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, keep=keep, hdu=hdu)
+    if keys.path is None:
+        _app.warn_without_catalog(keys)
         options = {"density": model.target_density, "rng": seed}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
-    return _app.read_catalog(path, column, unit, frame, fill, keep, hdu)
+    return _app.read_catalog(keys)
+
+
+def read_tiles(keys) -> "rs.Tiling | None":
+    """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
+    columns, units = keys.columns or {}, keys.units or {}
+    if keys.path is None:
+        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu}.items():
+            if value:
+                warn_no_effect(f"tiles.{name}", "without a table of tiles")
+        return None
+    tiling = rs.Tiling.read(keys.path, columns, units, keys.hdu)
+    meta = tiling.table.meta
+    if any(role != name for role, name in meta["columns"].items()):
+        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
+        print(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
+    return tiling
 
 
 def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs.Tiling":
@@ -44,18 +67,28 @@ def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs
     return rs.place_tiles(targets, model, passes=2)
 
 
+def order_of(order: str, joint: dict) -> "str | rs.JointOptions":
+    """Return the parameter ``order`` of `plan_survey` for the keys of a joint plan."""
+    if order == "joint":
+        return rs.JointOptions(**joint, inform=_print_gain)
+    for name in joint:
+        warn_no_effect(f"joint.{name}", "without --order joint")
+    return order
+
+
 @contextmanager
-def workers(number: int, scheduler: str | None, *, processes: bool):
+def workers(keys):
     """Provide an executor (threads, processes or Dask), or None if all tiles are planned in the main thread."""
+    number, processes, scheduler = keys.workers, keys.processes, getattr(keys, "scheduler", None)
     if scheduler is not None:
         try:
             from distributed import Client
         except ImportError as error:
-            raise rs.InputError(f"--scheduler needs dask (pip install 'rfpsurvey[distributed]'): {error}") from error
+            raise rs.InputError(f"scheduler needs dask (pip install 'rfpsurvey[distributed]'): {error}") from error
         try:
             client = Client(scheduler, timeout="10s")
         except (OSError, ValueError, TypeError) as error:
-            raise rs.InputError(f"--scheduler: no Dask scheduler answers at {scheduler!r}: {error}") from error
+            raise rs.InputError(f"scheduler: no Dask scheduler answers at {scheduler!r}: {error}") from error
         with client:
             yield client.get_executor()
     elif number == 1 and not processes:
@@ -110,42 +143,56 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
             "joint plan: for each priority, the number of visits to targets of at least this priority, and its "
             "upper bound:"
         )
-        _app.print_table(last)
+        print_table(last)
     print("visits and completeness after each pass:")
-    _app.print_table(survey.completeness)
+    print_table(survey.completeness)
     if s["collision_rate"] > MANY:
-        print(f"many arms collide; these allocators avoid collisions: {_options.AVOIDING}")
+        print(f"many arms collide; these allocators avoid collisions: {_groups.AVOIDING}")
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 
-def run(
-    targets,
-    tiling: "rs.Tiling",
-    model: "rs.Instrument",
-    executor,
-    options: dict,
-    plot: Path | None,
-    quality: Path | None,
-    report: Path | None,
-    *,
-    overwrite: bool,
-) -> None:
-    """Plan a survey and print its summary; write the plots and the report if requested."""
+def _print_gain(state: dict) -> None:
+    """Print the number of visits before the search, and the largest number of visits that the search can reach."""
+    before, visits, bound = state["visits_before"][-1], state["visits"][-1], int(state["bound"][-1])
+    more = max(bound - visits, 0)
+    part = more / max(visits, 1)
+    text = (
+        f"visits: {before} with tiles planned one after the other; {visits} after visits were moved between tiles; "
+        f"at most {max(bound, visits)} with any plan\n"
+    )
+    several = any(int(b) > v for v, b in zip(state["visits"][:-1], state["bound"][:-1], strict=True))
+    if more == 0 and not several:
+        text += "the search cannot add visits"
+    elif part < LITTLE and not several:
+        text += f"the search can add at most {more} visits ({part:.2%}); a long search is not worthwhile"
+    else:
+        text += f"the search can add at most {more} visits ({part:.2%})"
+        text += ", or move visits from targets of lower priority to targets of higher priority" if several else ""
+    print(text, file=sys.stderr)
+
+
+def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options: dict, output, given) -> None:
+    """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
     stored = "finished tiles" if isinstance(options["order"], str) else "state of the search and the finished tiles"
     kept = (
         f"the {stored} are stored in the folder; continue with --resume"
-        if options["folder"]
+        if output.folder
         else "no tiles were stored, because --folder was not given"
     )
     tell_if_interrupted(kept)
-    survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
+    try:
+        survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
+    finally:
+        if output.folder is not None and (output.folder / "survey.json").is_file():
+            write_bytes(output.folder / PLAN, given.to_toml(output.folder).encode())
     seconds = perf_counter() - begin
-    with _app.files(
-        overwrite=overwrite,
-        plot=(plot, lambda: draw_survey(survey)),
-        quality=(quality, lambda: rs.plot.plot_quality(survey)[0].figure),
-        report=(report, survey, {}),
+    survey.provenance["plan_file"] = given.to_toml(Path())
+    with files(
+        output,
+        draw=lambda: rs.plot.draw_survey(survey),
+        quality=lambda: rs.plot.plot_quality(survey)[0].figure,
+        report=(survey, {}),
     ):
         _print_survey(survey, seconds)
         if survey.folder is not None:

@@ -1,13 +1,15 @@
 """The command ``rfpsurvey benchmark`` and its subcommands."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _options, _states
+from rfpsurvey._cli import _app, _examples, _groups, _main, _print
+from rfpsurvey._cli._command import command
 
 benchmark = typer.Typer(
     no_args_is_help=True,
@@ -15,70 +17,100 @@ benchmark = typer.Typer(
     "for the arms of an instrument.",
 )
 _main.app.add_typer(benchmark, name="benchmark")
+PLOT = "Plot (.png, .pdf or .svg); the table is written to the same folder."
+OPTIONS = "instrument.name instrument.arm_model instrument.state_time repeats"
+OUTPUT = " rng output.plot output.report output.overwrite"
 
 
-@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
-def collisions(
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    state_time: _states.OwnStateTimeOption = None,
-    method: Annotated[
-        list[str] | None, typer.Option(help="Method to compare; may be repeated. By default, all methods are compared.")
-    ] = None,
-    repeats: Annotated[int, typer.Option(help="Maximum number of runs of each method.")] = 15,
-    seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
-    plot: Annotated[
-        Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")
-    ] = Path("benchmark_collisions.png"),
-    report: _options.ReportOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@dataclass(frozen=True)
+class CollisionsOutputKeys(_groups.OutputKeys):
+    """The files that the benchmark of collisions writes."""
+
+    plot: Annotated[Path, PLOT] = Path("benchmark_collisions.png")
+
+
+@dataclass(frozen=True)
+class ProbabilityOutputKeys(_groups.OutputKeys):
+    """The files that the benchmark of probabilities writes."""
+
+    plot: Annotated[Path, PLOT] = Path("benchmark_probability.png")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionsKeys:
+    """The keys of the benchmark of collisions.
+
+    Parameters
+    ----------
+    methods : list[str], optional
+        Methods to compare. By default, all methods are compared.
+    repeats : int, optional
+        Maximum number of runs of each method.
+    """
+
+    instrument: _groups.InstrumentKeys
+    methods: list[str] | None = None
+    repeats: int = 15
+    rng: _groups.Seed = 0
+    output: CollisionsOutputKeys
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchesKeys:
+    """The keys of the benchmark of batches.
+
+    Parameters
+    ----------
+    repeats : int, optional
+        Number of calls with the same settings; the median time is shown.
+    """
+
+    instrument: _groups.InstrumentKeys
+    repeats: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbabilityKeys:
+    """The keys of the benchmark of probabilities.
+
+    Parameters
+    ----------
+    repeats : int, optional
+        Number of runs with different random numbers, for each method and each number of iterations.
+    """
+
+    instrument: _groups.InstrumentKeys
+    repeats: int = 30
+    rng: _groups.Seed = 0
+    output: ProbabilityOutputKeys
+
+
+@command(CollisionsKeys, f"{OPTIONS} methods{OUTPUT}", app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+def collisions(keys: CollisionsKeys) -> None:
     """Compare the speed and the errors of the methods of finding collisions."""
-    output = _app.check_chart(plot, report, overwrite=overwrite)
-    options = {"methods": method, "repeats": repeats, "rng": seed, "progress": sys.stderr.isatty()}
-    table = rs.benchmark.benchmark_collisions(_app.model_of(instrument, arm_model, state_time=state_time), **options)
-    _app.finish_table(table, rs.plot.plot_speed_accuracy, output, plot, report, overwrite=overwrite)
+    output = _app.check_chart(keys.output)
+    options = {"methods": keys.methods, "repeats": keys.repeats, "rng": keys.rng, "progress": sys.stderr.isatty()}
+    table = rs.benchmark.benchmark_collisions(_app.model_of(keys.instrument), **options)
+    _print.finish_table(table, rs.plot.plot_speed_accuracy, output)
 
 
-@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
-def batches(
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    state_time: _states.OwnStateTimeOption = None,
-    repeats: Annotated[int, typer.Option(help="Number of calls with the same settings; the median time is shown.")] = 5,
-) -> None:
+@command(BatchesKeys, OPTIONS, app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+def batches(keys: BatchesKeys) -> None:
     """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
-    _app.print_table(
-        rs.benchmark.benchmark_batches(_app.model_of(instrument, arm_model, state_time=state_time), repeats=repeats)
-    )
+    _print.print_table(rs.benchmark.benchmark_batches(_app.model_of(keys.instrument), repeats=keys.repeats))
 
 
-@benchmark.command(epilog=_examples.BENCHMARK_EXAMPLES)
-def probability(
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    state_time: _states.OwnStateTimeOption = None,
-    repeats: Annotated[
-        int,
-        typer.Option(
-            help="Number of runs with different random numbers, for each method and each number of iterations."
-        ),
-    ] = 30,
-    seed: Annotated[int, typer.Option(help="Seed of the random numbers.")] = 0,
-    plot: Annotated[
-        Path, typer.Option(help="Plot (.png, .pdf or .svg); the table is written to the same folder.")
-    ] = Path("benchmark_probability.png"),
-    report: _options.ReportOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@command(ProbabilityKeys, OPTIONS + OUTPUT, app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+def probability(keys: ProbabilityKeys) -> None:
     """Compare the time and the error of the methods that estimate collision probabilities.
 
     The command also prints the collision probability of independent targets for several probability densities of the
     targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
     targets.
     """
-    output = _app.check_chart(plot, report, overwrite=overwrite)
-    model = _app.model_of(instrument, arm_model, state_time=state_time)
-    _app.print_table(rs.benchmark.benchmark_densities(model, rng=seed))
-    table = rs.benchmark.benchmark_probability(model, repeats=repeats, rng=seed, progress=sys.stderr.isatty())
-    _app.finish_table(table, rs.plot.plot_probability_accuracy, output, plot, report, overwrite=overwrite)
+    output = _app.check_chart(keys.output)
+    model, options = _app.model_of(keys.instrument), {"rng": keys.rng}
+    _print.print_table(rs.benchmark.benchmark_densities(model, **options))
+    options |= {"repeats": keys.repeats, "progress": sys.stderr.isatty()}
+    table = rs.benchmark.benchmark_probability(model, **options)
+    _print.finish_table(table, rs.plot.plot_probability_accuracy, output)

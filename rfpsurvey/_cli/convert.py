@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey._cli import _examples, _main, _options
+from rfpsurvey._cli import _examples, _main
 from rfpsurvey._outputs import check_parent, check_separate
 from rfpsurvey.plans import read_plan, write_plan
 
@@ -23,7 +23,7 @@ def convert(
             "the file name determines the format."
         ),
     ] = None,
-    overwrite: _options.OverwriteOption = False,
+    overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
 ) -> None:
     """Convert a plan to the format of another program."""
     check_separate([target], [source])

@@ -1,10 +1,11 @@
 """The command ``rfpsurvey instruments``."""
 
+from dataclasses import dataclass
 from typing import Annotated
 
-import typer
-
-from rfpsurvey._cli import _app, _main, _options, _states
+from rfpsurvey._cli import _app, _groups
+from rfpsurvey._cli._command import command
+from rfpsurvey._cli._keys import Located
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument, every_instrument, fact_texts
 
@@ -16,23 +17,33 @@ Examples:
 """
 
 
-@_main.app.command(epilog=EXAMPLES)
-def instruments(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Names of presets, or paths of TOML files; if several are given, the instruments are "
-            "compared. By default, all presets are listed."
-        ),
-    ] = None,
-    arm_model: _options.ArmModelOption = None,
-    broken: _states.BrokenOption = None,
-    state_time: _states.OwnStateTimeOption = None,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class InstrumentsKeys:
+    """The keys of the command.
+
+    Parameters
+    ----------
+    instruments : list[str], optional
+        Names of presets, or paths of TOML files; if several are given, the instruments are compared. By default, all
+        presets are listed.
+    """
+
+    instruments: Annotated[list[str] | None, Located] = None
+    instrument: _groups.StateKeys
+
+
+@command(
+    InstrumentsKeys,
+    "instrument.arm_model instrument.broken instrument.state_time",
+    argument="instruments",
+    epilog=EXAMPLES,
+)
+def instruments(keys: InstrumentsKeys) -> None:
     """List all instruments, describe one instrument with the source of every value, or compare several instruments."""
-    if broken is not None and len(names or ()) != 1:
+    names = keys.instruments or []
+    if keys.instrument.broken is not None and len(names) != 1:
         raise InputError("--broken must be used with the name or path of one instrument")
-    models = [_app.model_of(name, arm_model, broken, state_time) for name in names or ()]
+    models = [_app.model_of(_groups.InstrumentKeys(**vars(keys.instrument), name=name)) for name in names]
     if not models:
         _print_list()
     elif len(models) == 1:

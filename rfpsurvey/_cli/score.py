@@ -1,95 +1,120 @@
 """The command ``rfpsurvey score``."""
 
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import astropy.units as u
-import typer
+from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print
+from rfpsurvey._cli._command import Given, command
+from rfpsurvey._cli._keys import Located
 from rfpsurvey.tile import north_of_date
 
 
-@_main.app.command(epilog=_examples.SCORE_EXAMPLES)
-def score(
-    assignment: Annotated[
-        Path,
-        typer.Argument(
-            help="Plan of another program, or a table with the positioner (or hole) and position of each target."
-        ),
-    ],
-    instrument: Annotated[
-        str | None,
-        typer.Option(
-            help="Instrument: the name of a preset, the path of a TOML file, or the path of the calibration "
-            "files of a real instrument. By default, the instrument named in the plan or tile is used."
-        ),
-    ] = None,
-    arm_model: _options.ArmModelOption = None,
-    broken: _states.BrokenOption = None,
-    state_time: _states.StateTimeOption = None,
-    margins: _margins.MarginsOption = None,
-    center: Annotated[
-        str | None,
-        typer.Option(
-            help="Field center (ICRS). By default, the values racen and deccen in the columns or the header of the "
-            "table are used."
-        ),
-    ] = None,
-    pa: Annotated[
-        float | None,
-        typer.Option(
-            help="Position angle (deg). By default, the value position_angle in the columns or the header of the "
-            "table is used.",
-            callback=_options.check_angle,
-        ),
-    ] = None,
-    equinox: _options.EquinoxOption = None,
-    epoch: _options.EpochOption = None,
-    positions: Annotated[str | None, typer.Option(help="Target positions to use: focal_plane or sky.")] = None,
-    select: Annotated[
-        list[str] | None, typer.Option(help="Use only rows that have the given value in a column, COLUMN=VALUE.")
-    ] = None,
-    skip_missing: Annotated[
-        bool, typer.Option("--skip-missing", help="Skip assigned rows that have no position, and score the other rows.")
-    ] = False,
-    parked: _options.ParkedOption = True,
-    hdu: _options.HduOption = None,
-    column: _options.ColumnOption = None,
-    unit: _options.UnitOption = None,
-    output: _options.OutputOption = None,
-    plot: _options.PlotOption = None,
-    report: _options.ReportOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@dataclass(frozen=True)
+class AssignmentKeys:
+    """The plan that is scored.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Plan of another program, or a table with the positioner (or hole) and position of each target.
+    columns : dict[str, str], optional
+        Names of columns of the table by their roles, such as ra=RA_TARG.
+    units : dict[str, str], optional
+        Units of columns that have no unit, by role, such as ra=deg.
+    hdu : str or int, optional
+        Number or name (EXTNAME) of the table in a FITS file with several tables.
+    select : dict[str, str], optional
+        Use only rows with these values of columns, such as field=1.
+    """
+
+    path: Path | None = None
+    columns: dict[str, str] | None = None
+    units: dict[str, str] | None = None
+    hdu: str | int | None = None
+    select: dict[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class ScoreInstrumentKeys(_groups.StateKeys):
+    """The instrument of the plan.
+
+    Parameters
+    ----------
+    name : str, optional
+        Instrument: the name of a preset, the path of a TOML file, or the path of the calibration files of a real
+        instrument. By default, the instrument named in the plan or tile is used.
+    """
+
+    name: Annotated[str | None, Located] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreKeys:
+    """The keys of the command.
+
+    Parameters
+    ----------
+    center : str, optional
+        Field center (ICRS). By default, the values racen and deccen in the columns or the header of the table.
+    position_angle : Quantity, optional
+        Position angle. By default, the value position_angle in the columns or the header of the table.
+    positions : str, optional
+        Target positions to use: focal_plane or sky.
+    missing : str, optional
+        Treatment of assigned rows without a position: refuse, or skip (score the other rows).
+    parked_obstacles : bool, optional
+        Whether parked arms of idle positioners are obstacles, if both arms of a positioner are equally long.
+    """
+
+    catalog: AssignmentKeys
+    instrument: ScoreInstrumentKeys
+    output: _groups.TableOutputKeys
+    center: str | None = None
+    position_angle: u.Quantity[u.deg] | None = None
+    equinox: _groups.Equinox = None
+    epoch: _groups.Epoch = None
+    positions: str | None = None
+    missing: str = "refuse"
+    parked_obstacles: bool = True
+
+
+@command(
+    ScoreKeys,
+    "instrument.name center position_angle epoch positions missing catalog.select catalog.columns output.path "
+    "output.plot output.report output.overwrite",
+    argument="catalog.path",
+    epilog=_examples.SCORE_EXAMPLES,
+)
+def score(keys: ScoreKeys, _: Given) -> None:
     """Find the collisions in an assignment that was made by another program."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(assignment, instrument, broken))
-    table = _app.read_assignment(assignment, select, hdu)
-    options = {"positions": positions, "epoch": epoch, "parked_obstacles": parked}
-    options["missing"] = "skip" if skip_missing else "refuse"
-    if center is None:
-        options["equinox"] = equinox
+    path = keys.catalog.path
+    if path is None:
+        raise rs.InputError("catalog.path must be given: the file of the plan to score")
+    _app.check_outputs(keys.output, (path, keys.instrument.name, keys.instrument.broken))
+    table = _app.read_assignment(keys.catalog)
+    options = {name: getattr(keys, name) for name in ("positions", "epoch", "missing", "parked_obstacles")}
+    if keys.center is None:
+        options["equinox"] = keys.equinox
     else:
-        options["center"] = north_of_date(_app.parse_center(center), equinox)
-    options["position_angle"] = None if pa is None else pa * u.deg
-    options.update(columns=_app.parse_pairs(column, "--column"), units=_app.units_of(assignment, unit))
-    read = partial(
-        _app.model_of,
-        arm_model=arm_model,
-        margins=margins,
-        broken=broken,
-        state_time=state_time,
-        known_time=lambda: _time_of(table, epoch),
-    )
-    tile = rs.score_tile(table, _app.instrument_of(table, instrument, read), **options)
+        options["center"] = north_of_date(_app.parse_center(keys.center), keys.equinox)
+    options["position_angle"] = keys.position_angle
+    options |= {"columns": keys.catalog.columns or {}, "units": _app.units_of(path, keys.catalog.units)}
+
+    def read(name: str) -> "rs.Instrument":
+        return _app.model_of(replace(keys.instrument, name=name), lambda: _time_of(table, keys.epoch))
+
+    tile = rs.score_tile(table, _app.instrument_of(table, keys.instrument.name, read), **options)
     print(f"columns: {tile.provenance['catalog']['columns']}")
-    _app.finish(tile, output, plot, report, overwrite=overwrite)
+    _print.finish(tile, keys.output)
 
 
-def _time_of(table, epoch: str | None):
-    """Return the time of the observing conditions that a tile records or, without such a time, of --epoch."""
+def _time_of(table, epoch: object) -> Time | None:
+    """Return the time of the observing conditions that a tile records or, without such a time, the epoch."""
     provenance = table.meta.get("provenance")
     recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
-    return _states.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)
+    return _conditions.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)

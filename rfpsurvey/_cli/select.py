@@ -1,90 +1,136 @@
 """The command ``rfpsurvey select``."""
 
+from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
+from typing import Annotated
+
+import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _main, _margins, _options, _process, _selections, _states, _surveys, _tiles
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _process, _surveys
+from rfpsurvey._cli._command import Given, command
 from rfpsurvey._outputs import check_output, check_separate
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR
+
+LINES = {
+    "n_realizations": "realizations",
+    "n_tiles": "tiles",
+    "n_targets": "targets with requested visits",
+    "n_unreachable": "targets that no tile can reach",
+    "n_never_observed": "targets never observed",
+    "n_sometimes_observed": "targets sometimes observed",
+    "n_always_observed": "targets always observed",
+    "mean_probability": "mean selection probability",
+    "n_assigned": "assigned fibers, all realizations",
+    "n_lost": "  lost to collisions",
+    "n_observed": "visits observed, all realizations",
+}
 
 
-@_main.app.command(epilog=_selections.SELECT_EXAMPLES)
-def select(
-    catalog: _options.SurveyCatalogArgument = None,
-    tiles: _tiles.TilesOption = None,
-    tiles_hdu: _tiles.TilesHduOption = None,
-    tiles_column: _tiles.TilesColumnOption = None,
-    tiles_unit: _tiles.TilesUnitOption = None,
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    broken: _states.BrokenOption = None,
-    state_time: _states.StateTimeOption = None,
-    margins: _margins.MarginsOption = None,
-    realizations: _selections.RealizationsOption = 128,
-    allocator: _selections.SelectAllocatorOption = DEFAULT_ALLOCATOR,
-    visits: _options.VisitsOption = None,
-    passes: _options.SomePassesOption = None,
-    epoch: _options.EpochOption = None,
-    require: _options.RequireOption = None,
-    required: _options.RequiredOption = None,
-    keep_out: _options.KeepOutOption = None,
-    sky_separation: _options.SkyOption = None,
-    time_limit: _options.TimeLimitOption = 60.0,
-    parked: _options.ParkedOption = True,
-    lost: _options.LostOption = True,
-    order: _options.OrderOption = "color",
-    output: _selections.SelectOutputOption = None,
-    folder: _selections.SelectFolderOption = None,
-    resume: _selections.SelectResumeOption = False,
-    workers: _options.WorkersOption = 1,
-    processes: _options.ProcessesOption = False,
-    scheduler: _options.SchedulerOption = None,
-    seed: _options.SeedOption = 0,
-    hdu: _options.HduOption = None,
-    column: _options.ColumnOption = None,
-    unit: _options.UnitOption = None,
-    frame: _options.FrameOption = "icrs",
-    fill: _options.FillOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@dataclass(frozen=True)
+class SelectOutputKeys:
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Write the selection probabilities, and the bits that record in which realizations each target is observed
+        (.fits).
+    folder : Path, optional
+        Folder for checkpoints and for the result, selection.fits.
+    resume : bool, optional
+        Continue the unfinished computation in the folder.
+    overwrite : bool, optional
+        Replace existing files.
+    """
+
+    path: Path | None = None
+    folder: Path | None = None
+    resume: bool = False
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectKeys(_groups.WorkerKeys):
+    """The keys of the command.
+
+    Parameters
+    ----------
+    n_realizations : int, optional
+        Number of realizations. A multiple of 64 is best, since each integer of the output stores 64 realizations.
+    """
+
+    catalog: _groups.SurveyCatalogKeys
+    instrument: _groups.InstrumentKeys
+    tiles: _groups.TilesKeys
+    options: _groups.Options
+    output: SelectOutputKeys
+    n_realizations: Annotated[int, 1] = 128
+    order: _groups.Order = "color"
+    epoch: _groups.Epoch = None
+    lost_in_collision: _groups.Lost = True
+    rng: _groups.Seed = 0
+
+
+@command(
+    SelectKeys,
+    "tiles.path instrument.name n_realizations options.allocator options.constraints catalog.visits tiles.passes epoch "
+    "order output.path output.folder output.resume workers rng catalog.columns output.overwrite",
+    argument="catalog.path",
+    epilog=_examples.SELECT_EXAMPLES,
+)
+def select(keys: SelectKeys, _: Given) -> None:
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
+    output, folder = keys.output.path, keys.output.folder
+    stored = folder and folder / "selection.fits"
     if output is not None:
-        check_separate([output, folder and folder / "selection.fits"], (catalog, tiles, instrument, broken))
-        check_output(output, (".fits",), overwrite=overwrite)
-    tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
-    model = _app.model_of(
-        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch), margins
-    )
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, None, hdu)
-    if visits is not None:
-        targets = _selections.with_visits(targets, visits)
+        paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
+        check_separate([output, stored], paths)
+        check_output(output, (".fits",), overwrite=keys.output.overwrite)
+    tiling = _surveys.read_tiles(keys.tiles)
+    model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
+    targets = _surveys.targets_of(keys.catalog, model, keys.rng)
+    if keys.catalog.visits is not None:
+        targets = _with_visits(targets, keys.catalog.visits)
     options = {
-        "allocator": _app.allocation_options(
-            allocator, require, sky_separation, time_limit, parked=parked, required=required, keep_out=keep_out
-        ),
-        "passes": passes,
-        "epoch": epoch,
-        "lost_in_collision": lost,
-        "order": order,
+        "allocator": rs.AllocationOptions(**keys.options),
+        "passes": keys.tiles.passes,
+        "epoch": keys.epoch,
+        "lost_in_collision": keys.lost_in_collision,
+        "order": keys.order,
         "folder": folder,
-        "resume": resume,
-        "rng": seed,
+        "resume": keys.output.resume,
+        "rng": keys.rng,
     }
     tiling = _surveys.tiles_of(tiling, targets, model)
     begin = perf_counter()
-    kept = (
-        "the checkpoints are stored in the folder; continue with --resume"
-        if folder
-        else "no results were stored, because --folder was not given"
-    )
-    _process.tell_if_interrupted(kept)
-    with _surveys.workers(workers, scheduler, processes=processes) as executor:
+    kept = "the checkpoints are stored in the folder; continue with --resume"
+    _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")
+    with _surveys.workers(keys) as executor:
         found = rs.selection_probabilities(
-            targets, model, tiling, realizations, executor=executor, progress=True, **options
+            targets, model, tiling, keys.n_realizations, executor=executor, progress=True, **options
         )
     if output is not None:
-        found.write(output, overwrite=overwrite)
-    _selections.print_selection(found, allocator, perf_counter() - begin)
-    for path in (output, None if folder is None else folder / "selection.fits"):
-        if path is not None:
-            print(f"wrote {path}")
+        found.write(output, overwrite=keys.output.overwrite)
+    _print_selection(found, options["allocator"].name, perf_counter() - begin)
+    for path in filter(None, (output, stored)):
+        print(f"wrote {path}")
+
+
+def _with_visits(targets, visits: int):
+    """Return a copy of a catalog in which every target requires the given number of visits."""
+    if isinstance(targets, rs.PartitionedCatalog):
+        raise rs.InputError("visits cannot be used with a partitioned catalog; add the column visits to the catalog")
+    return replace(targets, visits=np.full(len(targets), visits))
+
+
+def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
+    """Print the summary of selection probabilities, one value per line."""
+    s = found.summary
+    print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
+    print(f"model: {s['model']}")
+    for name, label in LINES.items():
+        value = s[name]
+        print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    plans = s["n_tiles"] * s["n_realizations"]
+    print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")

@@ -1,92 +1,80 @@
 """The command ``rfpsurvey survey``."""
 
-from rfpsurvey._cli import _app, _conditions, _examples, _joint, _main, _margins, _options, _states, _surveys, _tiles
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _surveys
+from rfpsurvey._cli._command import Given, command
+from rfpsurvey._cli._keys import Part
 
 
-@_main.app.command(epilog=_examples.SURVEY_EXAMPLES)
-def survey(
-    catalog: _options.SurveyCatalogArgument = None,
-    tiles: _tiles.TilesOption = None,
-    tiles_hdu: _tiles.TilesHduOption = None,
-    tiles_column: _tiles.TilesColumnOption = None,
-    tiles_unit: _tiles.TilesUnitOption = None,
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    broken: _states.BrokenOption = None,
-    state_time: _states.StateTimeOption = None,
-    margins: _margins.MarginsOption = None,
-    allocator: _options.AllocatorOption = DEFAULT_ALLOCATOR,
-    visits: _options.VisitsOption = None,
-    passes: _options.SomePassesOption = None,
-    epoch: _options.EpochOption = None,
-    conditions: _conditions.ConditionsOption = None,
-    site: _conditions.SiteOption = None,
-    time: _conditions.TilesTimeOption = None,
-    hour_angle: _conditions.TilesHourAngleOption = None,
-    wavelength: _conditions.WavelengthOption = None,
-    exposure_time: _conditions.ExposureOption = None,
-    require: _options.RequireOption = None,
-    required: _options.RequiredOption = None,
-    keep_out: _options.KeepOutOption = None,
-    sky_separation: _options.SkyOption = None,
-    time_limit: _options.TimeLimitOption = 60.0,
-    subpriority: _options.SubpriorityOption = None,
-    parked: _options.ParkedOption = True,
-    lost: _options.LostOption = True,
-    order: _options.OrderOption = "color",
-    joint_gap: _joint.GapOption = None,
-    joint_iterations: _joint.IterationsOption = None,
-    joint_time: _joint.JointTimeOption = None,
-    fixed: _joint.FixedOption = None,
-    folder: _options.FolderOption = None,
-    resume: _options.ResumeOption = False,
-    workers: _options.WorkersOption = 1,
-    processes: _options.ProcessesOption = False,
-    scheduler: _options.SchedulerOption = None,
-    seed: _options.SeedOption = 0,
-    hdu: _options.HduOption = None,
-    column: _options.ColumnOption = None,
-    unit: _options.UnitOption = None,
-    frame: _options.FrameOption = "icrs",
-    keep: _options.KeepOption = None,
-    fill: _options.FillOption = None,
-    plot: _options.SurveyPlotOption = None,
-    quality: _options.SurveyQualityOption = None,
-    report: _options.ReportOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@dataclass(frozen=True)
+class SurveyOutputKeys(_groups.OutputKeys):
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Folder to which the finished tiles are written.
+    resume : bool, optional
+        Continue the unfinished survey in the folder.
+    plot : Path, optional
+        Plot the tiles on the sky and the completeness (.png, .pdf or .svg).
+    quality : Path, optional
+        Plot the numbers of visits per priority class, of targets per outcome, and of fibers per kind of target (.png,
+        .pdf or .svg).
+    """
+
+    folder: Path | None = None
+    resume: bool = False
+    plot: Path | None = None
+    quality: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyKeys(_groups.WorkerKeys):
+    """The keys of the command."""
+
+    catalog: _groups.SurveyCatalogKeys
+    instrument: _groups.InstrumentKeys
+    tiles: _groups.TilesKeys
+    options: _groups.Options
+    joint: Annotated[dict, Part(rs.JointOptions)]
+    conditions: _groups.Conditions
+    output: SurveyOutputKeys
+    order: _groups.Order = "color"
+    epoch: _groups.Epoch = None
+    lost_in_collision: _groups.Lost = True
+    rng: _groups.Seed = 0
+
+
+@command(
+    SurveyKeys,
+    "tiles.path instrument.name options.allocator options.constraints catalog.visits tiles.passes epoch order "
+    "catalog.columns output.folder output.resume workers rng output.plot output.report output.overwrite",
+    argument="catalog.path",
+    epilog=_examples.SURVEY_EXAMPLES,
+)
+def survey(keys: SurveyKeys, given: Given) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
-    _app.check_outputs(
-        None, plot, report, quality, overwrite=overwrite, inputs=(catalog, tiles, instrument, broken, conditions)
-    )
-    seen = conditions, site, time, hour_angle, wavelength, exposure_time
-    tiling = _tiles.read_tiles(tiles, tiles_column, tiles_unit, tiles_hdu)
-    model = _app.model_of(
-        instrument, arm_model, broken, state_time, lambda: _states.time_of_tiles(tiling, epoch, *seen), margins
-    )
-    targets = _surveys.targets_of(catalog, model, seed, column, unit, frame, fill, keep, hdu)
+    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
+    _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
+    tiling = _surveys.read_tiles(keys.tiles)
+    model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
+    targets = _surveys.targets_of(keys.catalog, model, keys.rng)
     options = {
-        "allocator": _app.allocation_options(
-            allocator,
-            require,
-            sky_separation,
-            time_limit,
-            parked=parked,
-            required=required,
-            keep_out=keep_out,
-            subpriority=subpriority,
-        ),
-        "visits": visits,
-        "passes": passes,
-        "epoch": epoch,
-        "lost_in_collision": lost,
-        "order": _joint.joint_order(order, joint_gap, joint_iterations, joint_time, fixed),
-        "folder": folder,
-        "resume": resume,
-        "rng": seed,
+        "allocator": rs.AllocationOptions(**keys.options),
+        "visits": keys.catalog.visits,
+        "passes": keys.tiles.passes,
+        "epoch": keys.epoch,
+        "lost_in_collision": keys.lost_in_collision,
+        "order": _surveys.order_of(keys.order, keys.joint),
+        "folder": keys.output.folder,
+        "resume": keys.output.resume,
+        "rng": keys.rng,
     }
-    tiling = _surveys.tiles_of(tiling, targets, model)
-    tiling = _conditions.tiles_under(tiling, *seen)
-    with _app.seed_of(catalog), _surveys.workers(workers, scheduler, processes=processes) as executor:
-        _surveys.run(targets, tiling, model, executor, options, plot, quality, report, overwrite=overwrite)
+    tiling = _conditions.tiles_under(_surveys.tiles_of(tiling, targets, model), keys.conditions)
+    with _app.seed_of(keys.catalog.path), _surveys.workers(keys) as executor:
+        _surveys.run(targets, tiling, model, executor, options, keys.output, given)

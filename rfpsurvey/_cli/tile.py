@@ -1,84 +1,121 @@
 """The command ``rfpsurvey tile``."""
 
 import sys
+from dataclasses import dataclass
+from typing import Annotated
 
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _margins, _options, _states, _tiles
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR, given_options
+from rfpsurvey._cli import _app, _examples, _groups, _print, _surveys
+from rfpsurvey._cli._command import Given, command
+from rfpsurvey._methods import help_of
+from rfpsurvey.allocation import given_options
+from rfpsurvey.region import Region
+from rfpsurvey.tiling import METHODS
 
 
-@_main.app.command(epilog=_examples.TILE_EXAMPLES)
-def tile(
-    catalog: _options.CatalogArgument = None,
-    region: _options.RegionOption = None,
-    exclude: _options.ExcludeOption = None,
-    instrument: _options.InstrumentOption = "lamost",
-    arm_model: _options.ArmModelOption = None,
-    broken: _states.BrokenOption = None,
-    state_time: _states.OwnStateTimeOption = None,
-    margins: _margins.MarginsOption = None,
-    method: _options.TilingMethodOption = "hexagonal",
-    passes: _options.PassesOption = 1,
-    completeness: _options.CompletenessOption = None,
-    n_tiles: _options.NTilesOption = None,
-    centers: _tiles.CentersOption = None,
-    tiles_hdu: _tiles.TilesHduOption = None,
-    tiles_column: _tiles.TilesColumnOption = None,
-    tiles_unit: _tiles.TilesUnitOption = None,
-    declination: _options.DeclinationOption = None,
-    pa: _options.TilingPaOption = None,
-    allocator: _options.TilingAllocatorOption = None,
-    require: _options.RequireOption = None,
-    sky_separation: _options.SkyOption = None,
-    time_limit: _options.TimeLimitOption = 60.0,
-    parked: _options.ParkedOption = True,
-    lost: _options.LostOption = True,
-    fibers: _options.FibersOption = None,
-    radius: _options.RadiusOption = None,
-    visits: _options.VisitsOption = None,
-    seed: _options.SeedOption = 0,
-    hdu: _options.HduOption = None,
-    column: _options.ColumnOption = None,
-    unit: _options.UnitOption = None,
-    frame: _options.FrameOption = "icrs",
-    fill: _options.FillOption = None,
-    output: _options.TilingOutputOption = None,
-    plot: _options.TilingPlotOption = None,
-    report: _options.ReportOption = None,
-    overwrite: _options.OverwriteOption = False,
-) -> None:
+@dataclass(frozen=True)
+class CentersKeys(_groups.TableKeys):
+    """The centers of tiles.
+
+    Parameters
+    ----------
+    declination : Quantity or list[float], optional
+        Lowest and highest declination of the center of a tile.
+    position_angle : Quantity, optional
+        Position angle of the +y axis of the focal plane, from north toward east. By default, the position angles in the
+        table of centers are used, or 0 if the table has none.
+    """
+
+    declination: u.Quantity[u.deg] | list[float] | None = None
+    position_angle: u.Quantity[u.deg] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileKeys:
+    """The keys of the command.
+
+    Parameters
+    ----------
+    region : Region, optional
+        Region: 'cap RA DEC RADIUS', 'box RA1 RA2 DEC1 DEC2', 'polygon RA DEC ...' (deg), or sky. With a catalog, only
+        the targets inside the region are used.
+    exclude : list[Region], optional
+        Regions to exclude; the targets and the area inside are ignored.
+    passes : int, optional
+        Number of passes, for methods that cover the field.
+    completeness : float, optional
+        Stop placing tiles when this fraction of the requested visits (0 to 1) is reached.
+    n_tiles : int, optional
+        Largest number of tiles.
+    fibers : int, optional
+        Largest number of targets per tile. Without an allocator, every fiber is assumed to reach every target of the
+        field.
+    radius : Quantity, optional
+        Radius of a tile, in place of the radius of the instrument. With this key, every fiber is assumed to reach every
+        target of the tile.
+    """
+
+    catalog: _groups.SurveyCatalogKeys
+    instrument: _groups.InstrumentKeys
+    tiles: CentersKeys
+    options: _groups.Options
+    output: _groups.TableOutputKeys
+    region: Region | None = None
+    exclude: list[Region] | None = None
+    method: Annotated[str, f"Method of placing tiles: {help_of(METHODS)}."] = "hexagonal"
+    passes: int = 1
+    completeness: float | None = None
+    n_tiles: int | None = None
+    fibers: int | None = None
+    radius: u.Quantity[u.deg] | None = None
+    lost_in_collision: _groups.Lost = True
+    rng: _groups.Seed = 0
+
+
+@command(
+    TileKeys,
+    "region instrument.name method passes completeness n_tiles tiles.path=--centers options.allocator "
+    "options.constraints catalog.visits catalog.columns rng output.path output.plot output.report output.overwrite",
+    argument="catalog.path",
+    epilog=_examples.TILE_EXAMPLES,
+)
+def tile(keys: TileKeys, _: Given) -> None:
     """Place the tiles of a survey."""
-    _app.check_outputs(output, plot, report, overwrite=overwrite, inputs=(catalog, centers, instrument, broken))
-    model = _app.model_of(instrument, arm_model, broken, state_time, margins=margins)
-    inside = None if region is None else rs.Region.parse(region)
-    field = inside
-    if catalog is not None or region is None:
-        field, _ = _app.targets_and_center(catalog, None, model, seed, column, unit, frame, fill, hdu=hdu)
+    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
+    _app.check_outputs(keys.output, paths)
+    model = _app.model_of(keys.instrument)
+    field = inside = keys.region
+    if keys.catalog.path is not None or inside is None:
+        field, _ = _app.targets_and_center(keys.catalog, None, model, keys.rng)
         field = field if inside is None else _targets_inside(field, inside)
     else:
-        _app.warn_without_catalog(column=column, unit=unit, frame=frame, fill=fill, hdu=hdu)
-    _margins.check_use(margins, by_positioners=field is not inside and (allocator or not (fibers or radius)))
-    with _app.seed_of(catalog or region):
+        _app.warn_without_catalog(keys.catalog)
+    by_fibers = keys.fibers or keys.radius is not None
+    if keys.instrument.margins and (field is inside or (by_fibers and "allocator" not in keys.options)):
+        raise rs.InputError(
+            "margins must be given only if positioners observe the targets of a catalog; add --allocator, and leave "
+            "out fibers and radius"
+        )
+    with _app.seed_of(keys.catalog.path or inside):
         tiling = rs.place_tiles(
             field,
             model,
-            method=method,
-            passes=passes,
-            completeness=completeness,
-            n_tiles=n_tiles,
-            fibers=rs.tiling.Fibers(fibers, lost_in_collision=lost),
-            allocator=_options_of(allocator, require, sky_separation, time_limit, parked, given=fibers or radius),
-            radius=None if radius is None else radius * u.deg,
-            centers=_centers(_tiles.read_tiles(centers, tiles_column, tiles_unit, tiles_hdu), declination, pa),
-            exclude=[rs.Region.parse(one) for one in exclude or []],
-            visits=visits,
+            method=keys.method,
+            passes=keys.passes,
+            completeness=keys.completeness,
+            n_tiles=keys.n_tiles,
+            fibers=rs.tiling.Fibers(keys.fibers, lost_in_collision=keys.lost_in_collision),
+            allocator=_options_of(keys.options, by_fibers=by_fibers),
+            radius=keys.radius,
+            centers=_centers(keys.tiles),
+            exclude=keys.exclude or [],
+            visits=keys.catalog.visits,
             progress=sys.stderr.isatty(),
-            rng=seed,
+            rng=keys.rng,
         )
-    shown = {"region": inside, "targets": None if field is inside else field}
-    _app.finish_tiling(tiling, shown, output, plot, report, overwrite=overwrite)
+    _print.finish_tiling(tiling, {"region": inside, "targets": None if field is inside else field}, keys.output)
 
 
 def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
@@ -91,23 +128,18 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
     return catalog[inside]
 
 
-def _centers(tiling, declination, pa):
-    """Return the constraints on the centers of tiles from the command-line options."""
-    return rs.tiling.Centers(
-        tiling,
-        None if declination is None else declination * u.deg,
-        None if pa is None else pa * u.deg,
-    )
+def _centers(keys) -> "rs.tiling.Centers":
+    """Return the constraints on the centers of tiles."""
+    return rs.tiling.Centers(_surveys.read_tiles(keys), keys.declination, keys.position_angle)
 
 
-def _options_of(allocator, require, sky_separation, time_limit, parked, *, given):
+def _options_of(given: dict, *, by_fibers: bool) -> "rs.AllocationOptions | None":
     """Return the options of an allocation, or None if all options have their default values."""
-    name = allocator or DEFAULT_ALLOCATOR
-    options = _app.allocation_options(name, require, sky_separation, time_limit, parked=parked)
+    options = rs.AllocationOptions(**given)
     asked = given_options(options)
-    if allocator is None and given and asked:
+    if "allocator" not in given and by_fibers and asked:
         raise rs.InputError(
-            "--allocator must be given if --fibers or --radius is combined with --require, --sky-separation, "
-            "--time-limit or --no-parked"
+            "--allocator must be given if fibers or radius is combined with options of an allocation, got "
+            f"{', '.join(asked)}"
         )
-    return None if allocator is None and not asked else options
+    return None if "allocator" not in given and not asked else options

@@ -4,7 +4,16 @@ from rfpsurvey._readers._archives import read_arrays
 from rfpsurvey._readers._documents import check_size, parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
 from rfpsurvey._readers._header import is_number
-from rfpsurvey._readers._limits import check_is_file, content_of, entries_of, head_of, is_present, open_file, sentence
+from rfpsurvey._readers._limits import (
+    check_is_file,
+    content_of,
+    entries_of,
+    head_of,
+    is_present,
+    open_file,
+    reading,
+    sentence,
+)
 from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
 from rfpsurvey._readers._quantities import without_unit
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
@@ -29,6 +38,7 @@ __all__ = [
     "read_table",
     "read_tables",
     "read_toml",
+    "reading",
     "sentence",
     "suffix_of",
     "table_of_arrow",

@@ -149,9 +149,9 @@ class AllocationOptions:
 
     allocator: str | Callable = DEFAULT_ALLOCATOR
     requirements: tuple[Requirement, ...] | list | str | Requirement | None = ()
-    sky_separation: u.Quantity | None = None
+    sky_separation: u.Quantity[u.arcsec] | None = None
     objective: str = "priority"
-    time_limit: u.Quantity = field(default=60 * u.s)
+    time_limit: u.Quantity[u.s] = field(default=60 * u.s)
     start: object = "lamost"
     parked_obstacles: bool = True
     required: np.ndarray | list | tuple | int | str | None = ()

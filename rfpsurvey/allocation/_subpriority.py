@@ -120,7 +120,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     if given not in (extra or {}):
         raise InputError(
             f"subpriority must be a seed or the name of an additional column that was read from the catalog by keep= "
-            f"or --keep, got {given!r}; additional columns: {listed(extra or ())}"
+            f"or --set catalog.keep=NAME, got {given!r}; additional columns: {listed(extra or ())}"
         )
     return check_values(extra[given], len(ids), f"the subpriorities (column {given!r})")
 

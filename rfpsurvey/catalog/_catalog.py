@@ -367,7 +367,7 @@ class Catalog:
         if still or not self.has_proper_motion or len(self) == 0:
             return self
         if self.epoch is None:
-            remedy = "give Catalog(..., epoch=), a column of epochs, or --column epoch=J2016"
+            remedy = "give Catalog(..., epoch=), a column of epochs, or --set catalog.epoch=J2016"
             raise InputError(f"the catalog has proper motions but no epoch to which the positions refer; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or have the shape ({len(self)},), got {time.shape}")

@@ -163,7 +163,7 @@ class Finder:
             if not self.assume_units:
                 raise InputError(
                     f"column {name!r} has no unit; state the unit, for example units={{{role!r}: '{UNITS[role]}'}} "
-                    f"or --unit {role}={str(UNITS[role]).replace(' ', '')}"
+                    f"or --set catalog.units.{role}={str(UNITS[role]).replace(' ', '')}"
                 )
             unit = self.assumed[role] = UNITS[role]
         try:
@@ -241,7 +241,7 @@ class Finder:
         if values is not None and (lacking := np.isnan(values)).any():
             raise InputError(
                 f"column {self.name_of(role)!r} ({role}) must have a number in every row, but {rows_of(lacking)} have "
-                f"none; state a value for these rows, for example fill={{{role!r}: 0}} or --fill {role}=0"
+                f"none; state a value for these rows, for example fill={{{role!r}: 0}} or --set catalog.fill.{role}=0"
             )
         return values
 
@@ -258,17 +258,17 @@ class Finder:
         labels = to_labels(self.table[name], f"column {name!r} ({role})")
         return np.where(labels == "", str(self.fill[role]), labels) if role in self.fill else labels
 
-    def missing(self, what: str, option: str = "--column") -> InputError:
+    def missing(self, what: str, option: str = "--column ") -> InputError:
         """Return the exception for a required column that is missing; ``option`` is the option that names a column."""
         text = f"there is no column for {what}; {self.listing()}"
         if what in ("ra and dec", "ra", "dec") and self.name_of("lon") and self.name_of("lat"):
             return InputError(
                 f"{text}; give the frame of the longitudes and latitudes, for example frame='galactic' or "
-                "--frame galactic"
+                "--set catalog.frame=galactic"
             )
         role = what.split()[0]
         remedy = (
-            f"; state its name, for example columns={{{role!r}: ...}} or {option} {role}=..."
+            f"; state its name, for example columns={{{role!r}: ...}} or {option}{role}=..."
             if self.table.colnames
             else ""
         )

@@ -18,7 +18,7 @@ from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._hats import columns_and_rows, main_table, properties_of
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
 from rfpsurvey.catalog._tables import catalog_roles
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, number_of, short, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, number_of, short, warn
 
 ROWS_PER_PART = 20_000
 MOST_ORDER = 13
@@ -89,9 +89,7 @@ class PartitionedCatalog:
         object.__setattr__(self, "keep", keep)
         if not isinstance(self.frame, str):
             raise InputError(f"frame must be the name of a frame, got {short(self.frame)}")
-        kept = self.kept_rows
-        if isinstance(kept, bool) or not isinstance(kept, int | np.integer) or kept < 1:
-            raise InputError(f"kept_rows must be a whole number of at least 1, got {short(kept)}")
+        check_whole(self.kept_rows, "kept_rows")
         if not self.folder.is_dir():
             raise InputError(f"{self.folder}: there is no such folder")
         main, collection = main_table(self.folder)
@@ -203,8 +201,7 @@ def partition_catalog(
     vectors = catalog.arrays.vectors
     if order is None:
         order = next((k for k in range(MOST_ORDER) if _mean_rows(vectors, k) <= ROWS_PER_PART), MOST_ORDER)
-    if isinstance(order, bool) or not (isinstance(order, int | np.integer) and 0 <= order <= MOST_ORDER):
-        raise InputError(f"order must be a whole number from 0 to {MOST_ORDER}, got {order!r}")
+    check_whole(order, "order", 0, MOST_ORDER)
     fine = _healpix.pixels_of(2**INDEX_ORDER, vectors)
     along = np.argsort(fine, kind="stable")
     table = catalog[along].to_table()

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey import _healpix
-from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, sentence
+from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, reading
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
@@ -88,7 +88,8 @@ class Partitions:
         """Row number of the first target of each partition, followed by the total number of rows."""
         parquet, counts, columns = import_parquet(), [], None
         for *_, path in self.files:
-            about = read_or_name(path, lambda path=path: parquet.read_metadata(path))
+            with reading(path, "parquet"):
+                about = parquet.read_metadata(path)
             counts.append(about.num_rows)
             names = set(about.schema.names)
             if columns is not None and names != columns:
@@ -108,7 +109,8 @@ class Partitions:
     @cached_property
     def _schema(self) -> list[str]:
         path = self.files[0][2]
-        return list(read_or_name(path, lambda: import_parquet().read_schema(path)).names)
+        with reading(path, "parquet"):
+            return list(import_parquet().read_schema(path).names)
 
     def existing(self, columns: dict[str, str]) -> dict[str, str]:
         """Return the entries of a dict from role to column whose column exists; ``ra`` and ``dec`` must exist."""
@@ -190,7 +192,8 @@ class Partitions:
         found = hashlib.sha256(repr(about).encode())
         for order, pixel, path in self.files:
             found.update(f"{order}/{pixel}".encode())
-            read_or_name(path, lambda path=path: add_stored_columns(found, path, self.names))
+            with reading(path, "parquet"):
+                add_stored_columns(found, path, self.names)
         return found.hexdigest()[:16]
 
     @cached_property
@@ -209,11 +212,3 @@ class Partitions:
             return replace(catalog, numbered=True) if self._has_no_id else catalog
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-
-
-def read_or_name(path: Path, read):
-    """Call a function that reads a file; if the function fails, raise an error that contains the name of the file."""
-    try:
-        return read()
-    except Exception as error:  # pyarrow can raise any exception
-        raise InputError(f"{path} cannot be read: {sentence(error)}") from error

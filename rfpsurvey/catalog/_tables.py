@@ -56,7 +56,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
         if not (assume_units or find.format):
             warn(
                 f"the positions and proper motions have no units: the assumed units are {meta['assumed_units']}; to "
-                "use other units, give units= or --unit"
+                "use other units, give units= or --set catalog.units.ra=UNIT"
             )
     return {
         "coord": coord,

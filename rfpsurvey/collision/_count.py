@@ -160,16 +160,8 @@ def count_collisions(
         parts.append(part)
         times += hits
     counts = np.concatenate(parts)
-    return CollisionCounts(
-        counts[:, batch.PAIRS],
-        counts[:, batch.OBSTACLE_PAIRS],
-        counts[:, batch.COLLIDING],
-        counts[:, batch.COLLIDING_ASSIGNED],
-        counts[:, batch.COUNTED],
-        counts[:, batch.ASSIGNED],
-        counts[:, batch.BORDERLINE],
-        times,
-    )
+    order = [batch.PAIRS, batch.OBSTACLE_PAIRS, batch.COLLIDING, batch.COLLIDING_ASSIGNED, batch.COUNTED]
+    return CollisionCounts(*counts[:, [*order, batch.ASSIGNED, batch.BORDERLINE]].T, times)
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):

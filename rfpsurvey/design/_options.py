@@ -61,9 +61,9 @@ class LossOptions:
     estimand: str | None = None
     method: str = "auto"
     targets_per_positioner: float | None = None
-    target_density: u.Quantity | None = None
+    target_density: u.Quantity[u.mm**-2] | None = None
     n_skies: int = 8
-    time_limit: u.Quantity = field(default=10 * u.s)
+    time_limit: u.Quantity[u.s] = field(default=10 * u.s)
 
     def __post_init__(self):
         self.question, self.targets, self.seconds  # noqa: B018  (raises an error for invalid options)

@@ -66,10 +66,10 @@ class Margins:
     array([1, 0])
     """
 
-    outer: u.Quantity = field(default=0 * u.mm)
-    inner: u.Quantity = field(default=0 * u.mm)
-    arms: u.Quantity = field(default=0 * u.mm)
-    broken: u.Quantity = field(default=0 * u.mm)
+    outer: u.Quantity[u.mm] = field(default=0 * u.mm)
+    inner: u.Quantity[u.mm] = field(default=0 * u.mm)
+    arms: u.Quantity[u.mm] = field(default=0 * u.mm)
+    broken: u.Quantity[u.mm] = field(default=0 * u.mm)
     broken_factor: float = 0.0
     hidden_factor: float = 1.0
 

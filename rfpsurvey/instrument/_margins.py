@@ -79,7 +79,7 @@ class WithMargins:
         if not given and not margins:
             raise InputError(
                 f"the description of the instrument must contain margins, got none for {self.name}; give margins such "
-                "as outer=0.1 * u.mm (--margins outer=0.1)"
+                "as outer=0.1 * u.mm (--set instrument.margins.outer=0.1)"
             )
         return self.use_margins(margins)
 

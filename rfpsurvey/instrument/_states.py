@@ -177,13 +177,14 @@ def _applies(row: Row, moments: list[datetime], what: str) -> bool:
     if not moments:
         raise InputError(
             f"{what}: the time of the observation must be given, because rows have dates (columns from and to), got no "
-            "time; give time= (or --state-time)"
+            "time; give time= (or --set instrument.state_time=DATE)"
         )
     n = bisect_left(moments, row.end) - bisect_left(moments, row.first)
     if 0 < n < len(moments):
         raise InputError(
             f"{what}: states must be the same at all times ({_time_text(moments)}), but the state of {row.id} changes; "
-            "plan the tiles before and after the change separately, or choose one time with time= or --state-time"
+            "plan the tiles before and after the change separately, or choose one time with time= or "
+            "--set instrument.state_time=DATE"
         )
     return n > 0
 

@@ -90,14 +90,14 @@ class ObservingConditions:
 
     site: EarthLocation | str
     time: Time | None = None
-    hour_angle: u.Quantity | None = None
-    wavelength: u.Quantity | dict[str, u.Quantity] = 0.54 * u.um
-    guide_wavelength: u.Quantity | None = None
-    pressure: u.Quantity | None = None
-    temperature: u.Quantity = 10 * u.deg_C
+    hour_angle: u.Quantity[u.hourangle] | None = None
+    wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] = 0.54 * u.um
+    guide_wavelength: u.Quantity[u.um] | None = None
+    pressure: u.Quantity[u.hPa] | None = None
+    temperature: u.Quantity[u.deg_C] = 10 * u.deg_C
     humidity: float = 0.2
-    exposure_time: u.Quantity = 0 * u.s
-    tolerance: u.Quantity | None = None
+    exposure_time: u.Quantity[u.s] = 0 * u.s
+    tolerance: u.Quantity[u.mm] | None = None
 
     def __post_init__(self):
         name = self.site if isinstance(self.site, str) else ""

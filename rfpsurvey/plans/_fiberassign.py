@@ -98,7 +98,7 @@ def read(path: Path) -> QTable:
     header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
     plan = make_plan(
         columns,
-        {name: _native(table[name]) for name in table.colnames if name not in (*COMMON.values(), EXACT)},
+        {name: table[name] for name in table.colnames if name not in (*COMMON.values(), EXACT)},
         format="fiberassign",
         instrument="desi",
         header=header,
@@ -166,13 +166,7 @@ def _column(table, name, path) -> np.ndarray:
         if not given.is_equivalent(unit):
             raise InputError(f"{what} must have a unit convertible to {unit}, got {given}")
         values = values if given == unit else (values * given).to_value(unit)
-    return values.astype(values.dtype.newbyteorder("="))
-
-
-def _native(column):
-    """Return a column in the byte order of the machine."""
-    kind = getattr(getattr(column, "dtype", None), "kind", "")
-    return column.astype(column.dtype.newbyteorder("=")) if kind in "iufc" and kind else column
+    return values
 
 
 def _is_assigned(status, target) -> np.ndarray:

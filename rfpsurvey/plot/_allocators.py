@@ -1,19 +1,15 @@
 """Plot that compares allocators."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from matplotlib.axes import Axes
 
 from rfpsurvey.plot._axes import check_columns, legend_below, legend_line, new_axes
 from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, OUTLINE
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
-
-def plot_allocators(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+def plot_allocators(table: QTable, *, ax: Axes | None = None, **kwargs: object) -> Axes:
     """Plot the numbers of usable, lost and missing fibers for each allocator.
 
     Usable fibers are fibers on science targets that are not lost to collisions. Fibers are missing if a plan has fewer

@@ -3,6 +3,10 @@
 from collections.abc import Iterator
 
 import numpy as np
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.patches import Patch
+from matplotlib.path import Path
 from scipy.spatial import ConvexHull
 
 from rfpsurvey.plot._axes import add_circles, legend_line
@@ -36,8 +40,6 @@ def draw_patrol_areas(ax, scene: Scene, kwargs: dict, *, gray: bool, alike: bool
 
 def draw_obstacles(ax, scene: Scene) -> Iterator:
     """Draw the circles and polygons that no arm may touch, and yield a legend entry."""
-    from matplotlib.collections import PolyCollection
-
     if len(scene.obstacles):
         add_circles(ax, scene.obstacles[:, :2], scene.obstacles[:, 2], facecolors=OBSTACLE, zorder=2)
     if scene.polygons:
@@ -48,10 +50,6 @@ def draw_obstacles(ax, scene: Scene) -> Iterator:
 
 def draw_arms(ax, scene: Scene, kwargs) -> Iterator:
     """Draw both arms of each positioner and the shade around the segment that can collide, and yield legend entries."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgba
-    from matplotlib.patches import Patch
-
     present, target = np.isfinite(scene.tips).all(axis=1), scene.with_target
     groups = (
         (present & ~target & ~scene.colliding, IDLE, "arm, no target", 3, {"linewidths": 1.0, "linestyles": "--"}),
@@ -86,9 +84,6 @@ def draw_marks(ax, scene: Scene) -> Iterator:
 
 def _shapes(scene: Scene, rows: np.ndarray, color: str) -> Iterator:
     """Yield collections of the shapes that must not touch: capsules, or the outlines of both arms."""
-    from matplotlib.collections import PathCollection, PolyCollection
-    from matplotlib.colors import to_rgba
-
     hatch = {"edgecolors": color, "hatch": HATCH} if color is COLLISION else {"edgecolors": "none"}
     if scene.outline is None:
         shapes = capsules(scene.bodies[rows], scene.half)
@@ -105,8 +100,6 @@ def _shapes(scene: Scene, rows: np.ndarray, color: str) -> Iterator:
 
 def _outlines(parts: list[dict], margin: float, origins: np.ndarray, ends: np.ndarray) -> list:
     """Return one path per arm, which contains all parts of its outline; overlaps of parts are filled once."""
-    from matplotlib.path import Path
-
     vertices, codes = [], []
     for part in parts:
         points = rounded(np.array(part["vertices"]), part.get("radius", 0.0) + margin)

@@ -1,9 +1,14 @@
 """Functions that plots share: new axes, axes of focal planes in mm, legends below the axes, collections of circles."""
 
-from typing import TYPE_CHECKING
-
+import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.transforms import ScaledTranslation
 
 from rfpsurvey._units import to_mm, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, listed
@@ -11,30 +16,20 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.plot._compass import ORIENTATIONS
 
-if TYPE_CHECKING:
-    import astropy.units as u
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
 WIDTH = 7.0  # inches, width of a page
 PAD = 0.08  # inches, margin around all parts of a figure
 LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, space around the axes for labels, the title and a legend
 
 
-def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> "Axes":
+def new_axes(width: float = 7.0, height: float = 4.8, **options: object) -> Axes:
     """Return the axes of a new figure."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD)
     return figure.add_subplot(**options)
 
 
-def new_grid(rows: int, columns: int, size: tuple[float, float], **options: object) -> "tuple[Figure, np.ndarray]":
+def new_grid(rows: int, columns: int, size: tuple[float, float], **options: object) -> tuple[Figure, np.ndarray]:
     """Return a new figure and its axes, shape (rows, columns)."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
@@ -47,14 +42,14 @@ def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
 
 
 def focal_plane_axes(
-    ax: "Axes | None",
+    ax: Axes | None,
     centers: np.ndarray,
     outer: np.ndarray,
-    region: "u.Quantity | None",
+    region: u.Quantity | None,
     orientation: str,
     *,
     beside: float = 0.0,
-) -> "Axes":
+) -> Axes:
     """Return axes that show a focal plane, or a part of it, to scale in mm.
 
     ``beside`` is the width in inches that is reserved for a color bar.
@@ -78,13 +73,13 @@ def focal_plane_axes(
     return ax
 
 
-def limits_of(ax: "Axes") -> tuple[np.ndarray, np.ndarray]:
+def limits_of(ax: Axes) -> tuple[np.ndarray, np.ndarray]:
     """Return the smallest x and y and the largest x and y that axes show, even if x increases to the left."""
     corners = np.sort(np.array([ax.get_xlim(), ax.get_ylim()]), axis=1)
     return corners[:, 0], corners[:, 1]
 
 
-def points_per_unit(ax: "Axes") -> float:
+def points_per_unit(ax: Axes) -> float:
     """Return the approximate length of a data unit in points (1/72 inch), on axes with equal scales."""
     low, high = limits_of(ax)
     size = ax.get_window_extent()
@@ -100,20 +95,15 @@ def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:
     return float(np.median(cKDTree(centers).query(centers, k=2)[0][:, 1]))
 
 
-def add_circles(ax: "Axes", points: np.ndarray, radius: np.ndarray | float, **style: object) -> object:
+def add_circles(ax: Axes, points: np.ndarray, radius: np.ndarray | float, **style: object) -> object:
     """Draw circles, whose radii are in data units, as one collection, and return this collection."""
-    from matplotlib.collections import EllipseCollection
-
     size = np.broadcast_to(2 * np.asarray(radius, dtype=float), len(points))
     circles = EllipseCollection(size, size, 0, units="xy", offsets=points, offset_transform=ax.transData, **style)
     return ax.add_collection(circles)
 
 
-def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: object) -> None:
+def legend_below(ax: Axes, handles: list, *, columns: int = 3, **options: object) -> None:
     """Place a legend below the labels of the x axis, so that it hides no data."""
-    from matplotlib import rcParams
-    from matplotlib.transforms import ScaledTranslation
-
     if not handles:
         return
     points = 3.2 * rcParams["font.size"] + 4  # ticks, tick labels and axis label
@@ -131,10 +121,8 @@ def legend_below(ax: "Axes", handles: list, *, columns: int = 3, **options: obje
     )
 
 
-def legend_line(label: str, **style: object) -> "Line2D":
+def legend_line(label: str, **style: object) -> Line2D:
     """Return a legend entry with a line or a marker."""
-    from matplotlib.lines import Line2D
-
     return Line2D([], [], label=label, **style)
 
 

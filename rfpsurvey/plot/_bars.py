@@ -1,6 +1,7 @@
 """Stacked bars that show fractions of a total, with one bar for each class and numbers beside each bar."""
 
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey.plot._axes import legend_below
 
@@ -43,3 +44,15 @@ def stacked_bars(
     ax.set_ylim(y.min() - around, max(around, HEADING + 0.4))
     ax.set_xlim(0, 1)
     legend_below(ax, handles, columns=columns)
+
+
+def by_name(rows: QTable) -> list[dict]:
+    """Return the rows of a table of completeness as dicts."""
+    return [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
+
+
+def class_label(row: dict) -> str:
+    """Return the name of the class of targets that a row of a table of completeness describes."""
+    if row.get("category", "all") != "all":
+        return row["category"]
+    return row.get("kind", "all") if row["priority"] == "all" else f"priority {row['priority']}"

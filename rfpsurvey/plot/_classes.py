@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
@@ -117,8 +118,6 @@ def draw_layers(
     zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The more targets there
     are, the smaller are the dots. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
     """
-    from matplotlib.lines import Line2D
-
     spread = np.ptp(xy, axis=0) * points_per_unit(ax) if len(xy) else np.ones(2)
     left = np.count_nonzero(np.any([layer.rows for layer in layers if not layer.assigned], axis=0))
     for layer in layers:

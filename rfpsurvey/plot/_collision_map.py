@@ -1,9 +1,10 @@
 """Map of collisions on the focal plane."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Patch
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.collision import CollisionCounts, CollisionReport
@@ -16,9 +17,6 @@ from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, OPEN_CIRCLE, OUTLINE, 
 from rfpsurvey.probability import Estimate
 from rfpsurvey.tile import Tile
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 COLOR_BAR = 0.95  # inches
 SMALL = 4.0
 """Disks with a smaller diameter (points, 1/72 inch) have no edges, because edges would hide their colors."""
@@ -28,11 +26,11 @@ def plot_collision_map(
     collisions: Estimate | CollisionCounts | CollisionReport | Tile | np.ndarray,
     instrument: FocalPlane | Instrument | str | None = None,
     *,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     region: u.Quantity | None = None,
     orientation: str = "sky",
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot the collision probability of each positioner or, for one configuration, the positioners in collision.
 
     Each positioner is a disk. The disk is not filled if the positioner is not counted, which means that the
@@ -173,8 +171,6 @@ def _draw_probabilities(ax, centers, radius, values, label, kwargs):
 
 
 def _draw_flags(ax, centers, radius, flags, pairs, kwargs):
-    from matplotlib.collections import LineCollection
-    from matplotlib.patches import Patch
 
     add_circles(ax, centers[~flags], radius, facecolors="none", edgecolors=IDLE, linewidths=0.5)
     handles = [legend_line(color=IDLE, label="no collision", **OPEN_CIRCLE)]

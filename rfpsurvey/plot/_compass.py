@@ -1,14 +1,12 @@
 """The orientation of focal planes on plots, and the compass that shows north and east."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, FancyArrowPatch
+from matplotlib.transforms import Affine2D, ScaledTranslation
 
 from rfpsurvey.plot._style import OUTLINE
 from rfpsurvey.tile import Tile
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 ORIENTATIONS = ("sky", "focal plane")
 """Orientations: east to the left as on the sky (x increases to the left), or x increasing to the right."""
@@ -25,16 +23,13 @@ def position_angle_of(thing: object) -> float | None:
     return 0.0
 
 
-def add_compass(ax: "Axes", position_angle: float | None, avoid: np.ndarray) -> None:
+def add_compass(ax: Axes, position_angle: float | None, avoid: np.ndarray) -> None:
     """Draw arrows toward north and east in a corner of the axes, and write the position angle.
 
     The position angle (degrees) is the angle of +y from north toward east; the angle of +x is larger by 90 deg. Nothing
     is drawn if the position angle is None. The compass is drawn in the corner where it hides the fewest of the points
     ``avoid``, shape (n, 2), in mm.
     """
-    from matplotlib.patches import Circle, FancyArrowPatch
-    from matplotlib.transforms import Affine2D, ScaledTranslation
-
     if position_angle is None:
         return
     across, up = _corner(ax, avoid)

@@ -1,9 +1,9 @@
 """Completeness of a survey as a function of the number of tiles."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from astropy.coordinates import SkyCoord
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from rfpsurvey.errors import InputTypeError
 from rfpsurvey.plot._axes import new_axes
@@ -12,12 +12,8 @@ from rfpsurvey.plot._sky_map import is_wide
 from rfpsurvey.plot._style import MARKERS, SERIES
 from rfpsurvey.survey import Survey
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-
-def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+def plot_completeness(survey: Survey, *, ax: Axes | None = None, **kwargs: object) -> Axes:
     """Plot the completeness of a survey against the number of tiles, with a marker for each priority after each pass.
 
     Parameters
@@ -76,10 +72,8 @@ def plot_completeness(survey: Survey, *, ax: "Axes | None" = None, **kwargs: obj
     return ax
 
 
-def draw_survey(survey: Survey) -> "Figure":
+def draw_survey(survey: Survey) -> Figure:
     """Return a figure with two panels: a map of the tiles, colored by completeness, and the completeness curve."""
-    from matplotlib.figure import Figure
-
     wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))
     figure = Figure(figsize=(14, 4.8), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.15, h_pad=0.1)

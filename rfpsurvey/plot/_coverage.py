@@ -1,9 +1,10 @@
 """Map of the number of positioners that reach each point."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.patches import Patch
 
 from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.focal_plane import FocalPlane
@@ -11,9 +12,6 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, named_plane
 from rfpsurvey.plot._compass import add_compass
 from rfpsurvey.plot._style import LEVELS, OUTLINE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 N_POINTS = 2**18
 """Number of random points from which the fractions in the legend are computed, with standard errors below 0.001."""
@@ -23,12 +21,12 @@ FEWEST, MOST = 600, 1400  # limits of the default number of pixels along the lon
 def plot_coverage(
     instrument: FocalPlane | Instrument | str,
     *,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     region: u.Quantity | None = None,
     n_pixels: int | None = None,
     orientation: str = "sky",
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot the number of positioners that reach each point; darker colors show larger numbers.
 
     The dashed line is the edge of the footprint, which is the convex hull of the centers of the positioners. White
@@ -70,9 +68,6 @@ def plot_coverage(
     >>> [text.get_text() for text in ax.get_legend().get_texts()][1]
     '1 positioner (54 %)'
     """
-    from matplotlib.colors import BoundaryNorm, ListedColormap
-    from matplotlib.patches import Patch
-
     if n_pixels is not None:
         check_whole(n_pixels, "n_pixels", 1, 5000)
     name, plane = named_plane(instrument)

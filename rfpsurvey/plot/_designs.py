@@ -1,16 +1,13 @@
 """Plot of two columns of a table of designs, such as coverage and fraction of fibers lost, with the Pareto front."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.plot._axes import legend_below, legend_line, new_axes, values_of
 from rfpsurvey.plot._style import COLLISION, MARKERS, light_scale
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 LABELS = {
     "central_arm": "central arm",
@@ -34,9 +31,9 @@ def plot_designs(
     y: str | None = None,
     color: str | None = None,
     mark: dict[str, QTable] | None = None,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot two columns of a table of designs against each other, with the Pareto front.
 
     Large points with black edges are on the Pareto front: no other design is better in both objectives. If the color
@@ -81,8 +78,6 @@ def plot_designs(
     >>> rs.plot.plot_designs(table).get_ylabel()
     'fraction of fibers lost to collisions (independent)'
     """
-    from matplotlib.cm import ScalarMappable
-
     mark = {**_instruments(table), **(mark or {})}
     for one in (table, *mark.values()):
         if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:

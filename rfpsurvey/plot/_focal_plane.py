@@ -1,9 +1,8 @@
 """The plot of a focal plane: positioners, their arms, and obstacles."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
+from matplotlib.axes import Axes
 
 from rfpsurvey._units import to_points_mm
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
@@ -20,9 +19,6 @@ from rfpsurvey.plot._style import OUTLINE, SERIES
 from rfpsurvey.plot._targets import codes_of, outcomes_of
 from rfpsurvey.tile import Tile
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 WITH_TARGET = ("assigned", "out_of_reach", "stuck")
 BLANK_SKY = SERIES[3]
 ROW = 0.22  # inches, height of a row of the legend
@@ -31,14 +27,14 @@ ROW = 0.22  # inches, height of a row of the legend
 def plot_focal_plane(
     thing: Tile | FocalPlane | Instrument | str,
     *,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     region: u.Quantity | None = None,
     color: str | None = None,
     targets: str | u.Quantity | None = None,
     arms: bool | None = None,
     orientation: str = "sky",
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot a focal plane: patrol areas and obstacles and, for a tile, arms and collisions.
 
     The shade around an arm extends to half the minimum separation on each side, to scale; two arms collide if their

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from matplotlib.patches import Patch
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.plot._axes import add_circles, spacing_of
@@ -21,8 +22,6 @@ def draw_groups(ax, scene: Scene, color: str | None, *, pale: bool) -> Iterator:
 
     If ``pale`` is true, the fills are pale, so that arms or dots on top of the fills remain visible.
     """
-    from matplotlib.patches import Patch
-
     if color is None:
         return
     values = scene.groups[color]

@@ -1,16 +1,12 @@
 """Plots that compare instruments."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from rfpsurvey.plot._axes import check_columns, legend_below, new_axes
 from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, LEVELS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 COLUMNS = {"instrument", "positioners", "allocator", "assigned", "usable", "loss", "probability", "low", "high"}
 SHADES = (LEVELS[0], LEVELS[1], LEVELS[3], LEVELS[5])
@@ -19,7 +15,7 @@ look similar to this gray."""
 REACH = ("reach_0", "reach_1", "reach_2", "reach_3")
 
 
-def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: object) -> "Axes":
+def plot_instruments(table: QTable, *, ax: Axes | None = None, **kwargs: object) -> Axes:
     """Plot the fractions of positioners of each instrument that observe a target, collide, or have no target.
 
     Parameters
@@ -75,10 +71,8 @@ def plot_instruments(table: QTable, *, ax: "Axes | None" = None, **kwargs: objec
     return ax
 
 
-def draw_instruments(table: QTable, figure: "Figure | None" = None) -> "Figure":
+def draw_instruments(table: QTable, figure: Figure | None = None) -> Figure:
     """Return a figure with three panels: reach, use of fibers, and collision probability of each instrument."""
-    from matplotlib.figure import Figure
-
     if figure is None:
         figure = Figure(layout="constrained")
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.08)

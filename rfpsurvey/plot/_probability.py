@@ -1,18 +1,16 @@
 """Plots of collision probabilities against a parameter, and of differences as a function of two parameters."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError
 from rfpsurvey.plot._axes import check_columns, labeled, new_axes, values_of
 from rfpsurvey.plot._style import DIVERGING, MARKERS, SERIES
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 DEVIATIONS = 1.96
 LINES = ("-", "--", ":", "-.")
@@ -24,9 +22,9 @@ def plot_probability(
     *,
     values: str | Iterable[str] = "value",
     by: str | None = None,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot collision probabilities against a design parameter, with a line and an interval for each column and group.
 
     Parameters
@@ -72,8 +70,6 @@ def plot_probability(
     >>> ax.get_ylabel()
     'collision probability'
     """
-    from matplotlib.patches import Patch
-
     names = [values] if isinstance(values, str) else list(values)
     check_columns(table, {x, *names} | ({by} if by else set()))
     if not names:
@@ -112,9 +108,9 @@ def plot_residuals(
     *,
     x: str = "ratio",
     y: str = "pitch",
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot the differences of two columns as a function of two other columns, such as arm ratio and pitch.
 
     Triangles point up if the difference is positive, and down if it is negative; disks show differences of 0.

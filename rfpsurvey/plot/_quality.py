@@ -1,24 +1,27 @@
 """Plots of the quality of a tile or of a survey, such as targets by class and fibers by spectrograph."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from rfpsurvey.allocation import Requirement
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
 from rfpsurvey.pipeline import Outcome
 from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
-from rfpsurvey.plot._bars import stacked_bars
+from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
 from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
 from rfpsurvey.plot._survey_quality import class_rows, draw_survey_quality
 from rfpsurvey.plot._targets import codes_of, outcomes_of
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import OUTCOMES_COLUMNS, Tile
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
@@ -33,8 +36,8 @@ FIBER_COLORS = (SERIES[3], SERIES[2], SERIES[5], SERIES[4], SERIES[1], SERIES[6]
 
 
 def plot_quality(
-    result: Tile | Survey, *, column: str | None = None, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
-) -> "tuple[Axes, ...]":
+    result: Tile | Survey, *, column: str | None = None, axes: tuple[Axes, ...] | None = None, **kwargs: object
+) -> tuple[Axes, ...]:
     """Plot the observed targets of a tile or of a survey, and the use of its fibers, in four panels.
 
     Parameters
@@ -130,8 +133,6 @@ def _four_axes(given, n_rows):
 
 def _new_axes(n_rows):
     """Return four axes of a new figure."""
-    from matplotlib.figure import Figure
-
     heights = 1.7 + 0.24 * max(n_rows, 6), 3.4
     figure = Figure(figsize=(11, sum(heights)), layout="constrained")
     figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD, wspace=0.03, hspace=0.03)
@@ -162,7 +163,7 @@ def _draw_classes(ax, completeness, kwargs):
     total, reach, assigned, observed = (
         np.asarray(rows[name], float) for name in ("n_in_field", "n_reachable", "n_assigned", "n_observed")
     )
-    groups = [next((k for k, name in enumerate(GROUPS) if row[name] != "all"), -1) for row in _by_name(rows)]
+    groups = [next((k for k, name in enumerate(GROUPS) if row[name] != "all"), -1) for row in by_name(rows)]
     y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=groups[0]) != 0)
     pieces = (
         (observed, "observed", {"color": OUTCOME_COLORS[Outcome.OBSERVED]}),
@@ -170,7 +171,7 @@ def _draw_classes(ax, completeness, kwargs):
         (reach - assigned, "in reach not assigned", {"color": PATROL}),
         (total - reach, "out of reach, or not requested", {"color": FADED, "alpha": 0.5}),
     )
-    labels = [_label_of(row) for row in _by_name(rows)]
+    labels = [class_label(row) for row in by_name(rows)]
     stacked_bars(ax, y, total, pieces, labels, observed, kwargs)
     label = "fraction of the targets in the field"
     if len(rows) < len(completeness):
@@ -180,16 +181,6 @@ def _draw_classes(ax, completeness, kwargs):
 
 
 GROUPS = ("category", "priority")
-
-
-def _by_name(rows):
-    return [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
-
-
-def _label_of(row) -> str:
-    if row["category"] != "all":
-        return row["category"]
-    return row["kind"] if row["priority"] == "all" else f"priority {row['priority']}"
 
 
 class Series(NamedTuple):
@@ -232,9 +223,6 @@ def _series_of(tile) -> list[Series]:
 
 def _draw_fibers(ax, tile):
     """Draw the number of fibers that count toward each requirement in each spectrograph, and the required number."""
-    from matplotlib.lines import Line2D
-    from matplotlib.ticker import MaxNLocator
-
     t, series = tile.table, _series_of(tile)
     one = "spectrograph" not in t.colnames
     spectrograph = np.zeros(len(t), int) if one else np.asarray(t["spectrograph"])
@@ -274,8 +262,6 @@ def _draw_fibers(ax, tile):
 
 def _draw_histogram(ax, table, name, assigned):
     """Draw the distribution of a column for all science targets and for assigned science targets."""
-    from matplotlib.ticker import MaxNLocator
-
     if name is None:
         ax.set_axis_off()
         ax.text(0.5, 0.5, "The targets have no column of numbers.", ha="center", transform=ax.transAxes)
@@ -303,8 +289,6 @@ def _draw_histogram(ax, table, name, assigned):
 
 
 def _patch(color, alpha, label):
-    from matplotlib.colors import to_rgba
-    from matplotlib.patches import Patch
 
     return Patch(facecolor=to_rgba(color, alpha), edgecolor=OUTLINE, linewidth=0.8, label=label)
 

@@ -1,11 +1,12 @@
 """Plot of tiles on the sky, and functions that draw fields, targets and regions."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import BoundaryNorm
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
@@ -16,9 +17,6 @@ from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
 from rfpsurvey.region import Region
 from rfpsurvey.survey import Survey
 from rfpsurvey.tiling import Tiling
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
@@ -36,9 +34,9 @@ def plot_tiling(
     radius: u.Quantity | None = None,
     targets: Catalog | SkyCoord | None = None,
     region: Region | None = None,
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot tiles on the sky, with east to the left.
 
     The axes are right ascension and declination or, near a pole, offsets from the mean direction of the tiles. If
@@ -141,14 +139,11 @@ def _filled_part(number):
     return 1 - step * rank.reshape(-1)
 
 
-def draw_tiles(ax: "Axes", sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
+def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
     """Draw tiles that are colored by the values of a column.
 
     If there are several values, draw a color bar. If the values are a few whole numbers, each value has its own color.
     """
-    from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.colors import BoundaryNorm
-
     order = np.argsort(np.asarray(table["pass"]), kind="stable")
     table = table[order]
     centers, values = SkyCoord(table["ra"], table["dec"]), np.asarray(table[name], dtype=float)

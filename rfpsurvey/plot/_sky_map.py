@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 
 from rfpsurvey.region import Region, border_of, circle_around
 
@@ -152,8 +154,6 @@ def _unjoined(points, sky_map):
 
 def _contours(region, sky_map):
     """Return the borders of HEALPix regions as contours on a grid of directions."""
-    from matplotlib.figure import Figure
-
     vector, radius = circle_around(region)
     center = _to_coord(vector[None])[0]
     if sky_map.kind == "whole":
@@ -171,8 +171,6 @@ def _contours(region, sky_map):
 
 def _label_whole_sky(ax):
     """Label right ascensions on the equator, and draw a grid."""
-    from matplotlib.patheffects import Normal, Stroke
-
     degrees = np.arange(30, 360, 60)
     ax.set_xticks(np.deg2rad(180 - degrees), [f"{d}\N{DEGREE SIGN}" for d in degrees], fontsize="small")
     halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # labels are on top of tiles

@@ -1,17 +1,14 @@
 """Plots of the errors of methods against their computing time."""
 
-from typing import TYPE_CHECKING
-
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.plot._axes import check_columns, new_grid
 from rfpsurvey.plot._style import MARKERS, SERIES
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SHORT_AXIS = 100.0
 """If the upper limit of an axis is at least this number times the lower limit, only powers of ten are labeled."""
@@ -20,9 +17,7 @@ LABEL_POINTS, LETTER_POINTS, GAP_POINTS = 7.0, 4.4, 1.5
 """Height of a label, width of a letter, and free space around a label, in points."""
 
 
-def plot_speed_accuracy(
-    table: QTable, *, axes: "tuple[Axes, Axes] | None" = None, **kwargs: object
-) -> "tuple[Axes, Axes]":
+def plot_speed_accuracy(table: QTable, *, axes: tuple[Axes, Axes] | None = None, **kwargs: object) -> tuple[Axes, Axes]:
     """Plot the errors of collision tests against the time per tile, for each method and number of points per arm.
 
     Parameters
@@ -113,8 +108,8 @@ def _draw_methods(ax, table, values, limits, uncertain, style):
 
 
 def plot_probability_accuracy(
-    table: QTable, *, axes: "tuple[Axes, ...] | None" = None, **kwargs: object
-) -> "tuple[Axes, ...]":
+    table: QTable, *, axes: tuple[Axes, ...] | None = None, **kwargs: object
+) -> tuple[Axes, ...]:
     """Plot the errors of collision probabilities against the computing time, with a line for each method.
 
     Estimates for allocated and for independent targets are in separate panels, because they cannot be compared.
@@ -204,8 +199,6 @@ def _bars(values, uncertain):
 
 def _set_ticks(ax):
     """Label the values 1, 2 and 5 of each decade if there are few decades; otherwise, label only powers of ten."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
         axis.set_minor_formatter(NullFormatter())
         if high < SHORT_AXIS * low:

@@ -1,6 +1,8 @@
 """Colors and markers of plots. Important differences are shown by color and by a marker, a hatch or a line style."""
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import ListedColormap
 
 # the palette of Okabe and Ito, whose colors color-blind people can distinguish
 PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
@@ -47,7 +49,4 @@ SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
 
 def light_scale():
     """Return the sequential color map without its darkest third, in which dark edges would not be visible."""
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
-
     return ListedColormap(colormaps[SEQUENTIAL](np.linspace(0.35, 1, 256)))

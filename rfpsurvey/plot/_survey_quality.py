@@ -2,11 +2,12 @@
 
 import numpy as np
 from astropy.table import QTable
+from matplotlib.ticker import MaxNLocator
 
 from rfpsurvey.errors import number_of
 from rfpsurvey.pipeline import OUTCOMES, Outcome
 from rfpsurvey.plot._axes import legend_below, legend_line
-from rfpsurvey.plot._bars import stacked_bars
+from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
 from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
 from rfpsurvey.survey import Survey
@@ -65,19 +66,13 @@ def _draw_visits(ax, survey, kwargs):
         pieces.append((after - before, words, {"color": color}))
         before = after
     pieces.append((wanted - observed, "not observed", {"color": FADED, "alpha": 0.5}))
-    names = [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
+    names = by_name(rows)
     groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in names]
     y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=0) != 0)
-    stacked_bars(ax, y, wanted, tuple(pieces), [_label_of(row) for row in names], observed, kwargs, columns=3)
+    stacked_bars(ax, y, wanted, tuple(pieces), [class_label(row) for row in names], observed, kwargs, columns=3)
     label, left_out = "fraction of the requested visits", len(_after(survey, -1)) - len(rows)
     label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
     ax.set_xlabel(label, fontsize="small" if left_out else None)
-
-
-def _label_of(row) -> str:
-    if row.get("category", "all") != "all":
-        return row["category"]
-    return "all" if row["priority"] == "all" else f"priority {row['priority']}"
 
 
 def _draw_outcomes(ax, survey):
@@ -101,8 +96,6 @@ def _draw_outcomes(ax, survey):
 
 def _draw_fibers(ax, survey):
     """Draw the numbers of fibers on science targets, standard stars and sky in each pass."""
-    from matplotlib.ticker import MaxNLocator
-
     tiles, s = survey.tiles, survey.summary
     passes, place = np.unique(np.asarray(tiles["pass"]), return_inverse=True)
     n_fibers = s["n_fibers"] / max(s["n_tiles"], 1) * np.bincount(place)
@@ -130,8 +123,6 @@ def _draw_fibers(ax, survey):
 
 def _draw_tiles(ax, survey):
     """Draw the fiber use and the collision rate of each tile, in the order of planning."""
-    from matplotlib.ticker import MaxNLocator
-
     tiles = survey.tiles
     order = np.lexsort((np.arange(len(tiles)), np.asarray(tiles["round"])))
     x, handles = np.arange(1, len(tiles) + 1), []

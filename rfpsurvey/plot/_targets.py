@@ -1,9 +1,9 @@
 """The targets of a tile or of a survey on the sky, by outcome or by class."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from astropy.coordinates import SkyCoord
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
@@ -15,9 +15,6 @@ from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, rims_of
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 LARGEST = 6.2  # inches: longer side of the axes
 MARGIN = 0.03  # empty margin, as a fraction of the extent of the targets
 ROW = 0.23  # inches, height of a row of the legend
@@ -28,9 +25,9 @@ def plot_targets(
     catalog: Catalog | PartitionedCatalog | None = None,
     *,
     color: str = "outcome",
-    ax: "Axes | None" = None,
+    ax: Axes | None = None,
     **kwargs: object,
-) -> "Axes":
+) -> Axes:
     """Plot all targets of a tile or of a survey on the sky, with east to the left, by outcome or by class.
 
     The legend contains the numbers of targets. In plots by kind, category or priority, assigned targets are larger
@@ -180,7 +177,6 @@ def _set_limits(ax, sky_map, xy, rims):
 
 
 def _draw_fields(ax, rims):
-    from matplotlib.collections import LineCollection
 
     closed = np.concatenate([rims, rims[:, :1]], axis=1)
     ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3, zorder=4))

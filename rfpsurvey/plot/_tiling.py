@@ -1,9 +1,8 @@
 """Plot of a tiling with a panel for each pass."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from astropy.coordinates import SkyCoord
+from matplotlib.figure import Figure
 
 from rfpsurvey._units import to_direction
 from rfpsurvey.catalog import Catalog
@@ -13,16 +12,13 @@ from rfpsurvey.plot._sky_map import is_wide, map_of, outline_of_region, rims_of
 from rfpsurvey.region import Region
 from rfpsurvey.tiling import Tiling
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 MOST_PANELS = 8
 WIDTH, PAD = 7.0, 0.08  # inches: width of a page, and margin around the figure
 WIDE = 1.6
 """Panels with a larger ratio of width to height are arranged in one column, and all other panels in two columns."""
 
 
-def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> "Figure":
+def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> Figure:
     """Plot the tiles of each pass in a separate panel; all panels show the same part of the sky.
 
     Tilings with one pass or with more than eight passes are plotted in one panel, with `plot_tiling`.
@@ -53,8 +49,6 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
     >>> [ax.get_title() for ax in rs.plot.draw_tiling(tiling).axes]
     ['pass 1: 23 tiles', 'pass 2: 22 tiles']
     """
-    from matplotlib.figure import Figure
-
     if not isinstance(tiling, Tiling):
         raise InputTypeError(f"tiling must be a Tiling, got {type(tiling).__name__}")
     number = np.asarray(tiling.table["pass"])

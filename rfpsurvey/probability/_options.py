@@ -59,8 +59,8 @@ class RandomTargets:
 
     kind: str = "uniform"
     number: float | None = None
-    radius: u.Quantity | None = None
-    min_separation: u.Quantity | None = None
+    radius: u.Quantity[u.mm] | None = None
+    min_separation: u.Quantity[u.mm] | None = None
 
     def __post_init__(self):
         check_choice(self.kind, KINDS, "kind of targets")

@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_table
-from rfpsurvey._units import to_mm, to_scalar, to_unit
+from rfpsurvey._units import check_columns, to_mm, to_scalar, to_unit
 from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
 
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
@@ -126,11 +126,7 @@ class DistortionMap:
         """
         path = to_path(path)
         table = read_table(path)
-        lacking = [name for name in COLUMNS if name not in table.colnames]
-        if lacking:
-            raise InputError(
-                f"{path}: the table must have the columns {', '.join(COLUMNS)}, but {lacking[0]} is missing"
-            )
+        check_columns(table.colnames, COLUMNS, f"{path}: the table")
         try:
             adc1, adc2, x, y, x_fp, y_fp = (np.asarray(table[name], dtype=float) for name in COLUMNS)
         except (TypeError, ValueError) as error:
@@ -236,10 +232,8 @@ class DistortionMap:
         ndarray, shape (n, 2)
             Points in mm; NaN for field angles larger than ``max_angle``.
         """
-        tables, unit, turn, _ = self._setting
-        inside = np.hypot(*tangents.T) <= unit * (1 + 1e-12)
-        local = np.where(inside[:, None], tangents, np.nan) @ turn / unit
-        return np.column_stack([np.polynomial.polynomial.polyval2d(*local.T, table) for table in tables]) @ turn.T
+        inside = np.hypot(*tangents.T) <= self._setting[1] * (1 + 1e-12)
+        return self._image(np.where(inside[:, None], tangents, np.nan))
 
     def unproject(self, points: np.ndarray) -> np.ndarray:
         """Return the points in the tangent plane whose images are the given points on the focal plane.

@@ -31,7 +31,7 @@ def warn_of_north(form: str, *, is_given: bool) -> None:
     if form.startswith("SDSS-V") and not is_given:
         warn(
             "the position angle is measured from the north of ICRS, because the file does not state the north; SDSS-V "
-            "uses the north of date: give equinox= (or --equinox), or a center in FK5 of this equinox"
+            "uses the north of date: give equinox= (or --set equinox=J2026), or a center in FK5 of this equinox"
         )
 
 
@@ -71,7 +71,7 @@ def field_value(table, what: str) -> float:
     own = recorded_projection(table)
     if OWN[what] in own:
         return float(own[OWN[what]])
-    option = "--pa" if what == "position angle" else "--center"
+    option = "--position-angle" if what == "position angle" else "--center"
     raise InputError(
         f"the {what} of the field must be given ({option}), or be in a column or meta entry "
         f"{' or '.join(FIELD[what][:2])}"

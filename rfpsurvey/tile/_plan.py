@@ -277,7 +277,7 @@ def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:
     if coord.ra.deg.max() >= 24:
         return ""
     n = np.count_nonzero(SkyCoord(15 * coord.ra, coord.dec).separation(center.icrs).rad <= radius_rad)
-    remedy = "give their unit (units={'ra': 'hourangle'}, --unit ra=hourangle)"
+    remedy = "give their unit (units={'ra': 'hourangle'}, --set catalog.units.ra=hourangle)"
     return f"; {n} of the targets would be in the field if right ascensions were in hours: {remedy}" if n else ""
 
 

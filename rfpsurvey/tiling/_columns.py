@@ -33,7 +33,7 @@ def find_names(table: Table, columns: dict | None) -> dict[str, str]:
     usual = {role: next((lower[n] for n in words.split() if n in lower), None) for role, words in NAMES.items()}
     names = {role: name for role, name in {**usual, **columns}.items() if name is not None}
     if missing := [role for role in ("ra", "dec") if role not in names]:
-        raise Finder(table).missing(" and ".join(missing), "--tiles-column")
+        raise Finder(table).missing(" and ".join(missing), "--set tiles.columns.")
     return names
 
 
@@ -73,11 +73,11 @@ def read_angles(table: Table, names: dict[str, str], units: dict | None, *, sile
             if has_units:
                 raise InputError(
                     f"column {names[role]!r} has no unit; state the unit, for example units={{{role!r}: 'deg'}} or "
-                    f"--tiles-unit {role}=deg"
+                    f"--set tiles.units.{role}=deg"
                 )
     if assumed and not silent:
         warn(
             f"the centers of tiles have no units: the assumed unit of {' and '.join(assumed)} is deg; to use other "
-            "units, give units= or --tiles-unit"
+            "units, give units= or --set tiles.units.ra=UNIT"
         )
     return found

@@ -234,7 +234,7 @@ class Tiling:
             If the file does not exist, or is not a list of tiles.
         """
         path = _io.to_path(path)
-        table = _io.read_table(path, hdu, "; to read another table, give hdu= or --tiles-hdu")
+        table = _io.read_table(path, hdu, "; to read another table, give hdu= or --set tiles.hdu=NAME")
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
             return cls._from_table(

@@ -53,6 +53,7 @@ def test_lamost_is_the_rule_as_written(name, xy, n_classes, random):
     assert allocation.target_of_positioner.tolist() == expected
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", METHODS)
 @given(st.sampled_from(sorted(PLANES)), TARGETS)
 def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):

@@ -119,6 +119,7 @@ def test_the_command_line_continues_with_the_best_plan_after_an_interrupt():
         sleep(5)  # no search
 
 
+@pytest.mark.exhaustive
 def test_a_large_problem_ends_at_the_time_limit():
     plane, xy = large()
     begin = perf_counter()

@@ -25,6 +25,7 @@ SCENES = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("limit", [0.3, 1.5])
 @pytest.mark.parametrize("scene", SCENES)
 def test_no_plan_is_worse_than_that_of_repair(scene, limit):

@@ -35,6 +35,7 @@ def enumerate_plans(plane, xy):
             yield len(used), len(pairs)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("size", [2000, 6])
 def test_as_few_idle_arms_as_possible_collide(monkeypatch, size):
     """With a small size, only positioners around each collision are changed; the plan is then not always the best."""

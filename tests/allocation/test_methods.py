@@ -178,6 +178,7 @@ def test_the_least_important_targets_give_way_first_and_are_free_again():
     assert found.target_of_positioner.tolist() == [2, 0]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["balanced", "nearest", "lamost"])
 @given(st.sampled_from(sorted(PLANES)), scenes())
 def test_rules_take_nothing_but_science(method, name, scene):

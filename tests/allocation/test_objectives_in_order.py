@@ -54,6 +54,7 @@ def random_scene(seed):
     return plane, xy, options, rng
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_SCENES // CHUNK))])
 def test_no_objective_is_worse_than_in_the_best_plan(chunk):
     """A step that separated idle arms once kept the numbers of targets, but lost the sum of their subpriorities."""

@@ -51,6 +51,7 @@ def both_ways(monkeypatch, case, method, kept=(1, 1)):
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("chunk", [*range(2), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, 8))])
 def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypatch, chunk):
     n_left_out = n_lost = 0
@@ -69,6 +70,7 @@ def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypat
     assert n_lost < 40  # most plans are optimal in spite of the omissions
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("chunk", range(2))
 def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
     for seed in range(40 * chunk, 40 * chunk + 40):

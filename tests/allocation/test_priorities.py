@@ -28,6 +28,7 @@ def test_close_priorities_are_different_classes(allocator, pair):
     assert [level.value for level in found.levels] == [(priority[used] == p).sum() for p in sorted(pair, reverse=True)]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("order", ["color", "joint"])
 def test_completeness_of_surveys_separates_close_priorities(order):
     sky = SkyCoord(180 + 0.01 * np.arange(20), 20, unit="deg")

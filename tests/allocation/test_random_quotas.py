@@ -59,6 +59,7 @@ def counts_of(plane, found, options):
             yield one, place, held(one, plane, pairs, *columns, place=place)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("method", FILLING)
 def test_unmet_is_what_a_count_by_hand_finds(method, seed):
@@ -92,6 +93,7 @@ def exceeds(plane, xy, options, **more):
     return max(over) > 0, over.count(0)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("method", ["sdss", "optimal"])
 def test_no_maximum_is_exceeded(method, seed):

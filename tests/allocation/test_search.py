@@ -46,6 +46,7 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     assert len(rs.find_collisions(plane, found).pairs) == 0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("n_classes", "objective", "seed"),
     [
@@ -76,6 +77,7 @@ def test_unproven_plans_are_honest(n_classes, objective, seed):
         assert found.n_assigned > 0.8 * best.n_assigned
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("parked", [True, False])
 @pytest.mark.parametrize("seed", range(12))
 def test_larger_fields_against_a_plain_integer_program(seed, parked):
@@ -288,6 +290,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     assert first.bound == first.value + second.bound == len(plane)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("pitch", "expected"), [(25.6, True), (5.0, False)])
 def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypatch, pitch, expected):
     """Regression: the presolve step took up to 400 s with a limit of 5 s, for arms of 16.5 mm at a pitch of 5 mm."""

@@ -33,6 +33,7 @@ def test_local_moves_that_suffice_do_not_depend_on_the_order_of_rows(rng):
     np.testing.assert_array_equal(*[plan.tips.value for plan in plans])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 @pytest.mark.parametrize("allocator", ["optimal", "repair"])
 def test_positions_decide_ties_if_there_are_no_identifiers(allocator, options):

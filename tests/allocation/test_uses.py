@@ -66,6 +66,7 @@ UNUSED = [
 ]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("allocator", "options", "words"), UNUSED)
 def test_plans_warn_of_an_option_that_the_allocator_does_not_use(sky, allocator, options, words):
     own = {name: value for name, value in options.items() if name != "rng"}

@@ -28,7 +28,7 @@ def select(folder, workers, *options):
         "--tiles",
         folder / "tiles.ecsv",
     )
-    more = "--realizations", 128, "--allocator", "nearest", "--workers", workers
+    more = "--n-realizations", 128, "--allocator", "nearest", "--workers", workers
     return [str(word) for word in (sys.executable, *words, *more, *options)]
 
 

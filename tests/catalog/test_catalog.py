@@ -296,7 +296,7 @@ def test_within_agrees_with_astropy(center, rng):
         (
             {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
             r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
-            r"none; state a value for these rows, for example fill=.'priority': 0. or --fill priority=0",
+            r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
         ),
         ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
         (

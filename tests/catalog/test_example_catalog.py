@@ -46,6 +46,7 @@ def test_a_missing_file_is_named(monkeypatch, tmp_path):
         rs.example_catalog()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "command",
     [
@@ -66,6 +67,7 @@ def test_commands_refuse_an_unknown_example(run):
     assert err == "rfpsurvey: unknown example catalog 'spring'; choose one of: anticenter.\n"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("editable", [False, True])
 def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
     spec = importlib.util.spec_from_file_location("wheel", ROOT / "data" / "wheel.py")

@@ -21,6 +21,7 @@ def sky(kind, center, radius=5, **options):
     return rs.synthetic_catalog(kind, SkyCoord(*center, unit="deg"), radius * DEG, **{**OPTIONS[kind], **options})
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("kind", OPTIONS)
 @pytest.mark.parametrize("center", CENTERS)
 def test_points_are_true_to_area(kind, center):

@@ -108,7 +108,7 @@ def test_a_bad_file_of_conditions_gives_one_sentence(tmp_path, run, text, words)
         rs.ObservingConditions.read(path)
     assert str(caught.value).startswith(f"{path}")
     assert words in str(caught.value)
-    code, _, err = run("plan", "--conditions", path)
+    code, _, err = run("plan", "--set", f"conditions.path={path}")
     assert code == 2
     assert len(err.strip().splitlines()) == 1
 
@@ -122,7 +122,7 @@ def test_a_file_of_conditions_holds_a_date_of_toml_or_text(tmp_path, value):
 
 @pytest.mark.parametrize("value", ["2026.5", "J2026.5", "soon", "06:30"])
 def test_the_option_time_names_itself(run, value):
-    code, _, err = run("plan", "--site", "xinglong", "--time", value)
+    code, _, err = run("plan", "--set", "conditions.site=xinglong", "--set", f"conditions.time={value}")
     assert code == 2
     assert err.startswith(f"rfpsurvey: --time {FORM}")
     assert len(err.strip().splitlines()) == 1

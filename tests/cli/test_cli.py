@@ -13,6 +13,7 @@ from refusals import sentence
 from rfpsurvey._cli import _app
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("instrument", ["lamost", "sdss_apo"])
 def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
     fits, png = tmp_path / "tile.fits", tmp_path / "tile.png"
@@ -23,7 +24,7 @@ def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
         instrument,
         "--center",
         "06h20m00s +23d00m00s",
-        "--pa",
+        "--position-angle",
         15,
         "--epoch",
         2026.5,
@@ -44,6 +45,7 @@ def test_plan_of_a_real_field(run, tycho, tmp_path, instrument):
     assert tile.provenance["parameters"]["epoch"] == "J2026.500"
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["tile.ecsv", "tile.ecsv.gz", "tile.fits", "tile.fits.gz"])
 def test_it_is_printed_that_ecsv_has_no_outcomes(run, tmp_path, name):
     path = tmp_path / name
@@ -97,6 +99,7 @@ def test_instruments_side_by_side(run):
     assert "published: " not in out
 
 
+@pytest.mark.exhaustive
 def test_benchmark(run, tmp_path):
     chart = tmp_path / "chart.png"
     call = (
@@ -147,17 +150,21 @@ def test_score(run, tmp_path):
     )
     assert "selects no row" in sentence(*run("score", path, "--select", "field=3")[::2])
     assert "no column 'no'; the columns are: positioner" in sentence(*run("score", path, "--select", "no=3")[::2])
-    assert "must have the form COLUMN=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
+    assert "must have the form NAME=VALUE" in sentence(*run("score", path, "--select", "field")[::2])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["probability", "--precision", 2], "--precision must be a number above 0"),
-        (["survey", "--instrument", "moons", "--pass", 7], "--pass must be distinct passes of the tiling (1, 2)"),
-        (["compare", "moons", "--targets=-1"], "--targets must be a positive number, got -1"),
+        (["survey", "--instrument", "moons", "--passes", 7], "--passes must be distinct passes of the tiling (1, 2)"),
+        (
+            ["compare", "moons", "--targets-per-positioner=-1"],
+            "--targets-per-positioner must be a positive number, got -1",
+        ),
         (["compare", "moons", "--density", "nan"], "--density must be one finite value above 0"),
-        (["compare", "moons", "--realizations", 0], "--realizations must be a whole number from 1"),
+        (["compare", "moons", "--n-realizations", 0], "--n-realizations must be a whole number from 1"),
     ],
 )
 def test_errors_name_the_option_that_was_typed(run, arguments, message):
@@ -172,7 +179,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     unit = rs.Instrument.preset("sdss_apo").focal_plane
     x, y = unit.xy[:1].T
     QTable({"positioner": unit.id[:1], "x": x + 500 * u.mm, "y": y, "assigned": [1]}).write(tmp_path / "one.ecsv")
-    keep = ["--keep-out", "95,23,3", "--allocator", "repair"]
+    keep = ["--constraint", "keep_out 95 23 3", "--allocator", "repair"]
     code, out, _ = run("plan", "--instrument", "sdss_apo", "--center", "95 23", *keep)
     assert code == 0
     assert "undefined, because no arm is counted" in out
@@ -192,8 +199,8 @@ def test_columns_units_and_toml(run, tmp_path):
     names = ("--column", "ra=a", "--column", "dec=b", "--column", "priority=-rank")
     code, out, err = run(*arguments, *names)
     assert code == 0
-    assert "the assumed units are a in deg, b in deg; to use other units, give units= or --unit" in err
-    code, out, err = run(*arguments, *names, "--unit", "ra=deg", "--unit", "dec=deg")
+    assert "the assumed units are a in deg, b in deg; to use other units, give units= or --set catalog.units" in err
+    code, out, err = run(*arguments, *names, "--set", "catalog.units.ra=deg", "--set", "catalog.units.dec=deg")
     assert code == 0
     assert "unit" not in err
     assert "in reach of a positioner" in out
@@ -208,6 +215,7 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
     assert err == "rfpsurvey: warning: 1 of 2 targets have no finite coordinates and were removed\n"
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -223,17 +231,17 @@ def test_dropped_rows_are_a_warning_and_a_count(run, tmp_path):
         (["--center", "somewhere"], "--center must be coordinates"),
         (["--instrument", "lamots"], "unknown instrument 'lamots'; choose one of"),
         (["--instrument", "{no}.toml"], "no.toml: there is no such file"),
-        (["--instrument", "lamost.csv"], "pfs, sdss_apo, sdss_lco, or a TOML file."),
+        (["--instrument", "lamost.csv"], ", or a TOML file."),
         (["--center", "400 0"], "the right ascension must lie between -360 and 360 deg"),
-        (["--time-limit", "nan"], "--time-limit must be one finite value above 0 s"),
-        (["{good}.ecsv", "--frame", "altaz"], "frame must be a frame that has a fixed relation to ICRS"),
+        (["--set", "options.time_limit=nan"], "options.time_limit must be one finite value above 0 s"),
+        (["{good}.ecsv", "--set", "catalog.frame=altaz"], "frame must be a frame that has a fixed relation to ICRS"),
         (["--allocator", "magic"], "unknown allocator 'magic'; choose one of: balanced, lamost"),
         (["{good}.ecsv", "--epoch", "soon", "--center", "10.0 20.0"], "must be a Time, a Julian year"),
         (["--output", "{no}/tile.fits"], "does not exist"),
         (["--output", "{good}.ecsv"], "exists; to replace it, use --overwrite"),
         (["--output", "{tile}.csv"], "must end in .fits or .ecsv"),
         (["--plot", "{tile}.jpg"], "must end in .png or .pdf or .svg"),
-        (["{good}.ecsv", "--unit", "ra"], "--unit must have the form ROLE=UNIT"),
+        (["{good}.ecsv", "--set", "catalog.units.ra"], "--set must have the form KEY=VALUE"),
         (["{good}.ecsv", "--column", "rightascension=x"], "unknown column role 'rightascension'"),
     ],
 )
@@ -291,14 +299,15 @@ def test_a_spreadsheets_csv(run, tmp_path):
     assert "targets in the catalog                    10" in out
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--equinox", "foo"], "equinox must be a Time, a Julian year"),
-        (["--frame", "foo", "{good}"], "unknown frame 'foo'"),
-        (["--pa", "400"], "--pa must lie between -360 and 360 deg, got 400"),
-        (["--pa", "nan"], "--pa must lie between -360 and 360 deg, got nan"),
-        (["--pa=1e17"], "--pa must lie between -360 and 360 deg, got 1e+17"),
+        (["--set", "equinox=foo"], "equinox must be a Time, a Julian year"),
+        (["--set", "catalog.frame=foo", "{good}"], "unknown frame 'foo'"),
+        (["--position-angle", "4000"], "--position-angle must be one finite value"),
+        (["--position-angle", "nan"], "--position-angle must be one finite value"),
+        (["--position-angle=1e17"], "--position-angle must be one finite value"),
         (["--plot", "{folder}/x.png.gz"], "must end in .png or .pdf or .svg"),
         (["--output", "{folder}/x.ecsv.bz2"], "must end in .fits or .ecsv"),
         (["{folder}/dir.fits"], "must contain partitions"),
@@ -331,14 +340,23 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     code, out, _ = run("probability", "lamost", "--targets", tycho)
     assert code == 0
     assert "targets given" in out
-    options = ["--targets", "poisson_disc", "--min-separation", 1, "--n-targets", 500, "--target-radius", 60]
+    options = [
+        "--targets",
+        "poisson_disc",
+        "--set",
+        "targets.min_separation=1",
+        "--set",
+        "targets.number=500",
+        "--set",
+        "targets.radius=60",
+    ]
     code, out, _ = run("probability", "sdss_apo", *options, "--max-iterations", 8)
     assert code == 0
     assert "min_separation_mm 1" in out
     code, _, err = run("probability", "lamost", "--targets", "clustered")
     assert "unknown kind of targets 'clustered'" in sentence(code, err)
-    code, _, err = run("probability", "lamost", "--targets", tycho, "--n-targets", 500)
-    assert "--n-targets can be used only with random targets, but a catalog was given" in sentence(code, err)
+    code, _, err = run("probability", "lamost", "--targets", tycho, "--set", "targets.number=500")
+    assert "targets.number can be used only with random targets, but a catalog was given" in sentence(code, err)
     code, _, err = run("probability", "lamost", "--method", "guess")
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 
@@ -348,6 +366,7 @@ def test_the_command_reproduce_states_where_its_experiments_are(run):
     assert "python docs/reproduction runs them" in sentence(code, err)
 
 
+@pytest.mark.exhaustive
 def test_benchmark_of_probabilities(run, tmp_path):
     figures = {"central_arm": "3.0 mm", "eccentric_arm": "5.0 mm", "clearance": "1.0 mm"}
     figure = '{{ value = {}, unit = "{}", status = "assumed", source = "a test of mine" }}'
@@ -382,8 +401,8 @@ def test_an_epoch_that_no_column_says(run, tmp_path):
     options = ("plan", path, "--instrument", "sdss_apo", "--center", "95.25 23", "--epoch", "2026.0")
     code, _, err = run(*options)
     assert code == 2
-    assert "--column epoch=J2016" in err
-    assert run(*options, "--column", "epoch=J2016.0", "--output", tmp_path / "tile.fits")[0] == 0
+    assert "catalog.epoch=J2016" in err
+    assert run(*options, "--set", "catalog.epoch=J2016.0", "--output", tmp_path / "tile.fits")[0] == 0
     tile = rs.Tile.read(tmp_path / "tile.fits")
     dec = tile.table["dec"][tile.table["status"] == "assigned"].to_value("deg")
     assert len(dec) > 5
@@ -394,17 +413,22 @@ def test_plan_draws_all_targets_and_the_quality(run, tmp_path):
     plain, plot, quality = (tmp_path / f"{name}.png" for name in ("plain", "plot", "quality"))
     common = "plan", "--instrument", "sdss_apo"
     assert run(*common, "--plot", plain)[0] == 0
-    code, out, err = run(*common, "--plot", plot, "--targets", "outcome", "--quality", quality)
+    code, out, err = run(
+        *common, "--plot", plot, "--set", "output.targets=outcome", "--set", f"output.quality={quality}"
+    )
     assert (code, err) == (0, "")
     assert out.endswith(f"wrote {plot}\nwrote {quality}\n")
     assert plot.read_bytes() != plain.read_bytes()
     assert quality.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     for options, message in (
-        (("--targets", "kind"), "--targets colors the targets in a plot"),
-        (("--targets", "all", "--plot", tmp_path / "a.png"), "unknown --targets 'all'"),
-        (("--targets", "priority", "--plot", tmp_path / "a.png"), "--targets priority needs the column priority"),
-        (("--quality", tmp_path / "a.txt"), "must end in"),
-        (("--quality", quality), "exists"),
+        (("--set", "output.targets=kind"), "output.targets colors the targets in a plot"),
+        (("--set", "output.targets=all", "--plot", tmp_path / "a.png"), "unknown output.targets 'all'"),
+        (
+            ("--set", "output.targets=priority", "--plot", tmp_path / "a.png"),
+            "output.targets=priority needs the column priority",
+        ),
+        (("--set", f"output.quality={tmp_path / 'a.txt'}"), "must end in"),
+        (("--set", f"output.quality={quality}"), "exists"),
     ):
         code, out, err = run(*common, *options)
         assert code == 2
@@ -421,7 +445,7 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
     plan = ["plan", tmp_path / "a.csv", "--center", "95 23", "--instrument", "sdss_apo"]
     fits = ["--output", tmp_path / "a.fits"]
     write(["a", "b", "β Ori"], ["x", "y", "ö"])  # the last target is in another field
-    assert run(*plan, "--keep", "note", *fits)[0] == 0
+    assert run(*plan, "--set", "catalog.keep=note", *fits)[0] == 0
     with monkeypatch.context() as patch:
         patch.setattr(rs, "plan_tile", None)
         write(["β Ori", "b", "c"], ["x", "y", "z"])
@@ -433,15 +457,15 @@ def test_text_that_fits_cannot_hold_is_refused_before_planning(run, tmp_path, mo
         )
         assert "write .ecsv instead" in err
         write(["a", "b", "c"], ["x", "ä", "z"])
-        code, _, err = run(*plan, "--keep", "note", *fits, "--overwrite")
+        code, _, err = run(*plan, "--set", "catalog.keep=note", *fits, "--overwrite")
         assert code == 2
         assert "1 values of 'note' contain other characters (for example, 'ä')" in err
-    assert run(*plan, "--keep", "note", "--output", tmp_path / "a.ecsv")[0] == 0
+    assert run(*plan, "--set", "catalog.keep=note", "--output", tmp_path / "a.ecsv")[0] == 0
 
 
 def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
     path = tmp_path / "tile.fits"
-    code, out, err = run("plan", "--instrument", "desi", "--arm-model", "elbow_to_tip", "--output", path)
+    code, out, err = run("plan", "--instrument", "desi", "--set", "instrument.arm_model=elbow_to_tip", "--output", path)
     assert (code, err) == (0, "")
     lines = out.splitlines()
     k = next(k for k, line in enumerate(lines) if line.startswith("  in collision"))
@@ -449,13 +473,14 @@ def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
     tile = rs.Tile.read(path)
     assert tile.summary["arm_model"] == tile.provenance["instrument"]["arm_model"] == "elbow_to_tip"
     assert repr(tile).endswith(f"{tile.summary['n_colliding']} in collision (arm model: elbow_to_tip)>")
-    code, scored, _ = run("score", path, "--arm-model", "outline")
+    code, scored, _ = run("score", path, "--set", "instrument.arm_model=outline")
     assert code == 0
     assert "    arm model                        outline" in scored
     (line,) = (line for line in scored.splitlines() if line.startswith("  in collision"))
     assert int(line.split()[-1]) > 2 * tile.summary["n_colliding"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -465,21 +490,22 @@ def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
     ],
 )
 def test_commands_take_an_arm_model(run, arguments, words):
-    code, out, err = run(*arguments, "--instrument", "sdss_apo", "--arm-model", "elbow_to_tip")
+    code, out, err = run(*arguments, "--instrument", "sdss_apo", "--set", "instrument.arm_model=elbow_to_tip")
     assert code == 0, err
     assert words in out
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "probability"])
 def test_an_arm_model_that_an_instrument_does_not_have_is_refused(run, command):
     model = ["lamost"] if command == "probability" else ["--instrument", "lamost"]
-    code, _, err = run(command, *model, "--arm-model", "outline")
+    code, _, err = run(command, *model, "--set", "instrument.arm_model=outline")
     assert code != 0
-    assert "--arm-model must be one of elbow_to_tip, fiber_tip for lamost, got 'outline'" in err
+    assert "instrument.arm_model must be one of elbow_to_tip, fiber_tip for lamost, got 'outline'" in err
 
 
 def test_the_command_probability_states_the_arm_model(run):
-    code, out, _ = run("probability", "desi", "--method", "closed_form", "--arm-model", "elbow_to_tip")
+    code, out, _ = run("probability", "desi", "--method", "closed_form", "--set", "instrument.arm_model=elbow_to_tip")
     assert code == 0
     assert out.startswith("desi, arm model elbow_to_tip, closed_form, independent targets")
     code, _, err = run("probability", "desi", "--method", "closed_form")
@@ -489,7 +515,14 @@ def test_the_command_probability_states_the_arm_model(run):
 
 @pytest.mark.parametrize("digits", [400, 5000])
 @pytest.mark.parametrize(
-    "options", ["--seed={}", "--subpriority={}", "--site={},0,0 --hour-angle=1", "--require=sky={}", "--pa={}"]
+    "options",
+    [
+        "--rng={}",
+        "--set options.subpriority={}",
+        "--set conditions.site={},0,0 --set conditions.hour_angle=1",
+        "--constraint=sky={}",
+        "--position-angle={}",
+    ],
 )
 def test_numbers_of_hundreds_of_digits_are_refused(tmp_path, run, digits, options):
     """A site with an infinite longitude was accepted, and a subpriority of 5000 digits caused a traceback."""

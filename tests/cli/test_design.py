@@ -61,9 +61,19 @@ def test_rows_of_the_front_are_told_apart(capsys):
     }
 
 
+@pytest.mark.exhaustive
 def test_points_of_sobol_and_other_losses(run, tmp_path):
     options = ["--ratio", "1:1.5", "--pitch", "26:30", "--n-designs", 16, "--targets-per-positioner", 2]
-    options += ["--estimand", "collision_free", "--n-skies", 2, "--objective", "usable=max", "--objective", "loss=min"]
+    options += [
+        "--estimand",
+        "collision_free",
+        "--set",
+        "loss.n_skies=2",
+        "--objective",
+        "usable=max",
+        "--objective",
+        "loss=min",
+    ]
     code, out, _ = run("design", *options, "--output", tmp_path / "d.fits")
     assert code == 0
     assert "(fraction of lost fibers): collision_free; on the Pareto front (usable max, loss min)" in out
@@ -79,6 +89,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
     assert "no sensitivities: at least one of central_arm" in out
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -87,7 +98,7 @@ def test_points_of_sobol_and_other_losses(run, tmp_path):
         (["--pitch", "22:30"], "--pitch 22:30: a grid needs at least two nodes, such as 22:30:5"),
         (["--pitch", "22:30:5", "--n-designs", 9], "with --n-designs, give only limits, such as 22:30"),
         (["--ratio", "-1"], "ratio must be finite and above 0, got -1"),
-        (["--objective", "loss"], "--objective must have the form COLUMN=DIRECTION"),
+        (["--objective", "loss"], "--objective must have the form NAME=VALUE"),
         (["--method", "guess"], "unknown method of design studies 'guess'"),
         (["--output", "{folder}/no/d.fits"], "does not exist"),
         (["--plot", "{folder}/d.jpg"], "must end in .png or .pdf or .svg"),
@@ -118,6 +129,7 @@ plate_scale = { value = 97.0, unit = "um / arcsec" }
 """
 
 
+@pytest.mark.exhaustive
 def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(run, tmp_path):
     (tmp_path / "mine.toml").write_text(MINE)
     output, plot = tmp_path / "d.ecsv", tmp_path / "d.svg"

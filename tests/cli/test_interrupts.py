@@ -28,6 +28,7 @@ def whole(tmp_path_factory):
     return room, interrupts.content(folder)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["survey optimal", "survey processes"])
 def test_an_interrupted_survey_ends_with_a_message_and_can_be_resumed(name, whole):
     """Regression: threads of HiGHS aborted the process after the message."""
@@ -144,7 +145,8 @@ def test_an_interrupted_search_of_a_plan_has_the_exit_code_of_an_interrupt(run, 
     assert rs.Tile.read(tmp_path / "tile.fits").summary["n_positioners"] == 1001
 
 
-@pytest.mark.parametrize("closed", [0, 2])
+@pytest.mark.few(1)
+@pytest.mark.parametrize("closed", [2, 0])
 def test_closed_standard_streams_change_nothing(closed, tmp_path):
     """Regression: without a standard error stream, the command ``survey`` ended without output."""
     words = f"exec {sys.executable} -m rfpsurvey survey --instrument moons --folder out {closed}>&-"
@@ -161,3 +163,18 @@ def test_a_closed_standard_output_is_an_error_after_the_files_are_written(tmp_pa
     done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (2, "rfpsurvey: standard output is closed\n")
     assert rs.Tile.read(tmp_path / "tile.fits").summary["n_positioners"] == 1001
+
+
+@pytest.mark.parametrize("words", [["--version"], ["plan", "--nonsense"]])
+def test_the_signal_handlers_of_a_command_are_removed_when_it_returns(words, monkeypatch):
+    """Programs that run ``main`` in their process, such as tests, kept the handlers of the last command."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before, hook = [signal.getsignal(number) for number in numbers], sys.unraisablehook
+    monkeypatch.setattr(sys, "argv", ["rfpsurvey", *words])
+    prepare, seen = _process._prepare, []
+    monkeypatch.setattr(_process, "_prepare", lambda: (prepare(), seen.append(signal.getsignal(signal.SIGINT))))
+    with pytest.raises(SystemExit):
+        _process.main()
+    assert seen == [_process._interrupt]
+    assert [signal.getsignal(number) for number in numbers] == before
+    assert sys.unraisablehook is hook

@@ -2,7 +2,7 @@ import pytest
 
 import rfpsurvey as rs
 
-PLAN = ("--instrument", "desi", "--allocator", "nearest", "--margins")
+PLAN = ("--instrument", "desi", "--allocator", "nearest", "--set")
 
 
 def margins_of(path):
@@ -22,6 +22,7 @@ def sky(tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -33,41 +34,42 @@ def sky(tmp_path):
 )
 def test_forms_of_the_option(run, sky, tmp_path, text, expected):
     path = tmp_path / "tile.fits"
-    code, out, err = run("plan", sky, *PLAN, text, "--output", path)
+    code, out, err = run("plan", sky, *PLAN, f"instrument.margins={text}", "--output", path)
     assert (code, err) == (0, "")
     assert margins_of(path) == expected
     assert ("    margins" in out) == (expected is not None)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("outer", "--margins must be off, instrument, or NAME=VALUE"),
-        ("outer=wide", "--margins must be off, instrument, or NAME=VALUE"),
-        ("off,outer=1", "--margins must be off, instrument, or NAME=VALUE"),
+        ("outer", "margins must be off, instrument, or NAME=VALUE"),
+        ("outer=wide", "margins must be off, instrument, or NAME=VALUE"),
+        ("off,outer=1", "margins must be off, instrument, or NAME=VALUE"),
         ("outer=1,outer=2", "with different names"),
-        ("edge=1", "unknown margin 'edge'"),
+        ("edge=1", "unknown key 'instrument.margins.edge'"),
         ("outer=-1", "the margin outer must be one finite value of at least 0 mm"),
         ("outer=nan", "the margin outer must be one finite value"),
         ("inner=6.5", "the margins outer and inner must leave a part of the patrol area"),
     ],
 )
 def test_invalid_margins(run, sky, text, sentence):
-    code, _, err = run("plan", sky, *PLAN, text)
+    code, _, err = run("plan", sky, *PLAN, f"instrument.margins={text}")
     assert code == 2
     assert sentence in err
     assert len(err.strip().splitlines()) == 1
 
 
 def test_an_instrument_without_margins(run, sky):
-    code, _, err = run("plan", sky, "--instrument", "lamost", "--margins", "instrument")
+    code, _, err = run("plan", sky, "--instrument", "lamost", "--set", "instrument.margins=instrument")
     assert code == 2
-    assert "--margins must give values, such as outer=0.1" in err
+    assert "margins must give values, such as outer=0.1" in err
 
 
 def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
     tiles, folder, tile = tmp_path / "tiles.ecsv", tmp_path / "survey", tmp_path / "tile.fits"
-    common = ("--instrument", "desi", "--margins", "outer=0.7")
+    common = ("--instrument", "desi", "--set", "instrument.margins=outer=0.7")
     code, out, err = run("tile", sky, *common, "--method", "max_density", "--n-tiles", 1, "--output", tiles)
     assert (code, err) == (0, "")
     assert "outer 0.7 mm" in out
@@ -75,37 +77,38 @@ def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
     assert code == 0
     assert "outer 0.7 mm" in out
     assert rs.Survey.read(folder).provenance["instrument"]["margins"] == {"outer_mm": 0.7}
-    assert run("select", sky, "--tiles", tiles, *common, "--realizations", 2, "--output", tmp_path / "p.fits")[0] == 0
+    assert run("select", sky, "--tiles", tiles, *common, "--n-realizations", 2, "--output", tmp_path / "p.fits")[0] == 0
     chances = rs.SelectionProbabilities.read(tmp_path / "p.fits")
     assert chances.provenance["instrument"]["margins"] == {"outer_mm": 0.7}
     code, out, _ = run("compare-allocators", sky, *common, "--allocator", "nearest")
     assert code == 0
     assert "margins: outer 0.7 mm" in out
     assert run("plan", sky, "--instrument", "desi", "--allocator", "nearest", "--output", tile)[0] == 0
-    code, out, err = run("score", tile, "--margins", "outer=0.7")
+    code, out, err = run("score", tile, "--set", "instrument.margins=outer=0.7")
     assert (code, err) == (0, "")
     n = int(next(line for line in out.splitlines() if "within the margins" in line).split()[-1])
     assert n > 10
 
 
+@pytest.mark.exhaustive
 def test_a_comparison_of_instruments_with_margins(run):
-    options = ("--targets", 0.2, "--realizations", 1, "--allocator", "nearest")
-    code, out, err = run("compare", "desi", "pfs", "--margins", "outer=0.3", *options)
+    options = ("--targets-per-positioner", 0.2, "--n-realizations", 1, "--allocator", "nearest")
+    code, out, err = run("compare", "moons", "pfs", "--set", "instrument.margins=outer=0.3", *options)
     assert (code, err) == (0, "")
     assert "margins of pfs: outer_mm 0.3\n" in out
 
 
 def test_tiles_without_positioners_have_no_margins(run, sky):
-    for options in (("--region", "cap 95 23 5"), (sky, "--fibers", 100), (sky, "--radius", 1)):
-        code, _, err = run("tile", *options, "--instrument", "desi", "--margins", "outer=0.7")
+    for options in (("--region", "cap 95 23 5"), (sky, "--set", "fibers=100"), (sky, "--set", "radius=1")):
+        code, _, err = run("tile", *options, "--instrument", "desi", "--set", "instrument.margins=outer=0.7")
         assert code == 2
-        assert "--margins must be given only if positioners observe the targets of a catalog" in err
+        assert "margins must be given only if positioners observe the targets of a catalog" in err
 
 
 def test_probabilities_with_margins(run):
     """The margins change the probability and are stated; a formula without these margins refuses them."""
-    values, shape = [], ("desi", "--arm-model", "elbow_to_tip")
-    for extra in ((), ("--margins", "outer=1.5")):
+    values, shape = [], ("desi", "--set", "instrument.arm_model=elbow_to_tip")
+    for extra in ((), ("--set", "instrument.margins=outer=1.5")):
         code, out, err = run("probability", *shape, "--method", "close_pair", *extra)
         assert (code, err) == (0, "")
         assert ("margins: outer 1.5 mm" in out) == bool(extra)

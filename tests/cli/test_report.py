@@ -6,16 +6,17 @@ import rfpsurvey as rs
 from pages import Reader
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "command",
     [
         "plan --instrument sdss_apo --output t.ecsv",
-        "tile --region sky --method spiral --instrument lamost --output t.ecsv",
         "survey --instrument sdss_apo --folder plan",
         "compare-allocators --instrument moons --allocator lamost --allocator repair",
-        "compare sdss_apo moons --allocator lamost --realizations 1",
         "design --ratio 1,1.5 --pitch 24,26",
         "probability sdss_apo --method closed_form",
+        "tile --region sky --method spiral --instrument lamost --output t.ecsv",
+        "compare sdss_apo moons --allocator lamost --realizations 1",
         "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
     ],
 )
@@ -52,6 +53,7 @@ WORK = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("command", WORK)
 def test_a_page_that_cannot_be_written_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
     def work(*_, **__):

@@ -28,7 +28,7 @@ def words_of(folder, *others):
 def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp_path):
     folder, sky, tiles = files
     output = tmp_path / "selection.fits"
-    words = words_of(folder, "--realizations", 40, "--allocator", "lamost", "--workers", 2, "--seed", 5)
+    words = words_of(folder, "--n-realizations", 40, "--allocator", "lamost", "--workers", 2, "--rng", 5)
     code, out, err = run(*words, "--output", output, "--folder", tmp_path / "work")
     assert code == 0, err
     expected = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost", rng=5)
@@ -46,7 +46,7 @@ def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp
 
 def test_visits_and_passes(run, files, tmp_path):
     folder, _, _ = files
-    words = words_of(folder, "--realizations", 2, "--visits", 2, "--pass", 1, "--kept")
+    words = words_of(folder, "--n-realizations", 2, "--visits", 2, "--passes", 1, "--set", "lost_in_collision=false")
     code, _, err = run(*words, "--output", tmp_path / "selection.fits")
     assert code == 0, err
     found = rs.SelectionProbabilities.read(tmp_path / "selection.fits")
@@ -65,7 +65,7 @@ def test_visits_and_passes(run, files, tmp_path):
     ],
 )
 def test_refusals_are_one_sentence(run, files, words, message):
-    code, _, err = run(*words_of(files[0], "--realizations", 2, *words))
+    code, _, err = run(*words_of(files[0], "--n-realizations", 2, *words))
     assert code == 2
     assert message in err
     assert "Traceback" not in err
@@ -74,7 +74,7 @@ def test_refusals_are_one_sentence(run, files, words, message):
 def test_existing_files_are_kept(run, files, tmp_path):
     output = tmp_path / "selection.fits"
     output.write_text("mine")
-    code, _, err = run(*words_of(files[0], "--realizations", 2, "--output", output))
+    code, _, err = run(*words_of(files[0], "--n-realizations", 2, "--output", output))
     assert code == 2
     assert "exists; to replace it, use --overwrite" in err
     assert output.read_text() == "mine"

@@ -24,15 +24,38 @@ def path(tmp_path_factory):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "words",
     [
         ("plan", "{path}", "--instrument", "moons"),
         ("compare", "moons", "--catalog", "{path}", "--allocator", "nearest"),
         ("compare-allocators", "{path}", "--instrument", "moons", "--allocator", "nearest"),
-        ("survey", "{path}", "--instrument", "moons", "--tiles", "{path}", "--tiles-hdu", "TILES"),
-        ("select", "{path}", "--instrument", "moons", "--realizations", "2", "--tiles", "{path}", "--tiles-hdu", "3"),
-        ("tile", "{path}", "--instrument", "moons", "--method", "given", "--centers", "{path}", "--tiles-hdu", "tiles"),
+        ("survey", "{path}", "--instrument", "moons", "--tiles", "{path}", "--set", "tiles.hdu=TILES"),
+        (
+            "select",
+            "{path}",
+            "--instrument",
+            "moons",
+            "--n-realizations",
+            "2",
+            "--tiles",
+            "{path}",
+            "--set",
+            "tiles.hdu=3",
+        ),
+        (
+            "tile",
+            "{path}",
+            "--instrument",
+            "moons",
+            "--method",
+            "given",
+            "--centers",
+            "{path}",
+            "--set",
+            "tiles.hdu=tiles",
+        ),
         ("probability", "moons", "--precision", "0.1", "--targets", "{path}"),
     ],
 )
@@ -44,9 +67,9 @@ def test_the_option_hdu_selects_a_table_of_targets(run, path, words):
     assert (
         f"{path}: the file has 3 tables, and only the first one was read: 1 (EXPOSURES), 2 (TARGETS), 3 (TILES)" in err
     )
-    assert "to read another table, give hdu= or --hdu" in err
+    assert "to read another table, give hdu= or --set catalog.hdu=NAME" in err
     for hdu in ("2", "targets"):
-        code, out, err = run(*words, "--hdu", hdu)
+        code, out, err = run(*words, "--set", f"catalog.hdu={hdu}")
         assert code == 0, err
         assert "columns: priority: none, visits: none, id: id, ra: ra, dec: dec\n" in out
         assert "the file has 3 tables" not in err
@@ -60,14 +83,14 @@ def test_the_option_hdu_selects_the_table_of_an_assignment(run, path, tmp_path):
         hdus.append(fits.table_to_hdu(table))
         hdus.writeto(tmp_path / "plan.fits")
     code, _, err = run("score", tmp_path / "plan.fits", "--instrument", "moons")
-    assert (code, "give --hdu" in err) == (2, True)
-    code, out, _ = run("score", tmp_path / "plan.fits", "--instrument", "moons", "--hdu", 4)
+    assert (code, "give --set catalog.hdu=NAME" in err) == (2, True)
+    code, out, _ = run("score", tmp_path / "plan.fits", "--instrument", "moons", "--set", "catalog.hdu=4")
     assert code == 0
     assert str(len(table)) in next(line for line in out.splitlines() if line.startswith("  assigned")).split()
 
 
 @pytest.mark.parametrize("file", ["{folder}", "example:anticenter"])
 def test_the_option_hdu_is_only_for_fits_files(run, tmp_path, file):
-    code, _, err = run("plan", file.format(folder=tmp_path), "--hdu", 1)
+    code, _, err = run("plan", file.format(folder=tmp_path), "--set", "catalog.hdu=1")
     assert code == 2
     assert "hdu must be used only with FITS files, got" in err

@@ -3,7 +3,6 @@
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 
 import astropy.units as u
@@ -13,7 +12,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _process, _surveys
+from rfpsurvey._cli import _groups, _process, _surveys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 
@@ -45,7 +44,9 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     folder, sky, tiling = files
     picture = tmp_path / "plan.png"
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", "--workers", 2)
-    out, err = call(*words, "--folder", tmp_path / "plan", "--plot", picture, "--quality", tmp_path / "quality.svg")
+    out, err = call(
+        *words, "--folder", tmp_path / "plan", "--plot", picture, "--set", f"output.quality={tmp_path / 'quality.svg'}"
+    )
     expected = rs.plan_survey(sky, "moons", tiling).summary
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["visits requested"] == [str(sky.visits.sum())]
@@ -60,28 +61,33 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
     assert rs.Survey.read(tmp_path / "plan").summary["n_assigned"] == expected["n_assigned"]
     assert "holds a survey; continue it" in call(*words, "--folder", tmp_path / "plan", code=2)[1]
     call(*words, "--folder", tmp_path / "plan", "--resume")
-    out, _ = call(*words, "--pass", 1, "--visits", 1, "--kept", "--allocator", "repair")
+    out, _ = call(*words, "--passes", 1, "--visits", 1, "--set", "lost_in_collision=false", "--allocator", "repair")
     assert "tiles                                        1" in out
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("words", "name", "value"),
     [
-        (["--kept"], "lost_in_collision", False),
+        (["--set", "lost_in_collision=false"], "lost_in_collision", False),
         ([], "lost_in_collision", True),
-        (["--no-parked"], "allocator", rs.AllocationOptions(parked_obstacles=False)),
-        (["--subpriority", "3"], "allocator", rs.AllocationOptions(subpriority=3)),
-        (["--subpriority", "SUB"], "allocator", rs.AllocationOptions(subpriority="SUB")),
+        (["--set", "options.parked_obstacles=false"], "allocator", rs.AllocationOptions(parked_obstacles=False)),
+        (["--set", "options.subpriority=3"], "allocator", rs.AllocationOptions(subpriority=3)),
+        (["--set", "options.subpriority=SUB"], "allocator", rs.AllocationOptions(subpriority="SUB")),
         (["--order", "given"], "order", "given"),
         (["--visits", 3], "visits", 3),
-        (["--pass", 2, "--pass", 1], "passes", [2, 1]),
-        (["--epoch", "2026.5"], "epoch", "2026.5"),
-        (["--seed", 4], "rng", 4),
+        (["--passes", 2, "--passes", 1], "passes", [2, 1]),
+        (["--epoch", "2026.5"], "epoch", 2026.5),
+        (["--rng", 4], "rng", 4),
         (["--allocator", "sdss"], "allocator", rs.AllocationOptions("sdss")),
-        (["--require", "sky=5"], "allocator", rs.AllocationOptions(requirements=["sky=5"])),
-        (["--sky-separation", 10], "allocator", rs.AllocationOptions(sky_separation=10 * u.arcsec)),
-        (["--time-limit", 5], "allocator", rs.AllocationOptions(time_limit=5 * u.s)),
-        (["--required", 7, "--required", "a"], "allocator", rs.AllocationOptions(required=["7", "a"])),
+        (["--constraint", "sky=5"], "allocator", rs.AllocationOptions(requirements=["sky=5"])),
+        (["--set", "options.sky_separation=10"], "allocator", rs.AllocationOptions(sky_separation=10 * u.arcsec)),
+        (["--set", "options.time_limit=5"], "allocator", rs.AllocationOptions(time_limit=5 * u.s)),
+        (
+            ["--constraint", "required 7", "--constraint", "required a"],
+            "allocator",
+            rs.AllocationOptions(required=["7", "a"]),
+        ),
         (["--resume"], "resume", True),
         ([], "executor", None),
     ],
@@ -102,11 +108,11 @@ def test_every_option_reaches_the_library(call, files, monkeypatch, words, name,
 def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_path):
     folder, sky, tiling = files
     wanted, outside = np.flatnonzero(sky.visits > 0)[:2], int(np.argmax(sky.coord.separation(CENTER)))
-    required, circles = [*wanted.tolist(), outside], ["95.0,23.0,0.02", "cap 94.8 23.05 0.01"]
+    required, circles = [*wanted.tolist(), outside], ["95.0 23.0 0.02", "94.8 23.05 0.01"]
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
     words += ("--allocator", "lamost")
-    words += tuple(word for k in required for word in ("--required", k))
-    words += tuple(word for circle in circles for word in ("--keep-out", circle))
+    words += tuple(word for k in required for word in ("--constraint", f"required {k}"))
+    words += tuple(word for circle in circles for word in ("--constraint", f"keep_out {circle}"))
     out, err = call(*words, "--folder", tmp_path / "plan")
     regions = [rs.Region.parse(text) for text in ("cap 95 23 0.02", "cap 94.8 23.05 0.01")]
     options = rs.AllocationOptions("lamost", required=required, keep_out=regions)
@@ -121,7 +127,7 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     n_observed = expected.summary["n_required_observed"]
     assert f"required targets observed               {n_observed} of 3" in out
     call(*words, "--folder", tmp_path / "plan", "--resume")  # the output has the same labels
-    assert "holds another survey: --keep-out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
+    assert "holds another survey: keep_out" in call(*words[:-2], "--folder", tmp_path / "plan", "--resume", code=2)[1]
 
 
 def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
@@ -130,8 +136,9 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     tile = rs.plan_tile(sky, "moons", CENTER, allocator="lamost")
     names = tile.outcomes["target_id"][np.isin(tile.outcomes["outcome"], ["lost to a collision", "out of reach"])]
     QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}).write(tmp_path / "one.ecsv")
+    required = [int(name) for name in (*names[:4], *np.flatnonzero(sky.visits > 0)[:2])]
     words = [folder / "stars.fits", "--instrument", "moons"]
-    words += [word for name in (*names[:4], *np.flatnonzero(sky.visits > 0)[:2]) for word in ("--required", name)]
+    words += [word for name in required for word in ("--constraint", f"required {name}")]
     lines = []
     for command in (
         ("plan", *words, "--center", "95 23"),
@@ -139,7 +146,6 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     ):
         out, _ = call(*command)
         lines += [line.split() for line in out.splitlines() if line.startswith("required targets observed")]
-    required = [int(word) for word in words if not isinstance(word, str | Path)]
     tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions(required=required))
     outcome = tile.outcomes["outcome"][np.isin(tile.outcomes["target_id"], required)]
     n = int((outcome == "observed").sum())
@@ -150,7 +156,16 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
 def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
     folder, sky, _ = files
     words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
-    words += ["--allocator", "lamost", "--required", 9, "--keep-out", "95,23.05,0.02", "--output", tmp_path / "c.ecsv"]
+    words += [
+        "--allocator",
+        "lamost",
+        "--constraint",
+        "required 9",
+        "--constraint",
+        "keep_out 95 23.05 0.02",
+        "--output",
+        tmp_path / "c.ecsv",
+    ]
     call(*words)
     options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
     expected = rs.compare_instruments(
@@ -162,14 +177,23 @@ def test_instruments_are_compared_with_required_targets_and_circles(call, files,
     )
     assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
     assert found.meta["parameters"]["required"] == ["9"]
-    _, err = call("compare", "moons", "--required", 9, code=2)
+    _, err = call("compare", "moons", "--constraint", "required 9", code=2)
     assert "required targets can be used only with a catalog" in err
 
 
 @pytest.mark.parametrize("command", ["plan", "compare-allocators"])
 def test_one_tile_has_the_same_words(call, files, tmp_path, command):
     folder, sky, _ = files
-    words = ["--instrument", "moons", "--center", "95 23", "--required", 9, "--keep-out", "95,23.05,0.02"]
+    words = [
+        "--instrument",
+        "moons",
+        "--center",
+        "95 23",
+        "--constraint",
+        "required 9",
+        "--constraint",
+        "keep_out 95 23.05 0.02",
+    ]
     words += ["--allocator", "lamost", "--output", tmp_path / "out.ecsv"]
     call(command, folder / "stars.fits", *words)
     options = rs.AllocationOptions("lamost", required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
@@ -193,21 +217,28 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     assert "--tiles must be given" in call("survey", tmp_path / "parts", code=2)[1]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
         (["--allocator", "best"], "unknown allocator 'best'"),
         (["--order", "random"], "unknown order 'random'"),
-        (["--pass", "7"], "--pass must be distinct passes of the tiling (0, 1)"),
+        (["--passes", "7"], "--passes must be distinct passes of the tiling (0, 1)"),
         (["--resume"], "the folder of the survey to resume must be given with --folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),
         (["--plot", "plan.txt"], "must end in"),
-        (["--scheduler", "nobody"], "no Dask scheduler answers"),
-        (["--require", "stars=5"], ""),
-        (["--required", "nobody"], "required must hold ids of the catalog, got nobody (1 of 1 unknown)"),
-        (["--keep-out", "95,23"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,23'"),
-        (["--keep-out", "95,93,1"], "--keep-out must be RA,DEC,RADIUS in deg, such as 95.0,23.0,0.01, got '95,93,1'"),
-        (["--keep-out", "box 1 2 3 4"], "--keep-out must be RA,DEC,RADIUS in deg"),
+        (["--set", "scheduler=nobody"], "no Dask scheduler answers"),
+        (["--constraint", "stars=5"], ""),
+        (["--constraint", "required nobody"], "required must hold ids of the catalog, got nobody (1 of 1 unknown)"),
+        (
+            ["--constraint", "keep_out 95 23"],
+            "keep_out must have the form 'keep_out RA DEC RADIUS' (deg), got '95 23'",
+        ),
+        (
+            ["--constraint", "keep_out 95 93 1"],
+            "got '95 93 1'",
+        ),
+        (["--constraint", "keep_out box 1 2 3 4"], "keep_out must have the form"),
     ],
 )
 def test_wrong_words(call, files, words, sentence):
@@ -216,32 +247,34 @@ def test_wrong_words(call, files, words, sentence):
     assert sentence in call(*known, *words, code=0 if not sentence else 2)[1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "words",
     [
         ("survey", "{stars}", "--tiles"),
-        ("select", "{stars}", "--realizations", 1, "--output", "{out}.fits", "--tiles"),
+        ("select", "{stars}", "--n-realizations", 1, "--output", "{out}.fits", "--tiles"),
         ("tile", "{stars}", "--method", "given", "--output", "{out}.ecsv", "--centers"),
     ],
 )
 def test_columns_and_units_of_tiles_can_be_given(call, files, tmp_path, words, monkeypatch):
-    """--column and --unit did not apply to tables of tiles, although an error recommended --unit."""
+    """The options for columns and units did not apply to tables of tiles, although an error recommended them."""
     path = tmp_path / "tiles.ecsv"
     QTable({"who": [7, 8], "alpha": [94.8 / 15, 95.2 / 15], "delta": [23, 23] * u.deg, "mag": [1, 2]}).write(path)
     names = {"stars": files[0] / "stars.fits", "out": tmp_path / "out"}
     words = (*(str(word).format(**names) for word in words), path, "--instrument", "moons")
-    columns = ("--tiles-column", "tile=who", "--tiles-column", "ra=alpha", "--tiles-column", "dec=delta")
-    assert "--tiles-column ra=..." in call(*words, code=2)[1]
-    assert "or --tiles-unit ra=deg" in call(*words, *columns, code=2)[1]
-    assert "--tiles-unit must have the form ROLE=UNIT, got 'h'" in call(*words, "--tiles-unit", "h", code=2)[1]
-    out, err = call(*words, *columns, "--tiles-unit", "ra=hourangle")
+    names = {"tile": "who", "ra": "alpha", "dec": "delta"}
+    columns = [word for role, name in names.items() for word in ("--set", f"tiles.columns.{role}={name}")]
+    assert "--set tiles.columns.ra=..." in call(*words, code=2)[1]
+    assert "or --set tiles.units.ra=deg" in call(*words, *columns, code=2)[1]
+    assert "--set must have the form KEY=VALUE" in call(*words, "--set", "tiles.units.h", code=2)[1]
+    out, err = call(*words, *columns, "--set", "tiles.units.ra=hourangle")
     assert "columns of tiles: tile: who, ra: alpha, dec: delta\n" in out
     assert "2" in next(line for line in out.splitlines() if line.startswith("tiles ")).split()
     assert "no target was observed" not in err  # the centers are where the targets are
     work = "place_tiles" if words[0] == "tile" else "_cli._app.model_of"
     monkeypatch.setattr(f"rfpsurvey.{work}", lambda *_, **__: (_ for _ in ()).throw(rs.InputError("enough")))
-    err = call(words[0], "--tiles-unit", "ra=deg", code=2)[1]
-    assert "warning: --tiles-unit has no effect without a table of tiles" in err
+    err = call(words[0], "--set", "tiles.units.ra=deg", code=2)[1]
+    assert "warning: tiles.units has no effect without a table of tiles" in err
 
 
 def test_the_provenance_of_a_survey_states_the_columns_of_the_tiles(call, files, tmp_path):
@@ -290,6 +323,9 @@ def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch
     assert _process._kept == [sentence]  # test_interrupts.py tests the message
 
 
+WORKERS = _groups.WorkerKeys(scheduler="tcp://here:1")
+
+
 def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeypatch):
     with ThreadPoolExecutor(1) as pool:
 
@@ -304,11 +340,11 @@ def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeyp
                 return pool
 
         monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
-        with _surveys.workers(1, "tcp://here:1", processes=False) as executor:
+        with _surveys.workers(WORKERS) as executor:
             assert executor is pool
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(rs.InputError, match=r"--scheduler needs dask \(pip install 'rfpsurvey\[distributed\]'\)"),
-        _surveys.workers(1, "tcp://here:1", processes=False),
+        pytest.raises(rs.InputError, match=r"scheduler needs dask \(pip install 'rfpsurvey\[distributed\]'\)"),
+        _surveys.workers(WORKERS),
     ):
         pass

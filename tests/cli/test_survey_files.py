@@ -89,7 +89,16 @@ def test_the_targets_of_desi_are_observed_on_tiles_in_their_field(call, real_dat
     table.write(tiles)
     coord, _, wanted = read_desi(path, "PRIORITY", "NUMOBS_MORE")
     _, lines, warnings = call(
-        "survey", path, "--instrument", "desi", "--tiles", tiles, "--allocator", "nearest", "--kept"
+        "survey",
+        path,
+        "--instrument",
+        "desi",
+        "--tiles",
+        tiles,
+        "--allocator",
+        "nearest",
+        "--set",
+        "lost_in_collision=false",
     )
     assert [text.partition("warning: ")[2] for text in warnings] == [
         "1 of 3 tiles (IN_DESI = 0) are omitted, because they are not part of DESI's survey"
@@ -103,12 +112,12 @@ def test_the_targets_of_desi_are_observed_on_tiles_in_their_field(call, real_dat
 def test_candidates_of_sdssv_are_planned(call, real_data, presets):
     path = real_data("sdssv_robostrategy_field_a.ecsv")
     table = Table.read(path)
-    words = (path, "--instrument", "sdss_apo", "--center", "269.59 66.55", "--pa", 40)
-    assert any("SDSS-V uses the north of date: give --equinox" in text for text in call("plan", *words)[2])
-    words += ("--equinox", "J2021.0")
+    words = (path, "--instrument", "sdss_apo", "--center", "269.59 66.55", "--position-angle", 40)
+    assert any("SDSS-V uses the north of date: give --set equinox=J2026" in text for text in call("plan", *words)[2])
+    words += ("--set", "equinox=J2021.0")
     hint = "standard stars and sky positions are assigned only if numbers of them are required"
     assert hint in call("plan", *words)[0]
-    out, lines, warnings = call("plan", *words, "--require", "sky_boss=20", "--require", "standard_boss=5")
+    out, lines, warnings = call("plan", *words, "--constraint", "sky_boss=20", "--constraint", "standard_boss=5")
     assert hint not in out
     assert warnings == []
     assert "SDSS-V candidates: priority: priority (reversed sign), visits: none, category: category" in out
@@ -129,7 +138,7 @@ def test_surveys_of_sdssv_are_planned(call, real_data, tmp_path):
     _, lines, warnings = call("survey", path, "--instrument", "sdss_apo", "--tiles", tiles, "--allocator", "nearest")
     assert [text.partition("warning: ")[2] for text in warnings] == [
         "the centers of tiles have no units: the assumed unit of racen and deccen is deg; to use other units, give "
-        "units= or --tiles-unit"
+        "units= or --set tiles.units.ra=UNIT"
     ]
     science = ~np.char.startswith(table["category"], "sky") & ~np.char.startswith(table["category"], "standard")
     assert lines["targets with requested visits"] == lines["visits requested"] == [str(np.count_nonzero(science))]

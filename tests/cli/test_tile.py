@@ -31,7 +31,7 @@ def test_a_region(tile, tmp_path):
 
 def test_a_catalog(tile, tycho, tmp_path):
     path = tmp_path / "tiles.fits"
-    options = ["--method", "max_density", "--fibers", 1000, "--completeness", 0.5, "--output", path]
+    options = ["--method", "max_density", "--set", "fibers=1000", "--completeness", 0.5, "--output", path]
     code, out, err = tile(tycho, *options)
     assert (code, err) == (0, "")
     tiling = rs.Tiling.read(path)
@@ -42,7 +42,7 @@ def test_a_catalog(tile, tycho, tmp_path):
     code, _, err = tile(tycho, *options)
     assert code == 2
     assert "exists" in err
-    code, _, err = tile(tycho, "--fibers", 100, "--n-tiles", 3, "--completeness", 0.5)
+    code, _, err = tile(tycho, "--set", "fibers=100", "--n-tiles", 3, "--completeness", 0.5)
     assert code == 0
     assert "warning: 3 tiles reach a completeness of 0.0340" in err
 
@@ -51,7 +51,7 @@ def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_
     """Regression: the command printed the completeness for fibers that reach every target."""
     path = tmp_path / "tiles.ecsv"
     options = ["--instrument", "sdss_apo", "--allocator", "repair"]
-    near = ["--region", "cap 95 23 2", "--require", "sky=20", "--sky-separation", 10]
+    near = ["--region", "cap 95 23 2", "--constraint", "sky=20", "--set", "options.sky_separation=10"]
     out = tile(tycho, *options, *near, "--passes", 2, "--output", path)[1]
     assert values_of(out)["definition of the completeness"].startswith("the allocator repair plans each tile")
     region, stars = rs.Region.parse("cap 95 23 2"), rs.Catalog.read(tycho)
@@ -67,13 +67,13 @@ def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_
 def test_centers_of_a_file(tile, tycho, tmp_path):
     tiles, output = tmp_path / "tiles.csv", tmp_path / "out.ecsv"
     tiles.write_text("tile,ra,dec,pass\nb,95,23,1\na,96,24,2\n")
-    limits = ["--centers", tiles, "--radius", 1.5, "--fibers", 400, "--output", output, "--overwrite"]
+    limits = ["--centers", tiles, "--set", "radius=1.5", "--set", "fibers=400", "--output", output, "--overwrite"]
     assert tile(tycho, "--method", "given", *limits)[0] == 0
     assert rs.Tiling.read(output).table["tile"].tolist() == ["b", "a"]
     assert rs.Tiling.read(output).summary["radius_deg"] == pytest.approx(1.5)
     assert tile(tycho, "--method", "max_density", "--n-tiles", 3, *limits)[0] == 0
     assert set(rs.Tiling.read(output).table["ra"].value.round(6)) <= {95.0, 96.0}
-    code, out, err = tile(tycho, "--method", "given", "--declination", 22, 23.5, *limits)
+    code, out, err = tile(tycho, "--method", "given", "--set", "tiles.declination=[22, 23.5]", *limits)
     assert (code, "targets are out of reach of centers from 22 to 23.5 deg" in err) == (0, True)
     assert int(values_of(out)["outside the limits of declination"]) > 1000
 
@@ -81,7 +81,7 @@ def test_centers_of_a_file(tile, tycho, tmp_path):
 def test_excluded_regions(tile, tycho):
     counted = [
         int(values_of(tile(tycho, *words)[1])["targets with requested visits"])
-        for words in ([], ["--exclude", "cap 95 23 2"])
+        for words in ([], ["--set", "exclude=cap 95 23 2"])
     ]
     stars = rs.Catalog.read(tycho)
     out = rs.Region.parse("cap 95 23 2").contains(stars.coord).sum()
@@ -92,6 +92,7 @@ def test_the_embedded_default(tile):
     assert tile("--instrument", "moons")[0] == 0
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -101,13 +102,13 @@ def test_the_embedded_default(tile):
             ["--region", "cap 100 2 3", "{good}"],
             "--region must contain at least one target, but none of the 1 targets is inside",
         ),
-        (["--region", "cap 1 2 3", "--exclude", "cup 1 2 3"], "unknown kind of region 'cup'"),
+        (["--region", "cap 1 2 3", "--set", "exclude=cup 1 2 3"], "unknown kind of region 'cup'"),
         (["--method", "given"], "'given' needs a list of tiles as centers"),
         (["--centers", "{folder}/no.ecsv"], "there is no such file"),
-        (["--declination", "60", "-10"], "declination must be a lower and an upper limit"),
-        (["--radius", "0"], "radius must be one finite value above 0"),
-        (["--radius", "1", "--require", "sky=5"], "--allocator must be given if --fibers or --radius"),
-        (["--radius", "1", "--time-limit", "5"], "--allocator must be given if --fibers or --radius"),
+        (["--set", "tiles.declination=[60, -10]"], "declination must be a lower and an upper limit"),
+        (["--set", "radius=0"], "radius must be one finite value above 0"),
+        (["--set", "radius=1", "--constraint", "sky=5"], "--allocator must be given if fibers or radius"),
+        (["--set", "radius=1", "--set", "options.time_limit=5"], "--allocator must be given if fibers or radius"),
         (["--region", "cap 1 2 3", "--n-tiles", "3"], "--n-tiles applies only to targets"),
         (["--allocator", "magic"], "unknown allocator 'magic'"),
         (["--region", "sky"], "use method='spiral'"),

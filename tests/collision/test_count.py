@@ -59,7 +59,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
         drawn = replace(
             allocation,
             target_of_positioner=target,
-            tips=tips * MM,
+            tips_mm=tips,
             handedness=np.where(plane.arrays.sides(tips) < 0, "left", "right"),
             fiber_type=np.where(used & (types is not None), types[target] if types is not None else "", ""),
         )

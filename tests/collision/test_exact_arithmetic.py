@@ -38,6 +38,7 @@ def test_random_pairs_are_decided_as_by_rationals(n):
     assert np.mean([expected for _, expected in answers]) > 0.1
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("n", [500, pytest.param(1250, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", ADVERSARIAL)
 def test_adversarial_pairs_are_decided_as_by_rationals_or_borderline(name, n):
@@ -63,6 +64,7 @@ def test_any_pair_is_decided_as_by_rationals(pair, limit):
     assert_within_the_bound(*pair.tolist())
 
 
+@pytest.mark.exhaustive
 def test_the_error_bound_is_not_idle():
     """The largest errors of random pairs are at least a twentieth of the proven bound."""
     rng = np.random.default_rng(3)

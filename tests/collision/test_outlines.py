@@ -15,6 +15,7 @@ from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
 from rfpsurvey.positioner import make_outline
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("draws", "n"), [(2, 100), pytest.param(20, 600, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("shape", SHAPES)
@@ -90,6 +91,7 @@ def test_central_parts_do_not_collide_with_each_other():
     assert not collide
 
 
+@pytest.mark.exhaustive
 def test_both_orders_give_the_same_verdict():
     rng = np.random.default_rng(4)
     for shape in SHAPES:
@@ -101,10 +103,11 @@ def test_both_orders_give_the_same_verdict():
         assert (first[(first >= 0) & (second >= 0)] == second[(first >= 0) & (second >= 0)]).all()
 
 
-def test_the_error_is_within_the_bound_and_the_bound_is_not_idle():
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 6), marks=pytest.mark.exhaustive)])
+def test_the_error_is_within_the_bound_and_the_bound_is_not_idle(seeds):
     """The largest error of a positive gap is at most the bound, and at least 0.01% of it."""
     worst = 0.0
-    for seed in range(6):
+    for seed in seeds:
         pairs = make_pairs(np.random.default_rng([8, seed]), "convex", "far_away", 60)
         outline, placed, spans = pairs.outline, place_all(pairs.outline, pairs.cores), pairs.outline.start.tolist()
         size = sizes(pairs, placed)

@@ -122,6 +122,7 @@ def test_what_no_arm_covers_is_a_list_of_circles(keep_out, kind, message):
     assert isinstance(told.value, kind)
 
 
+@pytest.mark.exhaustive
 def test_required_targets_are_found_by_their_ids(crowded):
     named = rs.Catalog(crowded.coord, id=[f"g{k}" for k in range(len(crowded))])
     plain = rs.plan_tile(named, "moons", CENTER, allocator="optimal")
@@ -163,10 +164,10 @@ def test_commands(run, tmp_path, crowded):
         "optimal",
         "--allocator",
         "repair",
-        "--require",
+        "--constraint",
         "sky=20/spectrograph",
-        "--sky-separation",
-        2,
+        "--set",
+        "options.sky_separation=2",
         "--output",
         out,
     )
@@ -175,13 +176,17 @@ def test_commands(run, tmp_path, crowded):
     assert table["allocator"].tolist() == ["optimal", "repair"]
     assert (table["sky"] >= 40).all()
     assert "not met" not in said
-    code, said, err = run("plan", path, "--instrument", "moons", "--allocator", "optimal", "--require", "instrument")
+    code, said, err = run(
+        "plan", path, "--instrument", "moons", "--allocator", "optimal", "--set", "options.requirements=instrument"
+    )
     assert code == 0
     assert "gap to the best plan                  0.0000" in said
-    code, said, err = run("plan", path, "--instrument", "lamost", "--require", "instrument", "--require", "sky=2")
+    code, said, err = run(
+        "plan", path, "--instrument", "lamost", "--set", "options.requirements=instrument", "--constraint", "sky=2"
+    )
     assert code == 2
     assert "must be the only option --require" in err
-    code, said, err = run("plan", path, "--instrument", "moons", "--require", "skies")
+    code, said, err = run("plan", path, "--instrument", "moons", "--constraint", "skies")
     assert code == 2
     assert "a requirement must have a form such as" in err
 

@@ -55,6 +55,7 @@ def row_of(table, instrument, allocator):
     return row
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["lamost", "optimal"])
 def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     row, mine = row_of(table, "mine", allocator), design()
@@ -104,6 +105,7 @@ def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
     )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "kind"), [("lamost", 2), ("moons", 3), ("desi", 2)])
 def test_what_instruments_are(name, kind):
     found = rs.compare_instruments("uniform", [name], n_realizations=1, allocators="nearest")[0]
@@ -119,6 +121,7 @@ def test_what_instruments_are(name, kind):
     assert sum(found[f"reach_{k}"] for k in range(4)) == pytest.approx(1)
 
 
+@pytest.mark.exhaustive
 def test_synthetic_skies_are_as_crowded_as_asked():
     mine = design(rings=6)
     reach = unary_union([Point(c).buffer(25.0, 64) - Point(c).buffer(9.0, 64) for c in mine.focal_plane.xy.value])
@@ -137,6 +140,7 @@ def test_synthetic_skies_are_as_crowded_as_asked():
     assert found.meta["density_per_deg2"] == 2000
 
 
+@pytest.mark.exhaustive
 def test_workers_change_nothing_but_the_seconds():
     def table(**options):
         two = [design(rings=2), design("wide", 8.25, 8.25, rings=2)]
@@ -160,6 +164,7 @@ def test_an_instrument_has_the_same_skies_whatever_it_is_compared_with():
         assert alone[name][0] == among[name][1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["pfs", "desi", "sdss_apo"])
 def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name):
     model = rs.Instrument.preset(name)
@@ -208,6 +213,7 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
         rs.compare_instruments("poisson", [design(), flat], allocators=[never])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "compare",
     [
@@ -261,6 +267,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
     assert np.isnan(rate_interval(plane, [np.full(400, np.nan)], 0.9)).all()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -326,6 +333,7 @@ def test_chart(table):
         rs.plot.plot_instruments(table[["instrument", "positioners"]])
 
 
+@pytest.mark.exhaustive
 def test_command(run, tmp_path):
     presets = Path(rs.__file__).parent / "presets"
     text = (presets / "lamost.toml").read_text().replace('name = "lamost"', 'name = "short"')
@@ -337,7 +345,7 @@ def test_command(run, tmp_path):
         tmp_path / "short.toml",
         tmp_path / "robots.toml",
         "pfs",
-        "--realizations",
+        "--n-realizations",
         1,
         "--targets",
         0.5,

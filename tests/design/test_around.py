@@ -100,6 +100,7 @@ def test_sensitivities_leave_an_added_instrument_out():
     np.testing.assert_array_equal(found["share"], truth["share"])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_a_scan_around_an_instrument_continues_and_can_be_read(tmp_path, ending):
     path = tmp_path / f"scan.{ending}"

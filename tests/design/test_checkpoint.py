@@ -31,6 +31,7 @@ def test_two_scans_in_one_file_are_refused(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["scan.ecsv"]
 
 
+@pytest.mark.exhaustive
 def test_simultaneous_processes_never_write_the_file_in_turns(tmp_path):
     """Of several processes that start together, each one either writes its own scan or is refused."""
     context = multiprocessing.get_context("spawn")
@@ -65,6 +66,7 @@ def test_changed_values_are_not_resumed(tmp_path, ending):
             explore(copy, resume=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_rows_with_undefined_values_are_resumed(tmp_path, ending):
     """Impossible designs have no values; their representation depends on the file format."""

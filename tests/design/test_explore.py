@@ -83,6 +83,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
         assert row["usable"] == 1 - row["loss"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("each", [pytest.param(0.5, marks=pytest.mark.exhaustive), 4])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
     """Compare with one configuration for each sky. Parked arms are obstacles, but lose no target."""
@@ -231,14 +232,15 @@ def test_each_design_has_random_numbers_of_its_own():
     assert (task(2, same[2:]) == rows[2:]).all()
 
 
-def test_nothing_depends_on_the_executor():
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_nothing_depends_on_the_executor(processes):
     options = {**GRID, "n_designs": 12, "estimand": "allocated", "n_skies": 2}
     alone = flat.explore_designs(**options)
-    for pool in (ThreadPoolExecutor(2), ProcessPoolExecutor(1, get_context("spawn"))):
-        with pool:
-            assert (flat.explore_designs(executor=pool, **options) == alone).all()
+    with ProcessPoolExecutor(1, get_context("spawn")) if processes else ThreadPoolExecutor(2) as pool:
+        assert (flat.explore_designs(executor=pool, **options) == alone).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("ending", ["ecsv", "fits"])
 def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch, ending):
     """The file always contains the finished designs, and a resumed scan does not repeat them."""

@@ -14,6 +14,7 @@ def plane(l1=8.25, l2=8.25, rings=2):
     return rs.FocalPlane.hexagonal(rs.Positioner(l1 * MM, l2 * MM, 2.25 * MM), rings=rings, pitch=25.6 * MM)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0)])
 def test_coverage_is_that_of_an_exact_overlay(l1, l2):
     design = plane(l1, l2)

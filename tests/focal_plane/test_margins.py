@@ -126,6 +126,7 @@ def test_circles_around_broken_positioners_and_hidden_circles():
     assert len(expected) < len(pairs_of(plane, points)) < len(everywhere)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("handedness", ["right", "left", "both"])
 @pytest.mark.parametrize("robot", [EQUAL, UNEQUAL, TIP, CAPSULE, DESI_LIKE], ids=lambda r: r.arm_model)
 def test_planned_arms_keep_away_from_broken_arms(robot, handedness):
@@ -188,6 +189,7 @@ def test_margins_other_than_arms_change_no_collisions():
     assert np.array_equal(reports[0].distances, reports[1].distances)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("robot", [EQUAL, DESI_LIKE], ids=lambda r: r.arm_model)
 def test_the_margin_of_arms_is_added_to_the_clearance(robot):
     plane, points = scene(robot, obstacles=[[5, 0, 0.5], [-5, 4, 0.3]] * u.mm)

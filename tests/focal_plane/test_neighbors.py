@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 from rfpsurvey.focal_plane._neighbors import nearest_within, pairs_within
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("on_grid", [False, True])
 def test_pairs_are_those_of_the_tree(rng, on_grid):
     n_pairs = 0

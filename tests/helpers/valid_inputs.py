@@ -17,7 +17,6 @@ from astropy.table import Table
 
 import rfpsurvey as rs
 import sdssv_files
-from rfpsurvey._cli._conditions import conditions_of
 from rfpsurvey.design import explore_designs
 from rfpsurvey.selection import _folder
 from rfpsurvey.tiling import times_of_tiles
@@ -162,7 +161,7 @@ def _descriptions(folder: Path, small: rs.Instrument) -> list[Sample]:
 
 
 def _read_conditions(path: Path) -> None:
-    found = conditions_of(path, None, None, None, None, None)
+    found = rs.ObservingConditions.read(path)
     repr(found), found.record
 
 

@@ -59,6 +59,7 @@ def test_coverage_and_multiplicity_are_those_of_an_exact_overlay(l1, l2):
     assert facts["max_multiplicity"] == np.flatnonzero(truth > 1e-4).max()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["desi", "pfs", "sdss_apo"])
 def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
     """Count uniform random directions around the center whose positions are in the hull of the patrol areas."""
@@ -93,6 +94,7 @@ def test_published_fields_of_view(presets):
         assert presets[name].facts()["field_of_view"].to_value(u.deg**2) == pytest.approx(area, rel=tolerance)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("name", "shape"), [("lamost", "circle"), ("desi", "circle"), ("pfs", "hexagon"), ("sdss_apo", "hexagon")]
 )
@@ -100,6 +102,7 @@ def test_shapes_of_fields(presets, name, shape):
     assert presets[name].facts()["field_shape"] == shape
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("turn", [0, 20, 77])
 @pytest.mark.parametrize(("corners", "shape"), [(3, "triangle"), (4, "square"), (6, "hexagon"), (40, "circle")])
 def test_shapes_of_polygons_of_any_orientation_and_place(corners, shape, turn):

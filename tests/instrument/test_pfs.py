@@ -123,6 +123,7 @@ LIMITS = {
 }  # fmt: skip
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("with_model", [False, True])
 def test_poses_within_the_joint_limits_never_interfere_with_a_fiducial(tmp_path, model, rng, with_model):
     write_files(tmp_path, LIMITS)
@@ -195,6 +196,7 @@ def test_cobras_with_defects_are_disabled(folder, tmp_path):
     assert pfs.focal_plane.arrays.central_arm[20] == 2.375
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("value", [-99.0, 9999.0])
 @pytest.mark.parametrize("name", ["Global_base_pos_x", *list(cobra_columns())[5:]])
 def test_impossible_values_of_cobras_count_as_missing(folder, tmp_path, name, value):
@@ -282,6 +284,7 @@ def _micron(row):
     return f"{number},{float(x) * 1000},{float(y) * 1000},{float(r) * 1000}"
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("name", "damage", "message"), DAMAGES)
 def test_damaged_tables_are_refused_with_one_sentence(folder, tmp_path, name, damage, message):
     for path in folder.iterdir():
@@ -327,6 +330,7 @@ MODELS = [
 ]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("damage", "message"), MODELS)
 def test_damaged_models_are_refused_with_one_sentence(folder, model, tmp_path, damage, message):
     text = model.read_text()

@@ -119,6 +119,7 @@ def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
     assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("column", "value", "is_disabled"),
     [
@@ -145,6 +146,7 @@ def test_impossible_values_of_robots_count_as_missing(tmp_path, column, value, i
     assert "R0C13" in inst.notes
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("value", [-999, 0, -1, 9999, "nan"])
 def test_impossible_numbers_of_fibers_are_no_fibers(tmp_path, value):
     folder = sdssv_files.calibration(tmp_path / "codes", fiberAssignments=changed("R0C13", BOSSFiber=value))
@@ -173,6 +175,7 @@ def place_loop(path):
 OPTIONAL = ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("place", [place_link, place_loop, Path.mkdir])
 @pytest.mark.parametrize("name", OPTIONAL)
 def test_optional_files_that_cannot_be_read_are_refused(folder, name, place):
@@ -276,6 +279,7 @@ BAD = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("case", BAD)
 def test_bad_tables_are_refused_with_the_name_of_the_file(tmp_path, case):
     name, change, message = BAD[case]
@@ -289,6 +293,7 @@ def test_bad_tables_are_refused_with_the_name_of_the_file(tmp_path, case):
 NAMES = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("content", ["", "site,holeID\n", "\x00\x01\x02", "# only a comment\n"])
 def test_damaged_files_are_refused(folder, name, content):
@@ -337,6 +342,7 @@ CONFIGURATIONS = [
 ]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("folder", "file", "within", "n", "alpha", "beta"), CONFIGURATIONS)
 def test_positions_of_real_configurations_follow_from_their_joint_angles(
     real_data, folder, file, within, n, alpha, beta
@@ -387,6 +393,7 @@ def test_a_design_from_the_sky_has_the_same_targets_out_of_reach(real_data):
     assert tile.summary["n_colliding_pairs"] <= 2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("file", ["confSummary-998", "confSummaryF-998"])
 def test_no_pair_of_a_real_configuration_collides_with_all_robots_as_they_stood(real_data, file):
     """Robots without a target are included; the fiber through which each is posed does not matter."""

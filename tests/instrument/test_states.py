@@ -41,6 +41,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("time", "disabled", "poses"),
     [

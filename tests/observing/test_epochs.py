@@ -111,6 +111,7 @@ def tiling():
     return rs.Tiling.from_table(tiles).with_conditions(conditions_at())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("partitioned", [False, True])
 def test_each_tile_of_a_survey_is_planned_at_its_time(table, catalog, presets, tiling, partitioned, tmp_path):
     """Regression: all tiles were planned at the epoch of the catalog."""

@@ -53,6 +53,7 @@ def images_by_astropy(conditions, basis, vectors, times):
     return np.array(found)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("site", "hours", "lowest"),
     [("kitt peak", 8, 27), ("paranal", 4, 12), ("apache point", 11, 11), ("paranal", 1, 30)],
@@ -93,6 +94,7 @@ def parallactic_angles(latitude, dec, hour_angles):
     return np.arctan2(np.sin(hour_angles), np.tan(latitude) * np.cos(dec) - np.sin(dec) * np.cos(hour_angles))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("pressure", [0, 720])
 @pytest.mark.parametrize(
     ("dec", "hours"),

@@ -66,6 +66,7 @@ def patrol_edges(instrument):
     return (arrays.xy[outer, None] + arrays.outer_radius[outer, None, None] * circle).reshape(-1, 2) * u.mm
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs"])
 def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets, name):
     """Regression: the maxima were taken over the centers of positioners, and were up to 23 % too small."""
@@ -312,29 +313,60 @@ def test_the_command_plans_under_conditions(run, tmp_path):
     path.write_text(TOML)
     common = "plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23", "--epoch", "2026"
     output = tmp_path / "tile.ecsv"
-    code, out, err = run(*common, "--conditions", path, "--output", output, "--projection", "auto")
+    code, out, err = run(*common, "--set", f"conditions.path={path}", "--output", output, "--set", "projection=auto")
     assert code == 0, err
     assert "projection: dispersion; refraction and dispersion move targets by up to" in out
     record = rs.Tile.read(output).provenance["parameters"]["conditions"]
     assert record == rs.ObservingConditions.read(path).record
-    options = "--hour-angle", 3, "--exposure-time", 900, "--wavelength", "BOSS=0.54", "--wavelength", "APOGEE=1.6"
-    code, out, err = run(*common, "--site", "-105.82,32.78,2798", *options)
+    options = (
+        "--set",
+        "conditions.hour_angle=3",
+        "--set",
+        "conditions.exposure_time=900",
+        "--set",
+        "conditions.wavelength.BOSS=0.54",
+        "--set",
+        "conditions.wavelength.APOGEE=1.6",
+    )
+    code, out, err = run(*common, "--set", "conditions.site=-105.82,32.78,2798", *options)
     assert code == 0, err
     assert "projection: full; " in out
-    code, out, err = run(*common, "--conditions", path, "--time", "2026-01-15T05:00:00", "--wavelength", "0.6")
+    code, out, err = run(
+        *common,
+        "--set",
+        f"conditions.path={path}",
+        "--set",
+        "conditions.time=2026-01-15T05:00:00",
+        "--set",
+        "conditions.wavelength=0.6",
+    )
     assert code == 0, err
     assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--hour-angle", "3"], "--site must be given"),
-        (["--site", "paranal"], "either a time or an hour_angle"),
-        (["--site", "paranal", "--time", "now"], "--time must be a date and time (UTC) such as"),
-        (["--site", "paranal", "--hour-angle", "1", "--wavelength", "BOSS"], "--wavelength must be"),
-        (["--site", "1,2", "--hour-angle", "1"], "site must be longitude"),
-        (["--projection", "full"], "must have conditions"),
+        (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
+        (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
+        (
+            ["--set", "conditions.site=paranal", "--set", "conditions.time=now"],
+            "conditions.time must be a date and time (UTC) such as",
+        ),
+        (
+            [
+                "--set",
+                "conditions.site=paranal",
+                "--set",
+                "conditions.hour_angle=1",
+                "--set",
+                "conditions.wavelength=BOSS",
+            ],
+            "conditions.wavelength must be a number (um) or text with a unit",
+        ),
+        (["--set", "conditions.site=1,2", "--set", "conditions.hour_angle=1"], "site must be longitude"),
+        (["--set", "projection=full"], "must have conditions"),
     ],
 )
 def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):

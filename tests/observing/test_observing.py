@@ -63,6 +63,7 @@ def frame_of(conditions, wavelength):
     )
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("altitude", [5, 15, 30, 60, 85, 89.9, 90])
 @pytest.mark.parametrize("azimuth", [0, 130])
 def test_differential_refraction_agrees_with_astropy_to_1_mas(altitude, azimuth):
@@ -268,6 +269,7 @@ def similarity(xy, other):
     return np.abs(factor * a - b), abs(factor), np.angle(factor)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("scale", ["tai", "utc"])
 def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
     from rfpsurvey.plans import read_plan

@@ -29,6 +29,7 @@ def wide_catalog(instrument, rng, text):
     return rs.Catalog(sky.coord, id=ids, **columns)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("allocator", ["lamost", "sdss"])
 @pytest.mark.parametrize("name", ["lamost", "sdss_apo"])
@@ -93,6 +94,7 @@ def test_a_length_is_a_separation_too(small, allocator, rng):
     assert tile.table["tip_x"].value == pytest.approx(same.table["tip_x"].value, nan_ok=True)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("ids", [[-1, 5], [-7, -3], [3, 4], ["a", "a longer name than others"], ["b-1", "c"]])
 def test_names_of_found_sky_are_new(small, ids, tmp_path):
     focal_plane = replace(small.focal_plane, stuck=np.where(np.arange(37)[:, None] == 5, [20, 90], np.nan) * u.deg)

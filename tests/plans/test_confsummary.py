@@ -80,6 +80,7 @@ def test_a_plan_scores_without_options(path, built):
         assert_allclose(rows[name].value, own[name].value[order], atol=1e-4)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["new.par", "new.par.gz", "new.ecsv", "new.fits"])
 @pytest.mark.parametrize("wok", [True, False])
 def test_reading_what_was_written_gives_the_same_plan(tmp_path, name, wok):
@@ -188,6 +189,7 @@ BAD = {
 }
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("case", BAD)
 @pytest.mark.parametrize("name", ["bad.par", "bad.par.gz"])
 def test_damaged_files_are_refused_in_one_sentence(tmp_path, case, name):
@@ -291,6 +293,7 @@ def test_columns_of_several_texts_and_with_common_names_are_kept(tmp_path):
 REAL = ["sdssv_apo_2024/confSummary-test", "sdssv_apo_2021/confSummary-998", "sdssv_apo_2021/confSummaryF-998"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", REAL)
 def test_real_configurations_survive_writing(real_data, tmp_path, name):
     source = real_data(f"{name}.par.gz")

@@ -14,11 +14,13 @@ def valid(tmp_path_factory):
     return plan_samples(tmp_path_factory.mktemp("valid"))
 
 
+@pytest.mark.exhaustive
 def test_valid_plans_are_read_scored_and_converted(valid):
     for sample in valid:
         assert outcome(sample, sample.path) == ("read", ""), sample.path.name
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(N_EACH))
 def test_damaged_plans_are_refused_or_read_whole(valid, tmp_path, seed):
     """``python tests/benchmarks/fuzz_readers.py`` tests more files, each in a separate process."""

@@ -70,6 +70,7 @@ def test_the_common_columns_are_those_of_the_file(path):
     assert "NAXIS2" not in plan.meta["header"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["copy.fits", "copy.fits.gz"])
 def test_a_plan_that_is_written_and_read_again_is_the_same(path, tmp_path, name):
     plan = plans.read_plan(path)
@@ -334,6 +335,7 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
     assert not list(tmp_path.glob(".rfpsurvey*"))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(40))
 def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
     sample = Sample("DESI", path, lambda path: len(plans.read_plan(path, format="fiberassign")), lambda path: None)

@@ -129,6 +129,7 @@ PROJECTIONS = {
 
 
 @pytest.mark.filterwarnings("ignore:.*written without", "ignore:.*DESI has 5000 positioners")
+@pytest.mark.few(3)
 @pytest.mark.parametrize("model", PROJECTIONS)
 @pytest.mark.parametrize("name", ["confsummary.par", "fiberassign.fits", "pfsdesign.fits", "table.ecsv", "table.fits"])
 def test_a_plan_of_a_tile_is_scored_from_the_sky_as_it_was_planned(tmp_path, presets, desi, name, model):

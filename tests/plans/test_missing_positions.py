@@ -54,6 +54,7 @@ def pfsdesign(folder):
 
 
 @pytest.mark.filterwarnings("ignore:.*(DESI has 5000|out of reach|north of ICRS|recorded joint angles)")
+@pytest.mark.few(2)
 @pytest.mark.parametrize("positions", ["focal_plane", "sky"])
 @pytest.mark.parametrize("make", [fiberassign, confsummary, pfsdesign])
 def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch, make, positions):
@@ -80,7 +81,7 @@ def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch
 
     code, _, err = run("score", name, "--instrument", model, "--positions", positions)
     assert f"{where}) have none" in sentence(code, err)
-    code, out, err = run("score", name, "--instrument", model, "--positions", positions, "--skip-missing")
+    code, out, err = run("score", name, "--instrument", model, "--positions", positions, "--set", "missing=skip")
     assert code == 0, err
     assert f"({where}) have no finite position and are skipped" in err
     assert f"assigned rows without a position  {n:>10}" in out

@@ -36,6 +36,7 @@ def entry(name, value):
 OBJECTS = Column([{"a": k} for k in range(N)], dtype=object)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("edit", "message"),
     [

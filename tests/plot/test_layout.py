@@ -157,6 +157,7 @@ VARIANTS = {
 }
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.exhaustive if name in VARIANTS else ()) for name in PLOTS]
 )

@@ -231,6 +231,7 @@ def test_what_cannot_be_drawn_is_refused(tile, survey, sky, presets):
             call()
 
 
+@pytest.mark.exhaustive
 def test_a_hundred_thousand_targets_are_quick_and_an_image_in_files_of_vectors(presets):
     desi, n = presets["desi"], 100_000
     sky = rs.synthetic_catalog("uniform", CENTER, desi.field_radius, n_targets=n, rng=1)

@@ -120,6 +120,7 @@ def test_the_printed_formula_works_for_unequal_arms():
     assert got.value != pytest.approx(rs.collision_probability(plane, method="closed_form").value, rel=0.1)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", PLANES)
 def test_overlap_ratio_is_that_of_polygons(name):
     plane = PLANES[name]

@@ -72,7 +72,17 @@ SETTINGS = {
 
 
 # other settings are similar to these
-ALIKE = {"dense", "left", "small circle", "troubles of equal arms"}
+ALIKE = {
+    "dense",
+    "few for unequal arms",
+    "left",
+    "long central arms",
+    "small circle",
+    "small circle of unequal arms",
+    "sparse, home elsewhere",
+    "sparse, parked arms ignored",
+    "troubles of equal arms",
+}
 
 
 def fields(estimate):
@@ -103,7 +113,7 @@ def assert_agree(one, other):
     assert (np.abs(a - b)[there] <= 5 * np.hypot(error_a, error_b)[there]).all()
 
 
-@pytest.mark.parametrize("part", [3, pytest.param(1, marks=EXHAUSTIVE)])
+@pytest.mark.parametrize("part", [6, pytest.param(1, marks=EXHAUSTIVE)])
 @pytest.mark.parametrize("name", [pytest.param(name, marks=EXHAUSTIVE if name in ALIKE else ()) for name in SETTINGS])
 def test_conditional_and_monte_carlo_agree(name, part):
     plane, options, n_conditional, n_plain = SETTINGS[name]
@@ -153,6 +163,7 @@ def test_monte_carlo_draws_every_configuration_alike(rng):
     assert (np.abs(mean - per_positioner) <= 4 * error).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("most", [1, pytest.param(2, marks=EXHAUSTIVE)])
 def test_few_entries_are_drawn_alike(rng, most):
     plane = TINY["equal arms"]

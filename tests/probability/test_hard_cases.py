@@ -24,6 +24,7 @@ def stuck_in_the_middle():
     return rs.FocalPlane.hexagonal(unit, rings=2, pitch=22.4 * MM, stuck=pose * u.deg)
 
 
+@pytest.mark.exhaustive
 def test_neighbors_of_an_immovable_unit_differ(rng):
     """The six neighbors see the fixed arm from different directions. A simulation of independent targets agrees."""
     plane = stuck_in_the_middle()
@@ -54,6 +55,7 @@ def test_who_never_counts_has_no_probability():
         assert np.nanmax(found.per_positioner) <= 1
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [36, pytest.param(100, marks=pytest.mark.exhaustive)])
 def test_rare_collisions_do_not_stop_the_simulation_early(n):
     """A single collision does not show how much rates scatter."""
@@ -215,6 +217,7 @@ def test_a_plane_without_a_usable_unit_is_refused(method):
         rs.collision_probability(plane, method=method)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [100, pytest.param(300, marks=pytest.mark.exhaustive)])
 def test_points_of_neighbors_are_shifted_independently(n):
     """With equal shifts, few points would repeat, and the product over neighbors would be biased."""

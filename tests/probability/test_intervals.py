@@ -132,6 +132,7 @@ def test_every_positioner_as_a_trial_of_its_own_is_naive():
     assert honest.meta["design_effect"] > 1.4
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
 def test_bootstrap_is_that_of_scipy(confidence):
     plane, sampler = sdss_like(1), Recorder(8, 30)
@@ -147,6 +148,7 @@ def test_bootstrap_is_that_of_scipy(confidence):
     assert got.low < got.value < got.high
 
 
+@pytest.mark.exhaustive
 def test_intervals_cover_the_truth_as_often_as_they_say():
     """The stopping rule is used, which might otherwise prefer simulations with too small errors."""
     plane, options = lamost_like(1), {"n_targets": 30, "method": "monte_carlo", "precision": 0.006}
@@ -228,6 +230,7 @@ def test_nor_do_processes():
             assert_identical(here, there)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("method", "interval"),
     [*((m, "wilson") for m in METHODS), ("monte_carlo", "bootstrap"), ("conditional", "bootstrap")],
@@ -297,6 +300,7 @@ def sky_and_others():
     return xy, [rs.collision_probability(sdss_like(), targets=sky).value for sky in skies]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 def test_one_given_sky_has_an_error_all_the_same(method, sky_and_others):
     """The value of given targets is known, but the value of another patch of the same sky is not."""

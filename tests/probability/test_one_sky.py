@@ -83,6 +83,7 @@ def test_alike_neighbors_make_the_variance_larger():
     assert degrees == pytest.approx(7.6, abs=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("rings", "each"), [(2, 4), pytest.param(3, 4, marks=pytest.mark.exhaustive), (4, 1)])
 def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     """With normal quantiles and uncorrected residuals, only 84 and 88 of 100 intervals contained the expected value

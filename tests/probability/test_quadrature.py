@@ -65,6 +65,7 @@ def assert_same(estimate, counts, plane):
 PLAIN = {k: SCENES[k][0] for k in SCENES if k not in ("left", "parked arms ignored", "capsules")}
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "precision"), [(N // 4, 6e-4), pytest.param(N, 3e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", PLAIN)
 def test_uniform_targets_are_those_of_plain_simulation(name, n, precision, rng):
@@ -112,6 +113,7 @@ def weighted(plane, rng):
 DENSITY = {"shared": ("shared", shared), "voronoi": ("voronoi", voronoi), "given": (sloping, weighted)}
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "precision"), [(3000, 1.1e-3), pytest.param(8000, 7e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", DENSITY)
 @pytest.mark.parametrize(
@@ -134,6 +136,7 @@ def test_a_factor_of_the_density_does_not_matter():
     assert with_unit.value == pytest.approx(one.value, abs=1e-12)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "plane",
     [lamost_like(), sdss_like(2), pytest.param(sdss_like(arm_model="fiber_tip"), marks=pytest.mark.exhaustive)],

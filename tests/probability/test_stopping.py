@@ -31,6 +31,7 @@ def estimates(p, precision, counted, repeats):
     return np.array([summary["value"] for _, summary in found]), np.array([len(tally.pairs) for tally, _ in found])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("p", [0.003, pytest.param(0.01, marks=pytest.mark.exhaustive), 0.02])
 def test_rare_collisions_are_not_underestimated(p):
     """Regression: a rule based only on the error ended after 128 realizations without a collision, and was 13 to 27 %

@@ -18,6 +18,7 @@ def designs_of(rng, n):
     return central_arm, central_arm * ratio, pitch, distance
 
 
+@pytest.mark.exhaustive
 def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
     central_arm, eccentric_arm, pitch, distance = designs_of(rng, 40)
     got = rs.probability.surrogate_probability(central_arm * MM, eccentric_arm * MM, pitch * MM, distance * MM)

@@ -68,6 +68,7 @@ def test_discs_keep_their_distance(n, radius, separation, rng):
     assert min(nearest) < 1.1 * separation  # the separation of some discs is not much larger than the minimum
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("at", [(0, 0), (500, -800)])
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo"])
 @pytest.mark.parametrize("kind", ["uniform", "poisson", "poisson_disc"])
@@ -137,6 +138,7 @@ def test_a_sampler_is_asked_for_each_realization_with_a_generator_of_its_own():
 LIMITED = rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM, phi_range=[70, 180] * u.deg)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [400, pytest.param(1500, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize(
     "plane", [sdss_like(2), rs.FocalPlane.hexagonal(LIMITED, rings=2, pitch=22.4 * MM)], ids=["free", "joint limits"]

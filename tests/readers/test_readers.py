@@ -349,7 +349,7 @@ def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
     path = tmp_path / "a.fits"
     table = QTable({"ra": [1.0] * DEG, "dec": [1.0] * DEG})
     fits.HDUList([fits.PrimaryHDU(), *(fits.table_to_hdu(table) for _ in range(2))]).writeto(path)
-    text = "the file has 2 tables, and only the first one was read: 1, 2; to read another table, give hdu= or --hdu$"
+    text = "the file has 2 tables, and only the first one was read: 1, 2; to read another table, give hdu= or --set "
     with pytest.warns(rs.RfpsurveyWarning, match=text):
         assert len(rs.Catalog.read(path)) == 1
 

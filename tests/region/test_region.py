@@ -104,6 +104,7 @@ def test_pixels_agree_with_astropy_healpix():
         np.testing.assert_array_equal(rs.Region.healpix(pixels, 8, order=order).contains(points), expected)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("text", REGIONS.values(), ids=REGIONS.keys())
 def test_distances_and_the_circle_around(text):
     """Compare with the nearest of many directions inside the region."""

@@ -28,7 +28,7 @@ NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
 @pytest.fixture(scope="module")
 def tile(presets):
     sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
-    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator="balanced")
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +89,7 @@ def written(result, folder, **options):
     return path.read_text(encoding="utf-8")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, kind):
     text = written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()})
@@ -181,6 +182,7 @@ def test_a_tile_has_its_own_numbers(tile, tmp_path):
     assert "/some/where" not in "".join(text for _, text in page.texts)
 
 
+@pytest.mark.exhaustive
 def test_a_tile_lists_all_its_assignments(presets, tmp_path):
     """Regression: the page referred to a file with all assignments, and showed only some of them."""
     pfs = presets["pfs"]
@@ -213,6 +215,7 @@ def test_the_rows_of_a_page_can_be_limited(tile, tmp_path):
     assert f"Shown: 30 of {n} rows; tile.fits contains all rows." in "".join(p["caption"] for p in page.tables)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["tile", "survey"])
 def test_a_number_has_one_form_on_a_page(results, plain_page, kind):
     """Regression: the same rate was 2.10 % at the top of the page, and 0.021 below."""
@@ -281,6 +284,7 @@ def test_no_row_is_left_out_in_silence(tmp_path):
     assert "no rows" in written(QTable({"k": []}), tmp_path)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=() if kind in ("tile", "table") else pytest.mark.exhaustive) for kind in KINDS]
 )

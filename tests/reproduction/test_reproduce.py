@@ -39,6 +39,7 @@ def loosen(monkeypatch):
         monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("size", ["few", pytest.param("all", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("experiment", sorted(EXPERIMENTS))
 def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):
@@ -72,6 +73,7 @@ def test_a_folder_in_use_and_existing_figures_are_refused(tmp_path, monkeypatch)
         (tmp_path / name).unlink()
 
 
+@pytest.mark.exhaustive
 def test_results_do_not_depend_on_workers(tmp_path, monkeypatch):
     monkeypatch.setattr(Settings, "precision", 2e-2)
     one, two = (reproduce("small", tmp_path / str(n), quick=True, workers=n) for n in (1, 2))
@@ -146,6 +148,7 @@ def test_a_reading_is_judged_by_each_average():
     assert "LAMOST" not in _of_reading("disc", table).ours
 
 
+@pytest.mark.exhaustive
 def test_readings_without_discs_are_those_of_the_whole(monkeypatch):
     """The readings with discs, which take a long time, can be omitted without a change of the other columns."""
     monkeypatch.setattr(_poisson, "random_designs", lambda settings: random_designs(settings)[:2])
@@ -199,6 +202,7 @@ def test_a_mean_that_one_formula_gives_is_attributed_to_it():
     assert _of_differences(table, _differences(table, Settings()))[3].verdict == "not reproduced"
 
 
+@pytest.mark.exhaustive
 def test_intervals_of_one_sky_are_counted():
     """Seven positioners have no interval.
 
@@ -213,6 +217,7 @@ def test_intervals_of_one_sky_are_counted():
     assert {"uniform", "clusters of 6, 5 mm", "clusters of 60, 40 mm"} == set(table["sky"])
 
 
+@pytest.mark.exhaustive
 def test_an_iteration_is_more_than_one_trial(monkeypatch):
     """With every iteration as one trial, the interval is several times too wide, and always contains the true value."""
     loosen(monkeypatch)

@@ -50,6 +50,7 @@ def check(found, chances, n_errors=4):
     np.testing.assert_array_equal(found.probability, np.diag(fractions))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("case", "lost"),
     [
@@ -75,6 +76,7 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
     check(found, pair_chances(sets, 5))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("allocator", "n"),
     [

@@ -14,6 +14,7 @@ N, SOME = 34, (0, 31, 33)
 FEW = ("troubles", "capsules", "both hands")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
 @pytest.mark.parametrize("text", [False, True])
 def test_rules_with_visits_and_priorities(small, allocator, text):
@@ -24,6 +25,7 @@ def test_rules_with_visits_and_priorities(small, allocator, text):
 
 
 @pytest.mark.filterwarnings("ignore:required targets never observed")
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost"])
 def test_fiber_types_kinds_required_targets_and_circles(allocator):
     sky, tiles = sky_of(1.4, 1600, kinds=True, fiber_types=("BOSS", "APOGEE", "")), tiles_of(0.9, 2)

@@ -129,6 +129,7 @@ def stop_after(n):
     return stop
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["nearest", "repair"])
 def test_interrupted_after_any_number_of_plans(case, tmp_path, monkeypatch, undisturbed, allocator):
     """Each run ends after a few more plans of tiles; the checkpoints are those after each round."""

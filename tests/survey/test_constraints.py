@@ -62,6 +62,7 @@ def covered(survey, instrument, circles):
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["lamost", "repair", "optimal"])
 def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, allocator):
     survey = flat.plan_survey(sky, small, tiles, allocator=allocator, keep_out=circles)
@@ -77,6 +78,7 @@ def test_every_arm_that_covers_a_circle_is_counted(sky, small, tiles, circles, a
         assert survey.summary["n_assigned"] > 0.8 * plain.summary["n_assigned"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "sdss", "optimal", "repair"])
 def test_required_targets_come_before_those_of_higher_priority(sky, small, tiles, allocator):
     """No tile observes the targets of the lowest priority unless they are required; then all of them are observed."""
@@ -159,17 +161,16 @@ def test_a_required_standard_is_in_use_without_requirements_in_every_tile(small,
 
 
 @pytest.mark.filterwarnings(NEVER)
-def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circles, tmp_path):
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circles, tmp_path, processes):
     options = {"allocator": "repair", "required": [str(k) for k in range(0, 900, 30)], "keep_out": circles}
     expected = flat.plan_survey(sky, small, tiles, **options, folder=tmp_path / "one")
     files = {p.relative_to(tmp_path / "one"): p.read_bytes() for p in (tmp_path / "one").rglob("*.fits")}
     assert expected.tiles["n_unmet"].any() or expected.summary["n_required_observed"] > 0
-    pools = {"threads": ThreadPoolExecutor(2), "processes": ProcessPoolExecutor(1, get_context("spawn"))}
-    for name, pool in pools.items():
-        with pool:
-            survey = flat.plan_survey(sky, small, tiles, **options, executor=pool, folder=tmp_path / name)
-        assert survey.summary == expected.summary
-        assert {p.relative_to(tmp_path / name): p.read_bytes() for p in (tmp_path / name).rglob("*.fits")} == files
+    with ProcessPoolExecutor(1, get_context("spawn")) if processes else ThreadPoolExecutor(2) as pool:
+        survey = flat.plan_survey(sky, small, tiles, **options, executor=pool, folder=tmp_path / "two")
+    assert survey.summary == expected.summary
+    assert {p.relative_to(tmp_path / "two"): p.read_bytes() for p in (tmp_path / "two").rglob("*.fits")} == files
     rs.partition_catalog(sky, tmp_path / "parts")
     parts = rs.PartitionedCatalog(tmp_path / "parts")
     survey = flat.plan_survey(parts, small, tiles, **options)
@@ -239,6 +240,7 @@ def test_place_tiles_has_both():
     assert served(keep_out=rs.Region.cap(stars.coord[2], 0.01 * u.deg)) == [1]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["sdss_apo", "desi", "moons"])
 @pytest.mark.parametrize(("away", "radius"), [(1.2, 0.5), (1.05, 0.4), (3.0, 2.3), (0.5, 0.2), (0.0, 0.1), (0.5, 3.0)])
 def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):

@@ -87,6 +87,7 @@ def test_the_plan_does_not_depend_on_the_workers(case, survey, tmp_path, process
         assert found.joint[name].tolist() == survey.joint[name].tolist()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("last", [7, 12])
 def test_an_interrupted_search_continues(case, survey, tmp_path, last):
     """Regression: the table and the state of the search contained computing times, which differ after a resume."""

@@ -98,6 +98,7 @@ def visits_by_class(survey, catalog, classes):
     return np.array([(catalog.priority[rows] == p).sum() for p in classes])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_CASES // CHUNK))])
 def test_no_plan_exceeds_the_bound_and_no_plan_is_worse_than_tile_after_tile(chunk):
     n_best = 0

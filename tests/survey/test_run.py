@@ -303,6 +303,7 @@ def test_a_finished_survey_is_read_without_the_targets_of_its_tiles(case, folder
     assert done == [(50, 50)]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["tiles.fits", "outcomes.fits", "completeness.ecsv", "tiles/000/000003.fits"])
 def test_a_finished_survey_with_a_damaged_file_is_repaired(case, folder, undisturbed, name):
     damaged = bytearray((folder / name).read_bytes())

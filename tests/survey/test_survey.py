@@ -50,6 +50,7 @@ def one_by_one(sky, tiling, instrument, order, **options):
 
 
 @pytest.mark.filterwarnings("ignore:required targets never observed")
+@pytest.mark.few(2)
 @pytest.mark.parametrize("allocator", ["lamost", "repair"])
 @pytest.mark.parametrize("constrained", [False, True])
 @pytest.mark.parametrize("text", [False, True])
@@ -96,6 +97,7 @@ def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, alloc
     assert (sky.id[visits["target_row"][~blank]] == visits["target_id"][~blank]).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
 def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
     tiling = grid(1.2)

@@ -69,7 +69,7 @@ def test_the_command_and_the_report_state_them(case, tmp_path, run):
     case[0].write(tmp_path / "stars.fits")
     QTable({"ra": case[1].ra, "dec": case[1].dec}).write(tmp_path / "tiles.ecsv")
     words = "survey", tmp_path / "stars.fits", "--tiles", tmp_path / "tiles.ecsv", "--instrument", "moons"
-    code, _, err = run(*words, "--require", "sky=4", "--report", tmp_path / "page.html")
+    code, _, err = run(*words, "--constraint", "sky=4", "--report", tmp_path / "page.html")
     assert code == 0
     (line,) = [line for line in err.splitlines() if "requirement" in line]
     assert line.startswith("rfpsurvey: warning: requirement sky=4: ")

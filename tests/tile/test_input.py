@@ -79,7 +79,7 @@ def test_a_requirement_on_an_unknown_category_is_told(run, tmp_path):
     for what in ("quasar=2", "sky=2", "zz=-2"):  # existing categories, kinds, and limits that are met
         rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements=what))
     stars.write(tmp_path / "a.ecsv")
-    code, _, err = run("plan", tmp_path / "a.ecsv", "--instrument", "sdss_apo", "--require", "skies=20")
+    code, _, err = run("plan", tmp_path / "a.ecsv", "--instrument", "sdss_apo", "--constraint", "skies=20")
     assert code == 0
     assert "did you mean 'sky'?" in err
 
@@ -94,7 +94,7 @@ def test_values_are_filled_at_the_command_line(run, tmp_path):
         "428 of 500 rows (rows 2, 3, 4, ...) have none; state a value for these rows, for example fill={'priority': 0}"
         in told
     )
-    assert run(*arguments, "--fill", "priority=-99")[0] == 0
+    assert run(*arguments, "--set", "catalog.fill.priority=-99")[0] == 0
 
 
 def test_the_message_on_a_sky_separation_says_what_it_is():
@@ -129,6 +129,7 @@ def test_targets_with_no_requested_visits_are_not_assigned(presets):
         rs.plan_tile(rs.Catalog(sky.coord, visits=np.zeros(len(sky))), presets["sdss_apo"], CENTER)
 
 
+@pytest.mark.exhaustive
 def test_commands_and_reports_state_which_column_has_which_role(run, tmp_path):
     rng = np.random.default_rng(1)
     table = QTable({"TARGETID": np.arange(50), "RA": rng.uniform(94, 96, 50) * u.deg})

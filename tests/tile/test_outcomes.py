@@ -145,6 +145,7 @@ def test_where_the_tile_is(presets, sky):
     assert scored.completeness is None
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("suffix", [".fits", ".fits.gz", ".ecsv"])
 def test_written_and_read_back(tile, science_only, tmp_path, suffix):
     for number, one in enumerate((tile, science_only)):

@@ -30,6 +30,7 @@ def angles_of(plan, plane):
     return rows["theta"], rows["phi"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("moved", [False, True])
 def test_robots_without_a_target_are_at_their_recorded_joint_angles(configuration, moved):
     """They were ignored, and one disabled robot was placed in its parked pose, where it collided with a neighbor."""

@@ -91,6 +91,7 @@ def test_collisions_and_clearances_are_those_of_brute_force(presets, sky):
     assert tile.summary["collision_rate"] == len(np.unique(close)) / len(t)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("suffix", [".fits", ".ecsv", ".fits.gz", ".ecsv.gz"])
 @pytest.mark.parametrize("ids", [None, [999999, -1, 2**62], ["a b", "", "-1"]])
 def test_written_and_read_back_equal(small, tmp_path, suffix, ids):

@@ -29,6 +29,7 @@ def delivered(catalog, model, tiling, **options):
     return rs.plan_survey(catalog, model, tiling, order="given", **options).summary["completeness"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_a_survey_delivers_what_the_tiling_says(name):
     catalog, model = clustered(name, priority=lambda n: np.arange(n) % 3)
@@ -46,6 +47,7 @@ def test_ideal_fibers_are_an_upper_limit(name):
     assert tiling.summary["completeness_means"].startswith("an upper limit")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", ["max_density", "mean_shift", "sdss"])
 @pytest.mark.parametrize("allocator", ["balanced", "repair"])
 def test_every_method_and_allocator_agree(method, allocator):

@@ -13,7 +13,7 @@ from rfpsurvey.tiling._problem import TilingState
 
 MM = u.mm
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
-N_CASES = 9
+N_CASES = 3
 
 
 def choose(rng, n, *values):
@@ -102,12 +102,14 @@ def observed_by_survey(catalog, *args, **options):
     return found, survey
 
 
+@pytest.mark.few(6)
+@pytest.mark.parametrize("first", range(0, 9, N_CASES))
 @pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.filterwarnings("ignore:required targets", "ignore:no target", "ignore:no tile", "ignore:requirement")
-def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, monkeypatch):
+def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, first, monkeypatch):
     """Regression: tiles of `place_tiles` did not observe required standards without a requirement, for example."""
     instrument, total = make_instrument(), 0
-    for seed in range(N_CASES):
+    for seed in range(first, first + N_CASES):
         catalog, tiles, options, epoch = make_case(seed)
         asked = rs.AllocationOptions(allocator, **options)
         lost = bool(seed % 3)
@@ -126,6 +128,7 @@ def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, monkeypatch
     assert total > 25 * N_CASES
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("factor", [0.6, 1.3])
 def test_positioners_observe_the_field_of_the_instrument_for_every_radius_of_the_tiles(factor, monkeypatch):
     """Regression: with a smaller radius, tiles observed only the targets in this radius, unlike in a survey."""

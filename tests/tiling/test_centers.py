@@ -18,6 +18,7 @@ def sky(center=(95, 23), radius=3, n=300, seed=1):
     return rs.synthetic_catalog("uniform", SkyCoord(*center, unit="deg"), radius * DEG, n_targets=n, rng=seed)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("method", SEARCHES)
 @pytest.mark.parametrize("limits", [(-90, 24), (22.5, 23.5), (23, 23)])
 def test_declinations_hold(method, limits):

@@ -25,6 +25,7 @@ def sky(center=(95, 23), radius=3, n=300, seed=1, kind="uniform", **options):
     return rs.synthetic_catalog(kind, center, radius * DEG, n_targets=n, rng=seed, **options)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("search", [_greedy._climb_sum, _greedy._shift_to_mean])
 def test_searches_never_lose_and_sometimes_gain(search):
     """The searches start at random positions among few targets, where sums have steps and means are irregular."""

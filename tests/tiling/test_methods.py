@@ -127,6 +127,7 @@ def test_density_gradient_rests_on_the_hill(rng):
     assert top >= max(density(place) for place in around) - 0.05
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_no_method_beats_the_optimum(seed):
     catalog = sky(n=11, radius=2, seed=seed)
@@ -139,20 +140,20 @@ def test_no_method_beats_the_optimum(seed):
             assert len(tiling) <= best + 1
 
 
-def test_completeness_ends_the_placing(method, tycho):
-    stars = rs.Catalog.read(tycho)
-    tiling = rs.place_tiles(stars, "lamost", fibers=150, method=method, completeness=0.9)
+def test_completeness_ends_the_placing(method, stars):
+    tiling = rs.place_tiles(stars, "lamost", fibers=40, method=method, completeness=0.9)
     assert 0.9 <= tiling.summary["completeness"] < 0.96
     assert tiling.table["completeness"][-1] >= 0.9
     if method != "sdss":
         assert (tiling.table["completeness"][:-1] < 0.9).all()
-    # at most 150 targets per tile
-    assert 0.9 * len(stars) / 150 <= len(tiling) <= 1.3 * 0.9 * len(stars) / 150
-    again = rs.place_tiles(stars, "lamost", fibers=150, method=method, completeness=0.9)
+    # at most 40 targets per tile
+    assert 0.9 * len(stars) / 40 <= len(tiling) <= 1.3 * 0.9 * len(stars) / 40
+    again = rs.place_tiles(stars, "lamost", fibers=40, method=method, completeness=0.9)
     np.testing.assert_array_equal(tiling.table["ra"], again.table["ra"])
     np.testing.assert_array_equal(tiling.table["n_new"], again.table["n_new"])
 
 
+@pytest.mark.few(3)
 def test_n_tiles_ends_the_placing(method):
     tiling = rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4)
     assert len(tiling) == 4
@@ -162,6 +163,7 @@ def test_n_tiles_ends_the_placing(method):
         rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4, completeness=0.99)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("sdss", "max_density") else ()) for m in SEARCHES]
 )
@@ -238,6 +240,7 @@ def test_real_focal_planes_look_beside_a_hole():
     assert tiling.summary["completeness"] == 1
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("instrument", ["lamost", "moons"])
 def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     near = stars.within(SkyCoord("6h20m +23d"), 3 * DEG)
@@ -257,6 +260,7 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     assert some.table["n_new"].tolist() == [7]
 
 
+@pytest.mark.few(3)
 def test_real_focal_planes_end(method):
     """The methods also end if positioners cannot reach every target of the last tiles."""
     catalog = sky(n=60, radius=0.6)
@@ -279,6 +283,7 @@ def test_passes_that_are_asked_for_are_made(covering, stars):
     assert tiling.summary["completeness"] == 1
 
 
+@pytest.mark.few(2)
 def test_centers_are_chosen_from_a_list(method, stars):
     near = stars.within(SkyCoord("6h20m +23d"), 5 * DEG)
     bright = near.coord[::15]
@@ -290,6 +295,7 @@ def test_centers_are_chosen_from_a_list(method, stars):
     assert max(c.separation(bright).min().arcsec for c in tiling.coord) < 1e-3
 
 
+@pytest.mark.few(2)
 def test_centers_too_few_are_a_warning(method):
     catalog = sky(n=100, radius=5)
     with pytest.warns(rs.RfpsurveyWarning, match="tiles reach a completeness of 0.[0-9]+, not 0.9"):
@@ -310,6 +316,7 @@ def test_no_center_near_any_target_is_a_warning(method):
     assert "n_new" in tiling.table.colnames
 
 
+@pytest.mark.few(2)
 def test_what_does_not_count(method):
     catalog = sky(n=200, radius=3)
     hole = rs.Region.parse("cap 95 23 1.5")
@@ -319,6 +326,7 @@ def test_what_does_not_count(method):
     assert rs.place_tiles(kinds, radius=1 * DEG, fibers=200, method=method).summary["n_targets"] == 150
 
 
+@pytest.mark.few(7)
 @pytest.mark.parametrize("coord", [[(5, 5)], [(5, 5)] * 7, [(0, 0), (180, 0)], [(10, 90), (0, -90), (0, 0)]])
 def test_few_targets(method, coord):
     """All methods end for one target, for several equal targets, and for antipodal targets."""
@@ -378,6 +386,7 @@ def test_nothing_to_observe_is_an_error(small):
         rs.place_tiles(SkyCoord([] * DEG, [] * DEG), "lamost")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["max_density", "density_gradient", "mean_shift"])
 def test_a_target_that_no_tile_can_serve_keeps_nobody_from_the_others(method):
     """The target is at the only center near it, inside the hole of the patrol area."""

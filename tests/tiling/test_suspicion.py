@@ -68,7 +68,7 @@ def test_more_tiles_than_targets_are_suspected():
 
 
 def test_tilings_of_ours_are_not(tmp_path):
-    placed = rs.place_tiles(rs.Region.box(ra=(0 * u.deg, 40 * u.deg), dec=(0 * u.deg, 40 * u.deg)), "moons")
+    placed = rs.place_tiles(rs.Region.box(ra=(0 * u.deg, 15 * u.deg), dec=(0 * u.deg, 15 * u.deg)), "moons")
     placed.write(tmp_path / "tiles.ecsv")
     assert len(placed) > 1000
     warn_of_targets(rs.Tiling.read(tmp_path / "tiles.ecsv"), 10)

@@ -112,6 +112,7 @@ def test_the_list_of_tiles_of_desi_is_read(real_data):
     assert (Centers(table).tiling.coord.ra == tiling.coord.ra).all()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
 def test_write_then_read(tmp_path, suffix):
     first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, centers=Centers(position_angle=30 * DEG))
@@ -157,7 +158,7 @@ def test_csv_is_in_degrees(tmp_path):
         (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
         (
             lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "DEC": [1.0]})),
-            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --tiles-unit dec=deg",
+            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --set tiles.units.dec=deg",
         ),
         (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table, a QTable or a DataFrame, got"),
         (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
@@ -208,6 +209,7 @@ def test_the_tiles_of_desi(real_data):
     assert covered.to_value(u.deg**2) == pytest.approx(tiling.table.meta["sky_area_deg2"], abs=0.01)
 
 
+@pytest.mark.few(24)
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.exhaustive), 5])
 @pytest.mark.parametrize("make", [hexagonal, spiral])
 @pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
@@ -218,6 +220,7 @@ def test_no_gap(make, center, reach, radius, number):
     assert angles(cap_points(center, reach), centers).max() <= radius
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
 def test_the_widest_gap_is_what_dense_points_find(center):
     """The lattice is also tested without one of its centers, since a proof must then find the gap."""
@@ -252,6 +255,7 @@ SHAPES = [
 ]
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("method", ["hexagonal", "spiral"])
 @pytest.mark.parametrize("text", SHAPES)
 def test_every_pass_covers_the_region(method, text):
@@ -272,6 +276,7 @@ def test_every_pass_covers_the_region(method, text):
     assert angles(first, second).min() > 1e-3
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["hexagonal", "spiral"])
 def test_pixels_are_covered_to_their_edges(method):
     tiling = rs.place_tiles(rs.Region.healpix([270, 300], 8), radius=2 * DEG, method=method)

@@ -1,6 +1,7 @@
 """Options of joint plans."""
 
 import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,8 +65,8 @@ class JointOptions:
 
     gap: float = 0.0
     iterations: int = 10
-    time_limit: u.Quantity | None = None
-    fixed: object = None
+    time_limit: u.Quantity[u.s] | None = None
+    fixed: Survey | str | os.PathLike | None = None
     inform: Callable | None = None
     patch_size: int = 800
 

@@ -1,0 +1,201 @@
+"""Commands whose options are keys: the decorator of the functions of commands, and their record in plan files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from inspect import Parameter, Signature
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from rfpsurvey._cli import _main, _plan_file
+from rfpsurvey._cli._keys import Key, add, build, keys_of
+from rfpsurvey._cli._old import rewritten
+from rfpsurvey._io import write_bytes
+from rfpsurvey._outputs import check_output
+from rfpsurvey.errors import InputError
+
+__all__ = ["Given", "command"]
+
+SPELLINGS = {
+    "instrument.name": "--instrument",
+    "tiles.path": "--tiles",
+    "catalog.path": "--catalog",
+    "catalog.columns": "--column",
+    "options.constraints": "--constraint",
+    "output.path": "--output",
+    "targets.kind": "--targets",
+    "precision.standard_error": "--precision",
+    "allocators": "--allocator",
+    "methods": "--method",
+    "objectives": "--objective",
+}
+"""Options of keys whose names are not the last part of the name of the key."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """The values of the keys of a command that were given, from which a plan file can be written."""
+
+    command: str
+    keys: dict
+    values: dict
+
+    def to_toml(self, folder: Path | None, *, documented: bool = False) -> str:
+        """Return the text of a plan file in a folder."""
+        title = f"Run this file with: rfpsurvey {self.command} FILE. Paths are relative to the folder of this file."
+        return _plan_file.to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
+
+
+class Command(TyperCommand):
+    """A command that also accepts the options of version 0.2, with a warning."""
+
+    def parse_args(self, ctx, args: list[str]) -> list[str]:
+        """Replace old options, and parse the words of the command line."""
+        keys, options = self.callback.keys_and_options
+        n_values = {name: 0 if one.is_flag else one.nargs for one in self.params for name in one.opts if name[0] == "-"}
+        return super().parse_args(ctx, rewritten(args, keys, options, n_values))
+
+
+def command(
+    cls: type,
+    options: str,
+    *,
+    argument: str | None = None,
+    app=None,
+    name: str | None = None,
+    epilog: str | None = None,
+) -> Callable:
+    """Return a decorator that makes a command of a function of an object of the dataclass ``cls``.
+
+    ``options`` contains the names of the keys that have an option (see `_spelled`), and ``argument`` is the name of the
+    key of the words without an option. If the latter is ``catalog.path``, the command also accepts a plan file, and
+    calls the function with a second argument, `Given`.
+    """
+    keys = keys_of(cls)
+    spelled = dict(_spelled(one) for one in options.split())
+    with_file = argument == "catalog.path"
+
+    def decorate(function: Callable) -> Callable:
+        title = name or function.__name__.replace("_", "-")
+
+        def call(**typed):
+            given = Given(title, keys, {})
+            _read(given, typed, argument, spelled)
+            settings = build(cls, given.values)
+            if with_file and typed["write_plan"] is not None:
+                _write(given, typed["write_plan"], overwrite=settings.output.overwrite)
+            else:
+                function(settings, *([given] if with_file else []))
+
+        parameters = [] if argument is None else [_argument(keys[argument])]
+        parameters += [_option(keys[one], text) for one, text in spelled.items()]
+        parameters += _further(Given(title, keys, {}), with_file=with_file)
+        call.__signature__ = Signature(parameters)
+        call.__annotations__ = {one.name: one.annotation for one in parameters}
+        call.__name__, call.__doc__, call.keys_and_options = function.__name__, function.__doc__, (keys, spelled)
+        (app or _main.app).command(title, cls=Command, epilog=epilog)(call)
+        return function
+
+    return decorate
+
+
+def _spelled(text: str) -> tuple[str, str]:
+    """Return the name of a key and its option, for the name or for text such as ``tiles.path=--centers``."""
+    name, _, option = text.partition("=")
+    return name, option or SPELLINGS.get(name) or "--" + name.rpartition(".")[2].replace("_", "-")
+
+
+def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, str]) -> None:
+    """Add the values of a plan file, of --set, and of all other options, which override each other in this order."""
+    keys, values, earlier = given.keys, given.values, set[str]()
+    word = typed.get("argument")
+    if "write_plan" in typed and word is not None and _plan_file.is_plan_file(word):
+        _plan_file.add_file(keys, values, Path(word))
+        word = None
+    for text in typed["set"] or []:
+        _plan_file.add_text(keys, values, text, earlier)
+    if word:
+        add(keys, values, argument, word)
+    for name, option in spelled.items():
+        value, key = typed[_variable(option)], keys[name]
+        if value in (None, False, []):
+            continue
+        if dict in key.kinds:
+            value = _pairs(value, option)
+        for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
+            if isinstance(one, str):
+                _plan_file.add_text(keys, values, f"{name}={one}", earlier)
+            else:
+                add(keys, values, name, one)
+
+
+def _pairs(texts: list[str], option: str) -> dict[str, str]:
+    """Convert options of the form NAME=VALUE to a dict."""
+    found = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not (sign and name and value):
+            raise InputError(f"{option} must have the form NAME=VALUE, got {text!r}")
+        found[name] = value
+    return found
+
+
+def _write(given: Given, path: Path, *, overwrite: bool) -> None:
+    """Write the plan file of a command."""
+    check_output(path, (".toml",), overwrite=overwrite)
+    write_bytes(path, given.to_toml(path.parent, documented=True).encode())
+    print(f"wrote {path}; to run the plan: rfpsurvey {given.command} {path}")
+
+
+def _variable(option: str) -> str:
+    return option.lstrip("-").replace("-", "_") + "_"
+
+
+def _parameter(name: str, annotation: Any, default: object, info: Any) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=Annotated[annotation, info], default=default)
+
+
+def _help(key: Key) -> str:
+    """Return the help of a key, with its default value."""
+    shown = _plan_file.default_text(key).strip('"')
+    return key.text if shown in ("...", "false") else f"{key.text} By default, {shown}."
+
+
+def _argument(key: Key) -> Parameter:
+    """Return the parameter of the words without an option."""
+    info = typer.Argument(help=_help(key), metavar=key.name.partition(".")[0].upper())
+    return _parameter("argument", list[str] | None if list in key.kinds else str | None, None, info)
+
+
+def _option(key: Key, option: str) -> Parameter:
+    """Return the parameter of the option of a key."""
+    several, is_flag = list in key.kinds or dict in key.kinds, next(iter(key.kinds)) is bool
+    metavar = None if is_flag else "NAME=VALUE" if dict in key.kinds else _variable(option)[:-1].upper()
+    info = typer.Option(option, help=_help(key) + " The option may be repeated." * several, metavar=metavar)
+    annotation = bool if is_flag else list[str] | None if several else str | None
+    return _parameter(_variable(option), annotation, False if is_flag else None, info)
+
+
+def _further(given: Given, *, with_file: bool) -> list[Parameter]:
+    """Return the parameters of the options that all commands have."""
+
+    def print_keys(wanted: bool) -> None:
+        if wanted:
+            print(given.to_toml(None, documented=True), end="")
+            raise typer.Exit
+
+    text = (
+        "Set a key, such as rng=1 or a key that has no option; --help-keys lists all keys. The value has the syntax of "
+        "TOML; other values are text. The option may be repeated."
+    )
+    found = [_parameter("set", list[str] | None, None, typer.Option("--set", metavar="KEY=VALUE", help=text))]
+    info = typer.Option(
+        "--help-keys", help="List all keys with their help, and exit.", callback=print_keys, is_eager=True
+    )
+    found.append(_parameter("help_keys", bool, False, info))
+    if with_file:
+        info = typer.Option(help="Write a plan file (.toml) with the values of all keys, and exit without planning.")
+        found.append(_parameter("write_plan", Path | None, None, info))
+    return found

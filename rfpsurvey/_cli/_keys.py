@@ -1,0 +1,264 @@
+"""Keys of commands: fields of dataclasses, which a plan file, the option --set, or another option sets.
+
+The name of a key is the name of its table, a dot, and the name of the field, such as ``joint.time_limit``. Its help is
+the documentation of the parameter in the docstring of the class. Annotations of the field state its unit and its lowest
+value. The value of a key is kept as in TOML, with paths relative to the current folder, until `build` converts it.
+"""
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import date, datetime
+from functools import cache, cached_property
+from inspect import cleandoc
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+import astropy.units as u
+import numpy as np
+from astropy.time import Time
+
+from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, short
+from rfpsurvey.region import Region
+
+__all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
+
+# Types in annotations, in the order in which messages name them, with the types of their values in TOML.
+KINDS: dict[Any, tuple] = {
+    bool: ("true or false", (bool,)),
+    int: ("a whole number", (int,)),
+    float: ("a number", (int, float)),
+    u.Quantity: ("a number", (int, float, str)),
+    Path: ("a path", (str,)),
+    os.PathLike: ("a path", (str,)),
+    Region: ("a region", (str,)),
+    Time: ("a time", (date, datetime, str)),
+    str: ("text", (str,)),
+    list: ("a list", (list,)),
+    dict: ("a table", (dict,)),
+    object: ("a value", (object,)),
+}
+
+
+class Located:
+    """Annotation of text that is a path if a file of this name exists, and otherwise the name of an object."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Annotation of a table whose keys are parameters of a class of the library; its value is a dict of arguments."""
+
+    cls: type
+    more: type | None = None
+    """Dataclass with further keys."""
+    omit: tuple[str, ...] = ()
+    from_text: Callable[[str], dict] | None = None
+    """Function that returns the values by key for a text that is given in place of a table."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key, with the type, the annotations, the default value and the help of its field."""
+
+    name: str
+    hint: object
+    extra: tuple
+    default: object
+    text: str
+
+    @cached_property
+    def kinds(self) -> dict:
+        """The types of the key that values in TOML can have, with the arguments of types such as ``list[int]``."""
+        found = {get_origin(one) or one: get_args(one) for one in _members(self.hint)}
+        found = {list if kind in (tuple, np.ndarray) else kind: arguments for kind, arguments in found.items()}
+        return {kind: found[kind] for kind in KINDS if kind in found}
+
+    def inside(self, kind: type) -> tuple:
+        """Return the types of the values inside a list or a table, which are the value of this key."""
+        return tuple(one for hint in self.kinds.get(kind, ())[-1:] for one in _members(hint) if one in KINDS)
+
+    def texts_only(self, *, entry: bool) -> bool:
+        """Return whether a single value, or the value of an ``entry`` of a table, must be text."""
+        kinds = self.inside(dict) if entry else (*self.kinds, *self.inside(list))
+        return {one for one in kinds if one not in (list, dict)} <= {str, Path, os.PathLike, Region}
+
+    @cached_property
+    def unit(self) -> u.UnitBase | None:
+        """The unit of numbers without a unit; None if the value is no quantity."""
+        return next((one for one in (*self.extra, *_extra(self.hint)) if isinstance(one, u.UnitBase)), None)
+
+    @property
+    def is_path(self) -> bool:
+        """Whether text can be the path of a file."""
+        return not {Path, os.PathLike, *self.extra}.isdisjoint({*self.kinds, Located})
+
+    @property
+    def words(self) -> str:
+        """Text that states which values are valid."""
+        words = [KINDS[kind][0] for kind in self.kinds if kind is not u.Quantity]
+        if self.unit is not None:
+            words.insert(0, f"a number ({self.unit}) or text with a unit")
+        return " or ".join(dict.fromkeys(words))
+
+
+def _members(hint: object) -> list:
+    """Return the members of a union of types, without annotations."""
+    if get_origin(hint) is Annotated:
+        return _members(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        return [kind for one in get_args(hint) for kind in _members(one)]
+    return [hint]
+
+
+def _extra(hint: object) -> list:
+    """Return the annotations of the members of a union of types."""
+    members = get_args(hint) if get_origin(hint) in (Union, UnionType) else [hint]
+    return [one for member in members if get_origin(member) is Annotated for one in get_args(member)[1:]]
+
+
+@cache
+def keys_of(cls: type, prefix: str = "", omit: tuple[str, ...] = (), *, brief: bool = False) -> dict[str, Key | Part]:
+    """Return the keys of a dataclass by name, and the parts by the names of their tables.
+
+    If ``brief``, the help of a key contains only the first sentence of the documentation of its parameter.
+    """
+    found: dict[str, Key | Part] = {}
+    hints, texts = get_type_hints(cls, include_extras=True), _parameter_texts(cls)
+    for one in fields(cls):
+        hint, extra, name = hints[one.name], (), prefix + one.name
+        if get_origin(hint) is Annotated:
+            hint, *extra = get_args(hint)
+        part = next((x for x in extra if isinstance(x, Part)), None)
+        if part is not None:
+            more = {} if part.more is None else keys_of(part.more, f"{name}.")
+            found |= {name: part} | keys_of(part.cls, f"{name}.", part.omit, brief=True) | more
+        elif is_dataclass(hint):
+            found |= keys_of(hint, f"{name}.")
+        elif one.name not in omit:
+            text = texts.get(one.name) or next((x for x in extra if isinstance(x, str)), "")
+            text = re.split(r"(?<=\.)\s+(?=[A-Z`])", text)[0] if brief else text
+            key = Key(name, hint, tuple(extra), one.default, text)
+            found |= {name: key} if key.kinds else {}
+    return found
+
+
+def _parameter_texts(cls: type) -> dict[str, str]:
+    """Return the documentation of each parameter in the docstrings of a class and its bases, as plain text."""
+    found = {}
+    for one in reversed(cls.__mro__):
+        section = cleandoc(one.__doc__ or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+        for names, text in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*(?:\n|$))+)", section, re.MULTILINE):
+            plain = re.sub(r"`+~?([^`]*)`+", r"\1", " ".join(text.split()))
+            found |= dict.fromkeys(names.split(", "), plain)
+    return found
+
+
+def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
+    """Return the key of a name, and the rest of the name if it is the name of an entry of a table, such as a column."""
+    if name in keys:
+        return keys[name], ""
+    head, _, rest = name.partition(".")
+    while rest:
+        key = keys.get(head)
+        if isinstance(key, Key) and dict in key.kinds:
+            return key, rest
+        more, _, rest = rest.partition(".")
+        head = f"{head}.{more}"
+    last = {one.rpartition(".")[2]: one for one in reversed(keys)}
+    known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
+    hint = close_to(last.get(name.rpartition(".")[2], name), known)
+    raise InputError(f"unknown key {name!r}; {hint or '--help-keys lists all keys'}")
+
+
+def add(keys: dict[str, Key | Part], values: dict, name: str, value: object, base: Path | None = None) -> None:
+    """Add the value of a key, or the values of a table, to ``values``; paths are relative to the folder ``base``."""
+    is_table = isinstance(value, dict) and any(one.startswith(f"{name}." if name else "") for one in keys)
+    if name in keys or not is_table:
+        key, rest = find(keys, name)
+        if isinstance(key, Key):
+            _add_one(key, values, {rest: value} if rest else value, base)
+            return
+        if isinstance(value, str) and key.from_text is not None:
+            value = key.from_text(value)
+        if not isinstance(value, dict):
+            raise InputTypeError(f"{name} must be a table{' or text' * bool(key.from_text)}, got {short(value)}")
+    for one, entry in value.items():
+        add(keys, values, f"{name}.{one}" if name else one, entry, base)
+
+
+def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
+    if isinstance(value, date) and str in key.kinds:
+        value = value.isoformat()
+    if list in key.kinds and not isinstance(value, list) and not {str, object} & set(key.kinds):
+        value = [value]
+    _check(key, value, tuple(key.kinds))
+    for kind in (list, dict):
+        if isinstance(value, kind) and (inside := key.inside(kind)):
+            for one in value.values() if kind is dict else value:
+                _check(key, one, inside)
+    if key.is_path and isinstance(value, str) and base is not None:
+        value = located(value, base, always=Located not in key.extra)
+    entries = values.get(key.name)
+    values[key.name] = {**entries, **value} if isinstance(entries, dict) and isinstance(value, dict) else value
+
+
+def _check(key: Key, value: object, kinds: tuple) -> None:
+    """Raise an error if the type of a value is not one of the given types."""
+    types = tuple(one for kind in kinds for one in KINDS[kind][1])
+    valid = bool in kinds if isinstance(value, bool) else isinstance(value, types)
+    if u.Quantity in kinds and isinstance(value, list | dict):
+        valid = True
+    if not valid and object not in kinds:
+        raise InputTypeError(f"{key.name} must be {key.words}, got {short(value)}")
+
+
+def located(text: str, base: Path, *, always: bool) -> str:
+    """Return a path in the folder ``base`` as a path from the current folder; names of objects are not changed."""
+    path = base / text
+    is_name = text.startswith("example:") or not (always or path.exists())
+    return text if is_name else str(path)
+
+
+def build(cls: type, values: dict, prefix: str = "") -> Any:
+    """Return an object of a dataclass of keys with the given values; all other fields have their default values."""
+    given, keys = {}, keys_of(cls, prefix)
+    for one in fields(cls):
+        name, hint = prefix + one.name, get_type_hints(cls).get(one.name)
+        key = keys.get(name)
+        if isinstance(key, Part):
+            inside = {k: v for k, v in keys.items() if k.startswith(f"{name}.") and k in values}
+            given[one.name] = {k.removeprefix(f"{name}."): _convert(v, values[k]) for k, v in inside.items()}
+        elif is_dataclass(hint):
+            given[one.name] = build(hint, values, f"{name}.")
+        elif name in values:
+            given[one.name] = _convert(key, values[name])
+    return cls(**given)
+
+
+def _convert(key: Key, value: object) -> object:
+    """Convert a value from TOML to the type of the field."""
+    low = next((one for one in key.extra if isinstance(one, int)), None)
+    if low is not None and int in key.kinds:
+        check_whole(value, key.name.rpartition(".")[2], low)
+    if key.unit is not None:
+        return _to_quantity(key, value)
+    if isinstance(value, str) and Path in key.kinds:
+        return Path(value)
+    if Region in key.kinds or any(Region in _members(one) for one in key.kinds.get(list, ())):
+        return [Region.parse(one) for one in value] if isinstance(value, list) else Region.parse(value)
+    return value
+
+
+def _to_quantity(key: Key, value: object) -> object:
+    """Convert numbers in the unit of a key, or text with a unit, to quantities; a list or a table contains several."""
+    if isinstance(value, dict):
+        return {name: _to_quantity(key, one) for name, one in value.items()}
+    if isinstance(value, list):
+        return u.Quantity([_to_quantity(key, one) for one in value])
+    try:
+        found = u.Quantity(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
+    return found.value * key.unit if found.unit == u.dimensionless_unscaled else found

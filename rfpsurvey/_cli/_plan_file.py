@@ -1,0 +1,132 @@
+"""Plan files: TOML files with the values of the keys of a command."""
+
+import json
+import os
+import tomllib
+from dataclasses import MISSING
+from datetime import date, datetime
+from pathlib import Path
+from textwrap import wrap
+
+import astropy.units as u
+
+from rfpsurvey._cli._keys import Key, Located, Part, add, find, located
+from rfpsurvey._readers import read_toml
+from rfpsurvey.errors import InputError
+
+__all__ = ["add_file", "add_text", "default_text", "is_plan_file", "to_toml"]
+
+WIDTH = 100
+# Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
+OF_ONE_RUN = ("output.resume",)
+
+
+def is_plan_file(path: object) -> bool:
+    """Return whether the path in place of a catalog is the path of a plan file."""
+    return Path(str(path)).suffix.lower() == ".toml"
+
+
+def add_file(keys: dict, values: dict, path: Path) -> None:
+    """Add the values of all keys in a plan file, whose paths are relative to its folder, to ``values``."""
+    content = read_toml(path)
+    try:
+        add(keys, values, "", content, path.parent)
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def add_text(keys: dict, values: dict, text: str, earlier: set[str]) -> None:
+    """Add the value in a text of the form KEY=VALUE to ``values``.
+
+    The value has the syntax of TOML; other values are text. Values of lists are added to the ``earlier`` values, which
+    are those of the names of keys for which this function was called before.
+    """
+    name, sign, value = (part.strip() for part in text.partition("="))
+    if not (name and sign and value):
+        raise InputError(f"--set must have the form KEY=VALUE, such as joint.time_limit=600, got {text!r}")
+    key, rest = find(keys, name)
+    found = _value(value)
+    if isinstance(key, Key):
+        if key.texts_only(entry=bool(rest)) and not isinstance(found, str | list):
+            found = value
+        if list in key.kinds and key.name in earlier:
+            before, new = (one if isinstance(one, list) else [one] for one in (values[key.name], found))
+            found = [*before, *new]
+        earlier.add(key.name)
+    add(keys, values, name, found)
+
+
+def _value(text: str) -> object:
+    try:
+        found = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return found["value"] if len(found) == 1 else text
+
+
+def to_toml(keys: dict, values: dict, folder: Path, *, title: str, documented: bool) -> str:
+    """Return the text of a plan file in a folder; if ``documented``, with the help of all keys."""
+    lines, table = [f"# {title}"], ""
+    known = [key for key in keys.values() if not isinstance(key, Part) and key.name not in OF_ONE_RUN]
+    tops = ["", *dict.fromkeys(key.name.partition(".")[0] for key in known)]
+
+    def place(key: Key) -> tuple[int, int]:  # keys without a table first; the tables inside a table after its keys
+        top, dot, rest = key.name.partition(".")
+        return (tops.index(top) if dot else 0), rest.count(".")
+
+    for key in sorted(known, key=place):
+        if key.name not in values and not documented:
+            continue
+        head, _, name = key.name.rpartition(".")
+        if head != table:
+            table = head
+            lines += ["", f"[{table}]"]
+        if documented:
+            lines += ["", *(f"# {line}" for line in wrap(_help(key), WIDTH - 2))]
+        if key.name in values:
+            lines.append(f"{name} = {_text(_moved(key, values[key.name], folder))}")
+        else:
+            lines.append(f"# {name} = {default_text(key)}")
+    return "\n".join(lines) + "\n"
+
+
+def _help(key: Key) -> str:
+    """Return the help of a key, with the type of its values."""
+    return f"{key.text.rstrip('.')}. Value: {key.words}."
+
+
+def _moved(key: Key, value: object, folder: Path) -> object:
+    """Return the value of a key, with a path relative to the folder of the plan file."""
+    if not key.is_path or not isinstance(value, str) or Path(value).is_absolute():
+        return value
+    is_name = located(value, Path(), always=Located not in key.extra) == value and not Path(value).exists()
+    if value.startswith("example:") or (Located in key.extra and is_name):
+        return value
+    return Path(os.path.relpath(value, folder)).as_posix()
+
+
+def default_text(key: Key) -> str:
+    """Return the default value of a key in TOML, or dots if there is none."""
+    value = key.default
+    if isinstance(value, u.Quantity):
+        value = float(value.to_value(key.unit or value.unit))
+    return "..." if value is None or value is MISSING or callable(value) or value == () else _text(value)
+
+
+def _text(value: object) -> str:
+    """Return a value in the syntax of TOML."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_name(name)} = {_text(one)}" for name, one in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    if isinstance(value, date | datetime):
+        return value.isoformat()
+    if isinstance(value, bool | int):
+        return json.dumps(value)
+    if isinstance(value, float):
+        return str(value)
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _name(name: str) -> str:
+    return name if name.isascii() and name.replace("_", "a").replace("-", "a").isalnum() else _text(name)

@@ -1,0 +1,257 @@
+"""Plan files, the option --set, and the keys of commands."""
+
+import tomllib
+from dataclasses import fields
+
+import astropy.units as u
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+from refusals import sentence
+from rfpsurvey._cli import _plan_file, plan, survey
+from rfpsurvey._cli._keys import Part, build, keys_of
+
+SURVEY = keys_of(survey.SurveyKeys)
+
+
+def values_of(text, keys=SURVEY, folder="."):
+    """Return the values in the text of a plan file."""
+    values = {}
+    _plan_file.add(keys, values, "", tomllib.loads(text), _plan_file.Path(folder))
+    return values
+
+
+def after_set(*texts, keys=SURVEY):
+    """Return the values that --set gives."""
+    values, earlier = {}, set()
+    for text in texts:
+        _plan_file.add_text(keys, values, text, earlier)
+    return values
+
+
+def test_the_fields_of_the_library_are_keys():
+    """A new field of these classes is a key, with its help, of the file, of --set and of the list of keys."""
+    for table, cls in {
+        "options": rs.AllocationOptions,
+        "joint": rs.JointOptions,
+        "conditions": rs.ObservingConditions,
+        "instrument.margins": rs.Margins,
+    }.items():
+        names = {one.name for one in fields(cls)} - {"inform"}
+        assert {f"{table}.{name}" for name in names} <= set(SURVEY)
+    assert all(key.text for key in SURVEY.values() if not isinstance(key, Part))
+
+
+def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "files").mkdir()
+    words = ["survey", "--instrument", "moons", "--set", "options.objective=count", "--allocator", "lamost"]
+    words += ["--constraint", "keep_out 95.0 23.0 0.02", "--rng", 3, "--passes", 2, "--folder", "first"]
+    code, out, err = run(*words, "--write-plan", "files/plan.toml")
+    assert (code, err) == (0, "")
+    assert out == "wrote files/plan.toml; to run the plan: rfpsurvey survey files/plan.toml\n"
+    text = (tmp_path / "files" / "plan.toml").read_text()
+    assert 'folder = "../first"' in text
+    assert "# Largest number of iterations. Value: a whole number.\n# iterations = 10" in text
+    assert not (tmp_path / "first").exists()
+    assert run("survey", "files/plan.toml")[0] == 0
+    assert run(*words[:-1], "second")[0] == 0
+    assert run("survey", "first/plan.toml", "--folder", "third")[0] == 0
+    first = rs.Survey.read("first")
+    assert first.summary["n_tiles"] < 22
+    assert first.provenance["parameters"]["rng"] == 3
+    for other in ("second", "third"):
+        assert np.array_equal(rs.Survey.read(other).targets["target_id"], first.targets["target_id"])
+    expected = {"tiles": {"passes": [2]}, "instrument": {"name": "moons"}, "output": {"folder": "."}, "rng": 3}
+    expected["options"] = {
+        "allocator": "lamost",
+        "objective": "count",
+        "constraints": ["keep_out 95.0 23.0 0.02"],
+    }
+    assert tomllib.loads((tmp_path / "first" / "plan.toml").read_text()) == expected
+
+
+def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    output = "tile.fits"
+    assert run("plan", "--instrument", "moons", "--center", "95 23", "--output", output)[0] == 0
+    record = tomllib.loads(rs.Tile.read(output).provenance["plan_file"])
+    assert record == {"center": "95 23", "instrument": {"name": "moons"}, "output": {"path": "tile.fits"}}
+
+
+def test_all_values_are_read_again_as_they_are_written(tmp_path):
+    text = """
+order = "joint"
+epoch = 2026-07-01
+lost_in_collision = false
+[catalog]
+path = "stars.fits"
+columns = { "a b" = "c", id = "quote \\" and \\\\ and é" }
+fill = { priority = 0.5 }
+keep = ["mag", "β"]
+visits = 2
+[instrument]
+name = "moons"
+margins = "instrument,broken=0.3"
+[options]
+time_limit = "10 min"
+sky_separation = 10
+[joint]
+fixed = "old"
+[conditions]
+site = [1.0, 2.0, 3.0]
+time = 2026-07-01T06:30:00
+wavelength = { BOSS = 0.54, APOGEE = "1.6 um" }
+"""
+    values = values_of(text, folder=tmp_path)
+    assert values["catalog.path"] == str(tmp_path / "stars.fits")
+    assert values["instrument.name"] == "moons"
+    for folder in (tmp_path, tmp_path / "sub"):
+        written = _plan_file.to_toml(SURVEY, values, folder, title="a title", documented=True)
+        again = values_of(written, folder=folder)
+        again = {name: str(v).replace("sub/../", "") for name, v in again.items()}
+        assert again == {name: str(v) for name, v in values.items()}
+    keys = build(survey.SurveyKeys, values)
+    assert keys.options == {"time_limit": 10 * u.min, "sky_separation": 10 * u.arcsec}
+    assert keys.conditions["wavelength"] == {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
+    assert keys.instrument.margins == {"published": True, "broken": 0.3 * u.mm}
+    assert keys.epoch == "2026-07-01"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value"),
+    [
+        ("joint.time_limit=600", "joint.time_limit", 600),
+        ("catalog.units.ra=deg", "catalog.units", {"ra": "deg"}),
+        ("catalog.units.ra=5", "catalog.units", {"ra": "5"}),
+        ("catalog.path=4711", "catalog.path", "4711"),
+        ("catalog.hdu=2", "catalog.hdu", 2),
+        ('catalog.hdu="2"', "catalog.hdu", "2"),
+        ("catalog.keep=mag", "catalog.keep", ["mag"]),
+        ('catalog.keep=["a", "b"]', "catalog.keep", ["a", "b"]),
+        ("conditions.site=kitt peak", "conditions.site", "kitt peak"),
+        ("conditions=night.toml", "conditions.path", "night.toml"),
+        ("instrument.margins=off", "instrument.margins.published", False),
+        ("instrument.margins.outer=0.2", "instrument.margins.outer", 0.2),
+        ("tiles.passes=[2, 1]", "tiles.passes", [2, 1]),
+        ("lost_in_collision=false", "lost_in_collision", False),
+        ("options.subpriority=3", "options.subpriority", 3),
+        ("options.subpriority=SUB", "options.subpriority", "SUB"),
+        ("epoch=1\nrng=2", "epoch", "1\nrng=2"),
+    ],
+)
+def test_values_of_set_have_the_syntax_of_toml(text, name, value):
+    assert after_set(text) == {name: value}
+
+
+def test_repeated_values_of_lists_are_added_and_others_replaced():
+    assert after_set("catalog.keep=a", 'catalog.keep=["b"]', "rng=1", "rng=2") == {"catalog.keep": ["a", "b"], "rng": 2}
+    values = values_of('catalog.keep = ["a"]')
+    _plan_file.add_text(SURVEY, values, "catalog.keep=b", set())
+    assert values == {"catalog.keep": ["b"]}
+
+
+def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
+    seen = {}
+
+    def plan_survey(*_, **options):
+        seen.update(options)
+        raise rs.InputError("enough")
+
+    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+    path = tmp_path / "plan.toml"
+    path.write_text('rng = 1\norder = "given"\n[instrument]\nname = "moons"\n[options]\ntime_limit = 5\n')
+    assert "enough" in sentence(*run("survey", path, "--rng", 2, "--set", "options.time_limit=7")[::2])
+    assert (seen["rng"], seen["order"], seen["allocator"].time_limit) == (2, "given", 7 * u.s)
+    assert "enough" in sentence(*run("survey", path, "--set", "rng=3")[::2])
+    assert seen["rng"] == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[catalog]\npth = "a"', "unknown key 'catalog.pth'; did you mean 'catalog.path'?"),
+        ("[joint]\ntme_limit = 1", "unknown key 'joint.tme_limit'; did you mean 'joint.time_limit'?"),
+        ('[catlog]\npath = "a"', "unknown key 'catlog'; did you mean 'catalog'?"),
+        ("time_limit = 1", "unknown key 'time_limit'; did you mean 'options.time_limit'?"),
+        ("qqqq = 1", "unknown key 'qqqq'; --help-keys lists all keys"),
+        ("catalog = 3", "catalog"),
+        ("rng = 1.5", "rng must be a whole number, got 1.5"),
+        ("rng = true", "rng must be a whole number, got True"),
+        ('lost_in_collision = "no"', "lost_in_collision must be true or false, got 'no'"),
+        ("[catalog]\nkeep = 3", "catalog.keep must be a list, got 3"),
+        ("[catalog]\nkeep = [3]", "catalog.keep must be a list, got 3"),
+        ("[catalog]\nunits = { ra = 1 }", "catalog.units must be a table, got 1"),
+        ("[options]\ntime_limit = [1]", ""),
+        ("[conditions]\nexposure_time = true", "conditions.exposure_time must be a number (s) or text with a unit"),
+        ("options = 3", "options must be a table, got 3"),
+        ("[instrument]\nmargins = 3", "instrument.margins must be a table or text, got 3"),
+        ("[instrument]\nmargins = 'wide'", "margins must be off, instrument, or NAME=VALUE"),
+        ("a = ", "cannot be read as TOML"),
+    ],
+)
+def test_wrong_files_are_refused_in_one_sentence(run, tmp_path, text, message):
+    path = tmp_path / "plan.toml"
+    path.write_text(text + "\n")
+    error = sentence(*run("survey", path)[::2])
+    assert error.startswith(f"rfpsurvey: {path}") or not message
+    assert message in error
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "rng"], "--set must have the form KEY=VALUE, such as joint.time_limit=600, got 'rng'"),
+        (["--set", "=1"], "--set must have the form KEY=VALUE"),
+        (["--set", "options.time_limit=soon"], "options.time_limit must be a number (s) or text with a unit"),
+        (["--set", "options.time_limit=5 km"], "options.time_limit must have a unit convertible to s, got km"),
+        (["--set", "rng=-1"], "rng must be a whole number of at least 0, got -1"),
+        (["--workers", "0"], "--workers must be a whole number of at least 1, got 0"),
+        (["--rng", "two"], "--rng must be a whole number, got 'two'"),
+        (["--column", "ra"], "--column must have the form NAME=VALUE, got 'ra'"),
+        (["nothing.toml"], "nothing.toml: there is no such file"),
+        (["--write-plan", "plan.txt"], "plan.txt: the name of this output file must end in .toml"),
+    ],
+)
+@pytest.mark.parametrize("command", ["survey", "plan"])
+def test_wrong_values_are_refused_in_one_sentence(run, command, words, message):
+    if "--workers" in words and command == "plan":
+        pytest.skip("the command has no workers")
+    assert message.replace("joint.time_limit=600, got 'rng'", "") in sentence(*run(command, *words)[::2])
+
+
+def test_existing_plan_files_are_kept(run, tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text("mine")
+    assert "exists; to replace it, use --overwrite" in sentence(*run("plan", "--write-plan", path)[::2])
+    assert path.read_text() == "mine"
+    assert run("plan", "--write-plan", path, "--overwrite")[0] == 0
+    assert tomllib.loads(path.read_text())["output"] == {"overwrite": True}
+
+
+@pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "score", "probability"])
+def test_commands_list_their_keys_and_have_fewer_than_20_options(run, command):
+    code, out, _ = run(command, "--help-keys")
+    assert code == 0
+    assert tomllib.loads(out).keys() >= {"instrument", "output"}
+    n = sum(line.startswith(("  --", "  -h, --")) for line in run(command, "--help")[1].splitlines())
+    assert n <= 20  # with --help
+
+
+def test_constraints_are_those_of_the_library():
+    texts = ["sky=20", "required 4711", "required 'star 7'", "keep_out 95 23 0.5"]
+    found = build(survey.SurveyKeys, {"options.constraints": texts})
+    found = rs.AllocationOptions(**found.options)
+    region = rs.Region.parse("cap 95 23 0.5")
+    expected = rs.AllocationOptions(requirements="sky=20", required=["4711", "star 7"], keep_out=region)
+    assert found.record == expected.record
+
+
+def test_a_name_of_an_object_is_no_path(tmp_path):
+    keys = keys_of(plan.PlanKeys)
+    (tmp_path / "mine.toml").touch()
+    for name, expected in (("mine.toml", str(tmp_path / "mine.toml")), ("moons", "moons")):
+        assert values_of(f'instrument.name = "{name}"', keys, tmp_path)["instrument.name"] == expected
+    path = "example:anticenter"
+    assert values_of(f'catalog.path = "{path}"', keys, tmp_path)["catalog.path"] == path
