@@ -7,13 +7,13 @@ import importlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.collision import _count as count
-from rfpsurvey.collision import place_arms
+from rfpsurvey.collision import METHODS, place_arms
 from scenes import MM, SCENES, lamost_like, many_tips, random_tips
 
 numba_cuda = pytest.importorskip("numba.cuda")
@@ -26,7 +26,7 @@ def _several_blocks(monkeypatch):
     """Use blocks that are smaller than a scene, and chunks that are smaller than a batch."""
     gpu = importlib.import_module("rfpsurvey._kernels.gpu")
     monkeypatch.setattr(gpu, "THREADS", 16)
-    monkeypatch.setitem(count.SCORERS, "cuda", (2, count.SCORERS["cuda"][1]))
+    monkeypatch.setitem(METHODS, "cuda", replace(METHODS["cuda"], chunk=2))
 
 
 @pytest.mark.parametrize("name", SCENES)
