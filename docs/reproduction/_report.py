@@ -8,7 +8,7 @@ from astropy.table import Table
 from reproduction._figures import draw_reproduction
 from rfpsurvey._io import read_table
 from rfpsurvey.report._blocks import Page, Picture, Rows, Section
-from rfpsurvey.report._tables import _without_private
+from rfpsurvey.report._tables import without_private
 
 __all__ = ["page_of_claims"]
 
@@ -89,7 +89,7 @@ def page_of_claims(table: Table, where: str) -> Page:
     )
     lead = f"This page compares {len(table)} claims of a paper, Chen et al. (2024), with new results.{quick}"
     title = "Repetition of the experiments of the paper"
-    return Page("Reproduction", title, lead, highlights, sections, _without_private(table.meta))
+    return Page("Reproduction", title, lead, highlights, sections, without_private(table.meta))
 
 
 def _experiment(name, folder) -> list:

@@ -106,35 +106,36 @@ def benchmark_probability(
     for (method, n), values in results.items():
         seconds, value, error = np.array(values).T
         true = truth[estimands[method]]
-        own = name_of(method), true.estimand, n, np.median(seconds), value.mean()
-        rows.append((*own, *_misses(value, true), error.mean(), true.value, true.standard_error))
-    names = (
-        "method",
-        "estimand",
-        "effort",
-        "time",
-        "value",
-        "bias",
-        "bias_error",
-        "error",
-        "error_error",
-        "standard_error",
-        "truth",
-        "truth_error",
-    )
-    table = QTable(rows=rows, names=names)
-    table["time"] = 1e3 * table["time"] * u.ms
+        rows.append(
+            {
+                "method": name_of(method),
+                "estimand": true.estimand,
+                "effort": n,
+                "time": 1e3 * np.median(seconds) * u.ms,
+                "value": value.mean(),
+                **_misses(value, true),
+                "standard_error": error.mean(),
+                "truth": true.value,
+                "truth_error": true.standard_error,
+            }
+        )
+    table = QTable(rows)
     table.meta.update(provenance(instrument, plane), repeats=repeats)
     return table
 
 
 def _misses(values, true):
-    """Return the bias and the root-mean-square error of repeated runs, with the standard errors of both values."""
+    """Return the columns ``bias`` and ``error`` (root mean square) of repeated runs, and their standard errors."""
     n, away = len(values), values - true.value
     squares = away**2
     error = float(np.sqrt(squares.mean()))
     scatter, spread = (x.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan for x in (values, squares))
-    return away.mean(), np.hypot(scatter, true.standard_error), error, spread / (2 * error) if error > 0 else spread
+    return {
+        "bias": away.mean(),
+        "bias_error": np.hypot(scatter, true.standard_error),
+        "error": error,
+        "error_error": spread / (2 * error) if error > 0 else spread,
+    }
 
 
 def benchmark_densities(

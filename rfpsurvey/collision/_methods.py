@@ -12,8 +12,6 @@ from rfpsurvey.collision._arms import Arms
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["METHODS", "CollisionMethod", "Configuration", "Found", "keep_closer", "near_pairs"]
-
 
 @dataclass(frozen=True, eq=False)
 class Configuration:

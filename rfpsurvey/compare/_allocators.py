@@ -17,8 +17,6 @@ from rfpsurvey.errors import RfpsurveyWarning, check_switch, used_elsewhere
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import Tile, plan_tile
 
-__all__ = ["compare_allocators"]
-
 # Largest number of priority classes for which the table has separate columns.
 MOST_CLASSES = 8
 log = logging.getLogger("rfpsurvey")

@@ -32,8 +32,6 @@ from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
 from rfpsurvey.tile import plan_tile
 
-__all__ = ["Field", "Plan", "allocators_of", "catalog_fields", "on_kind", "plan_fields", "synthetic_fields"]
-
 SAMPLE = 100_000
 
 

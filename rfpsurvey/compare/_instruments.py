@@ -19,8 +19,6 @@ from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
 
-__all__ = ["PARTS", "compare_instruments", "parts_of"]
-
 COMPARED = ("lamost", "optimal")
 SYNTHETIC = ("poisson", "uniform")
 CONFIDENCE = 0.95

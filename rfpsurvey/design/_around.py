@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.design._axes import AXES, to_axes
 from rfpsurvey.design._explore import explore_designs, scan
 from rfpsurvey.design._rows import set_formats
@@ -125,7 +126,7 @@ def design_improvements(table: QTable) -> QTable:
     if len(rows) != 1:
         raise InputError(f"table must have one row for the design of an instrument, got {len(rows)} rows")
     objectives = table.meta["objectives"]
-    plain = {name: np.asarray(getattr(table[name], "value", table[name]), dtype=float) for name in objectives}
+    plain = {name: to_plain(table[name]) for name in objectives}
     gain = {name: -plain[name] if aim == "min" else plain[name] for name, aim in objectives.items()}
     row, found = rows[0], []
     if not all(np.isfinite(values[row]) for values in gain.values()):

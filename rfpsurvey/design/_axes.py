@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_mm, to_plain
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_whole
 
 AXES = ("central_arm", "ratio", "pitch", "clearance")
 MOST = 10_000_000
@@ -42,9 +42,7 @@ def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) ->
         if n > MOST:
             raise InputError(f"a grid must have at most {MOST:.0e} designs, got {n:.3g}")
         return np.array(list(itertools.product(*axes.values())))
-    whole = isinstance(n_designs, int | np.integer) and not isinstance(n_designs, bool)
-    if not (whole and 1 <= n_designs <= MOST):
-        raise InputError(f"n_designs must be a whole number from 1 to {MOST:.0e}, got {n_designs!r}")
+    check_whole(n_designs, "n_designs", high=MOST)
     for name, values in axes.items():
         if len(values) > 2 or (len(values) == 2 and not values[0] < values[1]):
             raise InputError(f"if n_designs is given, {name} must be one value or two limits (low, high), got {values}")

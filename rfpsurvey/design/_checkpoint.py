@@ -61,7 +61,7 @@ class Checkpoint:
         """Unlock the file; if the scan was interrupted, first write the finished designs."""
         try:
             if kind is not None and self.done:
-                self._write(self.table())
+                self.write(self.table())
         finally:
             self._lock.__exit__(None, None, None)
 
@@ -95,14 +95,11 @@ class Checkpoint:
     def save(self) -> None:
         """Write the finished designs, unless the file was written in the last ten seconds."""
         if self._path is not None and monotonic() - self._last > EVERY:
-            self._write(self.table())
+            self.write(self.table())
             self._last = monotonic()
 
-    def finish(self, table) -> None:
-        """Write the table of all designs."""
-        self._write(table)
-
-    def _write(self, table):
+    def write(self, table: QTable) -> None:
+        """Write the table of the finished designs."""
         if self._path is not None:
             write_table(table, self._path, overwrite=self._overwrite)
             self._overwrite = True  # from now on, the file is the file of this scan
@@ -116,8 +113,8 @@ class Checkpoint:
         check_request(self._path, before, now, "scan", "path")
         warn_of_software(self._path, table.meta.get("software"), self.meta["software"], "designs")
         rows = to_rows(table)
-        own = np.column_stack([rows[name] for name in AXES])
-        if len(own) > len(self._designs) or not np.array_equal(own, self._designs[: len(own)]):
+        designs = np.column_stack([rows[name] for name in AXES])
+        if not np.array_equal(designs, self._designs[: len(designs)]):
             raise InputError(f"{self._path} is damaged: its designs differ from the designs of the scan")
         if table.meta.get("digest") != digest_of(rows):
             raise InputError(

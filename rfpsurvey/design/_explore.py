@@ -17,7 +17,7 @@ from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES
 from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
-from rfpsurvey.errors import InputTypeError, check_keywords, short, warn
+from rfpsurvey.errors import check_keywords, warn
 
 CHUNK = 8
 """Number of designs that a process computes per task. Results do not depend on this number."""
@@ -184,8 +184,6 @@ def scan(
     ``axes`` contains the values or the limits of each parameter, with lengths in mm. If ``start`` is given, the table
     also contains the design of this instrument.
     """
-    if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
@@ -203,7 +201,7 @@ def scan(
         if start is not None:
             table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
         table["pareto"] = on_front(table, objectives)
-        checkpoint.finish(table)
+        checkpoint.write(table)
     _warn(table)
     return table
 
@@ -223,15 +221,13 @@ def _warn(table):
     """Issue warnings for designs without values, and for designs whose searches the time limit ended."""
     strange = table[table["reason"] != ""]
     if len(strange):
-        text = (
+        warn(
             f"{len(strange)} of {len(table)} designs have no values; the column 'reason' gives the reasons, "
             f"such as: {strange['reason'][0]}"
         )
-        warn(text)
     cut = int(np.count_nonzero(table["n_unproven"]))
     if cut:
-        text = (
+        warn(
             f"the time limit ended searches for {cut} of {len(table)} designs; the true loss of these designs "
             f"can be smaller, by at most about {np.nanmax(table['loss_gap']):.2g}"
         )
-        warn(text)

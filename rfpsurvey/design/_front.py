@@ -3,6 +3,7 @@
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, check_choice
 
 OBJECTIVES = {"coverage": "max", "loss": "min"}
@@ -26,8 +27,7 @@ def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
     the same best values, all of them are on the front. Rows without a value are not on the front.
     """
     signs = {"max": -1.0, "min": 1.0}
-    values = [signs[aim] * np.asarray(getattr(table[name], "value", table[name])) for name, aim in objectives.items()]
-    first, second = (np.asarray(v, dtype=float) for v in values)
+    first, second = (signs[aim] * to_plain(table[name]) for name, aim in objectives.items())
     known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
     order = known[np.lexsort((second[known], first[known]))]
     a, b = first[order], second[order]

@@ -21,8 +21,6 @@ from rfpsurvey.probability import (
     surrogate_probability,
 )
 
-__all__ = ["ESTIMANDS", "METHODS", "SURROGATE_ERROR", "Loss", "LossMethod", "Skies", "automatic", "cheapest", "in_box"]
-
 N_POINTS = 256
 """Number of points of a quadrature; with this number, the relative error of the loss is about 0.002."""
 SURROGATE_ERROR = 5e-4

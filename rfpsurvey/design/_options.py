@@ -11,7 +11,7 @@ from rfpsurvey._methods import describe_methods
 from rfpsurvey._units import to_scalar
 from rfpsurvey.design._losses import ESTIMANDS, METHODS, automatic
 from rfpsurvey.design._work import MOST_TARGETS
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_of_unused
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal, warn_of_unused
 
 PER_POSITIONER = 4.0
 """Default number of targets per positioner."""
@@ -67,9 +67,7 @@ class LossOptions:
 
     def __post_init__(self):
         self.question, self.targets, self.seconds  # noqa: B018  (raises an error for invalid options)
-        n_skies = self.n_skies
-        if isinstance(n_skies, bool) or not isinstance(n_skies, int | np.integer) or n_skies < 2:
-            raise refusal("n_skies must be a whole number of at least 2", n_skies, Number)
+        check_whole(self.n_skies, "n_skies", 2)
 
     @property
     def question(self) -> tuple[str, str]:

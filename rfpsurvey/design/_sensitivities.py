@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._rows import set_formats
 from rfpsurvey.errors import InputError, check_choice, check_keywords
@@ -76,8 +77,8 @@ def design_sensitivities(
     start = table.meta.get("request", {}).get("start", {})
     if start.get("added"):  # the design of an instrument would make a grid irregular
         table = table[np.asarray(np.ma.filled(table["instrument"], "")) == ""]
-    known = np.isfinite(_plain(table, "loss"))
-    values = {name: _plain(table, name)[known] for name in AXES}
+    known = np.isfinite(to_plain(table["loss"]))
+    values = {name: to_plain(table[name])[known] for name in AXES}
     axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
     if not axes:
         raise InputError("at least one of central_arm, ratio, pitch and clearance must vary among designs with values")
@@ -87,18 +88,13 @@ def design_sensitivities(
         raise InputError(f"sensitivities need more than {n_terms} designs with values, got {int(known.sum())}")
     rows = []
     for figure in figures:
-        y = _plain(table, figure)[known]
+        y = to_plain(table[figure])[known].astype(float)
         shares = _shares(y, blocks)
         slopes = _slopes(y, axes)
         rows += [(figure, name, shares[name], slopes.get(name, np.nan)) for name in [*axes, "rest"]]
     found = QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
     set_formats(found)
     return found
-
-
-def _plain(table, name):
-    column = table[name]
-    return np.asarray(getattr(column, "value", column), dtype=float)
 
 
 def _polynomials(x):

@@ -24,6 +24,16 @@ def check_columns(plane) -> None:
         raise InputError(f"xy must be finite, got {int((~np.isfinite(xy)).any(axis=1).sum())} rows that are not finite")
     if len(np.unique(xy, axis=0)) < n:
         raise InputError("xy must be different for all positioners, but two positioners have the same center")
+    _check_labels(plane, n)
+    _check_lengths(plane, n)
+    _check_fibers(plane, n)
+    _check_joints(plane, n)
+    _check_obstacles(plane)
+    check_margins(plane)
+
+
+def _check_labels(plane, n):
+    """Check the identifiers, spectrographs, fiber types and flags of all positioners, and convert them to arrays."""
     spectrograph, fiber_type = plane.spectrograph, plane.fiber_type
     columns = {
         "id": np.arange(n) if plane.id is None else to_labels(plane.id, "id"),
@@ -51,6 +61,10 @@ def check_columns(plane) -> None:
             f"spectrograph must have the shape ({n},) or ({n}, {len(plane.fiber_types)}), "
             f"got {columns['spectrograph'].shape}"
         )
+
+
+def _check_lengths(plane, n):
+    """Check the lengths of the arms of all positioners."""
     for name in ("central_arm", "eccentric_arm"):
         value = getattr(plane, name)
         if value is not None:
@@ -60,14 +74,10 @@ def check_columns(plane) -> None:
             strange = lengths[~((lengths > 0) & (lengths < 1e6))]
             if len(strange):
                 raise InputError(f"{name} must be {n} positive lengths below 1 km, got {strange[0]:g} mm")
-    _check_fibers(plane, n)
-    _check_joints(plane, n)
-    if plane.stuck is not None:
-        angles = to_radian(plane.stuck, "stuck")
-        if angles.shape != (n, 2):
-            raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
-        if (np.isfinite(angles).sum(axis=1) == 1).any():
-            raise InputError("stuck must contain both theta and phi of a positioner, or neither")
+
+
+def _check_obstacles(plane):
+    """Check circles and polygons that are obstacles, and circles that hide fibers."""
     for name in ("obstacles", "hidden"):
         if getattr(plane, name) is None:
             continue
@@ -86,7 +96,6 @@ def check_columns(plane) -> None:
         for k, one in enumerate(to_polygons(polygons)):
             if len(one) < 3:
                 raise InputError(f"obstacle_polygons[{k}] must have at least three vertices, got {short(polygons[k])}")
-    check_margins(plane)
 
 
 def _check_fibers(plane, n):
@@ -125,7 +134,7 @@ def _check_fibers(plane, n):
 
 
 def _check_joints(plane, n):
-    """Check the zero points and the joint limits of all positioners."""
+    """Check the zero points, the joint limits and the angles of stuck joints of all positioners."""
     for name in ("zero_points", "theta_range", "phi_range"):
         value = getattr(plane, name)
         if value is None:
@@ -142,3 +151,9 @@ def _check_joints(plane, n):
         if bad.any():
             k = np.flatnonzero(bad)[0]
             raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for positioner {plane.id[k]}")
+    if plane.stuck is not None:
+        angles = to_radian(plane.stuck, "stuck")
+        if angles.shape != (n, 2):
+            raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
+        if (np.isfinite(angles).sum(axis=1) == 1).any():
+            raise InputError("stuck must contain both theta and phi of a positioner, or neither")

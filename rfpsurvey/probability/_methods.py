@@ -18,8 +18,6 @@ from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._targets import Source
 
-__all__ = ["ESTIMANDS", "METHODS", "ProbabilityMethod", "cheapest", "check_usable", "reason_of"]
-
 SHORT = 2.0
 """If there are fewer targets per positioner than this number, ``monte_carlo`` is faster than ``conditional``."""
 

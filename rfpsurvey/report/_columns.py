@@ -31,10 +31,8 @@ def cells_of(column, name: str) -> tuple[str, bool, list[tuple[str, str | None]]
         texts = [v.decode(errors="replace") if isinstance(v, bytes) else v for v in plain.tolist()]
         texts = column_texts(plain) if plain.dtype.kind in "biu" else texts
         keys = [None] * len(texts)
-    cells = [
-        (MISSING, "") if gone else (text, key) for text, key, gone in zip(texts, keys, missing.tolist(), strict=True)
-    ]
-    return unit, plain.dtype.kind in "iuf", [_cell(*cell) for cell in cells]
+    cells = zip(texts, keys, missing.tolist(), strict=True)
+    return unit, plain.dtype.kind in "iuf", [_cell("" if is_missing else text, key) for text, key, is_missing in cells]
 
 
 def _cell(text: str, key: str | None = None) -> tuple[str, str | None]:

@@ -8,8 +8,9 @@ from rfpsurvey.design import SURROGATE_ERROR
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_designs
 from rfpsurvey.probability import AXES, surrogate_spline
-from rfpsurvey.report._blocks import Page, Picture, Rows, Section, Text, View
+from rfpsurvey.report._blocks import Page, Picture, Section, Text, View
 from rfpsurvey.report._pack import pack, pack_texts
+from rfpsurvey.report._tables import all_values, without_private
 from rfpsurvey.report._text import text_of
 
 CAPTION = "The designs of the scan."
@@ -41,14 +42,12 @@ def page_of_designs(table: Table, where: str) -> Page:
     """Return a page on a scan of designs."""
     picture = Picture(CAPTION, plot_designs(table), WORDS)
     still = [Text("The calculator requires a browser that runs scripts.")]
-    size = f"{number_of(len(table), 'row')} and {number_of(len(table.colnames), 'column')}."
     sections = [
         Section("Designs", [View("designs", "Designs", _designs(table), [picture])]),
         Section("Calculator", [Text(ABOUT), View("calculator", "Calculator", calculator_data(_start(table)), still)]),
-        Section("All values", [Rows(size, table, where or "the table itself")]),
+        all_values(table, where),
     ]
-    provenance = {k: v for k, v in table.meta.items() if not str(k).startswith("__")}
-    return Page("Designs", number_of(len(table), "design"), "", {}, sections, provenance)
+    return Page("Designs", number_of(len(table), "design"), "", {}, sections, without_private(table.meta))
 
 
 def _designs(table):
@@ -81,12 +80,8 @@ def _start(table):
     named = np.flatnonzero(np.array(_names(table)) != "")
     front = np.flatnonzero(np.asarray(table["pareto"]))
     row = table[next(iter([*named.tolist(), *front.tolist(), 0]))]
-    return {
-        "central_arm": float(row["central_arm"].to_value(u.mm)),
-        "eccentric_arm": float(row["central_arm"].to_value(u.mm) * row["ratio"]),
-        "pitch": float(row["pitch"].to_value(u.mm)),
-        "clearance": float(row["clearance"].to_value(u.mm)),
-    }
+    lengths = {name: float(row[name].to_value(u.mm)) for name in ("central_arm", "pitch", "clearance")}
+    return {**lengths, "eccentric_arm": lengths["central_arm"] * float(row["ratio"])}
 
 
 def calculator_data(start: dict) -> dict:

@@ -97,8 +97,7 @@ def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
     columns = []
     for name in table.colnames:
         unit, numbers, cells = cells_of(table[name], name)
-        look = "number" if numbers else ""
-        columns.append({"name": name, "unit": unit, "numbers": numbers, "cells": cells, "look": look})
+        columns.append({"name": name, "unit": unit, "numbers": numbers, "cells": cells})
     return len(table), columns
 
 

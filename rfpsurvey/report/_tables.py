@@ -6,6 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey.compare import parts_of
+from rfpsurvey.errors import number_of
 from rfpsurvey.plot import draw_instruments, plot_allocators
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
@@ -17,21 +18,14 @@ from rfpsurvey.tile import Tile, versions
 def page_of_estimate(estimate: Estimate, where: str) -> Page:
     """Return a page on an estimate of the collision probability."""
     facts = estimate_facts(estimate)
-    kind = f"{estimate.method}, for {estimate.estimand} targets"
+    lead = f"Method of the estimate: {estimate.method}, for {estimate.estimand} targets."
     likely = estimate.per_positioner[np.isfinite(estimate.per_positioner)]
     spread = {f"{q}th percentile over the positioners": float(np.percentile(likely, q)) for q in (5, 25, 50, 75, 95)}
     blocks = [Facts("", facts), *([Facts("Probabilities of individual positioners", spread)] if len(likely) else [])]
     highlights = {"collision probability": facts["collision probability"]}
     highlights |= {k.strip(): v for k, v in facts.items() if k.endswith("interval")}
     meta = {"method": estimate.method, "estimand": estimate.estimand, **estimate.meta, "software": versions()}
-    return Page(
-        "Estimate",
-        "Collision probability",
-        f"Method of the estimate: {kind}.",
-        highlights,
-        [Section("Result", blocks)],
-        meta,
-    )
+    return Page("Estimate", "Collision probability", lead, highlights, [Section("Result", blocks)], meta)
 
 
 def page_of_table(table: Table, where: str) -> Page:
@@ -39,14 +33,14 @@ def page_of_table(table: Table, where: str) -> Page:
     made_by = table.meta.get("made_by")
     made_by = made_by if isinstance(made_by, str) else ""
     title = str(table.meta.get("title") or made_by.replace("_", " ").capitalize() or "Untitled table")
-    size = f"{_count(len(table), 'row')} and {_count(len(table.colnames), 'column')}."
+    return Page("Table", title, "", {}, [all_values(table, where)], without_private(table.meta))
+
+
+def all_values(table: Table, where: str) -> Section:
+    """Return a section that shows all values of a table."""
+    size = f"{number_of(len(table), 'row')} and {number_of(len(table.colnames), 'column')}."
     rows = Rows(size, table, where or "the table itself")
-    sections = [Section("All values", [rows if len(table) else Text("The table has no rows.")])]
-    return Page("Table", title, "", {}, sections, _without_private(table.meta))
-
-
-def _count(n, word) -> str:
-    return f"{n} {word}{'' if n == 1 else 's'}"
+    return Section("All values", [rows if len(table) else Text("The table has no rows.")])
 
 
 def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
@@ -76,7 +70,7 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
         sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
     if unmet:
         sections.append(Section("Constraints that are not met", [Text(unmet)]))
-    provenance = {k: v for k, v in _without_private(meta).items() if k != "unmet"}
+    provenance = {k: v for k, v in without_private(meta).items() if k != "unmet"}
     return Page("Comparison", f"Allocators on a field of {meta['instrument']}", words, {}, sections, provenance)
 
 
@@ -99,10 +93,10 @@ def page_of_instruments(table: Table, where: str) -> Page:
         Text(meta["comparable"]),
     ]
     title = f"Comparison of {len(names)} instruments"
-    provenance = {k: v for k, v in _without_private(meta).items() if k != "comparable"}
+    provenance = {k: v for k, v in without_private(meta).items() if k != "comparable"}
     return Page("Comparison", title, lead, {}, [Section("Comparison", blocks)], provenance)
 
 
-def _without_private(meta) -> dict:
+def without_private(meta: Mapping) -> dict:
     """Return the ``meta`` of a table without the folder, and without the entries that readers of files add."""
     return {k: v for k, v in meta.items() if not str(k).startswith("__") and k != "folder"}

@@ -17,12 +17,7 @@ from rfpsurvey.report._designs import is_designs, page_of_designs
 from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
-from rfpsurvey.report._tables import (
-    page_of_allocators,
-    page_of_estimate,
-    page_of_instruments,
-    page_of_table,
-)
+from rfpsurvey.report._tables import page_of_allocators, page_of_estimate, page_of_instruments, page_of_table
 from rfpsurvey.report._tile import page_of_tile
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
@@ -121,8 +116,6 @@ def write_report(
         check_whole(max_rows, "max_rows")
     if not (title is None or isinstance(title, str)):
         raise refusal("title must be text", title, str)
-    if not (plans is None or isinstance(plans, Mapping)):
-        raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
     if title is not None:
@@ -136,22 +129,21 @@ def write_report(
 
 def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None) -> Page:
     """Return the page that describes a result; ``where`` is the name of the file that contains all rows."""
-    for kind, build in PAGES.items():
-        if isinstance(result, kind):
-            made_by = str(result.meta.get("made_by")) if isinstance(result, Table) else None
-            own, columns = MADE_BY.get(made_by, (build, set()))
-            complete = not columns or columns <= set(result.colnames)  # a table with missing columns gets a plain page
-            build = own if complete else build
-            if build is page_of_table and is_designs(result):
-                build = page_of_designs
-            more = {}
-            if build in WITH_PLANS:
-                more = {"plans": check_plans(result, plans), "max_rows": max_rows}
-            elif plans is not None:
-                raise InputError("plans must be given only for a Tile or a table of compare_allocators")
-            return build(result, where, **more)
-    known = ", ".join(kind.__name__ for kind in PAGES)
-    raise InputTypeError(f"result must be one of {known}, got {type(result).__name__}")
+    build = next((build for kind, build in PAGES.items() if isinstance(result, kind)), None)
+    if build is None:
+        known = ", ".join(kind.__name__ for kind in PAGES)
+        raise InputTypeError(f"result must be one of {known}, got {type(result).__name__}")
+    if isinstance(result, Table):
+        special, columns = MADE_BY.get(str(result.meta.get("made_by")), (build, set()))
+        if is_designs(result):
+            build = page_of_designs
+        elif columns <= set(result.colnames):  # a table with missing columns gets a plain page
+            build = special
+    if build in WITH_PLANS:
+        return build(result, where, plans=check_plans(result, plans), max_rows=max_rows)
+    if plans is not None:
+        raise InputError("plans must be given only for a Tile or a table of compare_allocators")
+    return build(result, where)
 
 
 def _pictures(figures) -> list[Picture]:

@@ -28,7 +28,7 @@ NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"
 @pytest.fixture(scope="module")
 def tile(presets):
     sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
-    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator="balanced")
 
 
 @pytest.fixture(scope="module")
