@@ -260,7 +260,7 @@ def _is_usual(value, usual, *types) -> bool:
 
 def _check_science_only(options):
     """Raise an error if the options contain requirements, a sky separation, required targets or keep-out regions."""
-    if options.counts or options.sky_separation is not None:
+    if options.requirements or options.counts or options.sky_separation is not None:
         raise InputError(
             f"allocator must have no requirements and no sky_separation, since all targets are treated as science "
             f"targets, got {options!r}"
