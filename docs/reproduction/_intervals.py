@@ -9,11 +9,18 @@ from astropy.table import QTable
 from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
 from reproduction._designs import Settings, each, error_of_fraction
 from reproduction._one_sky import one_sky
-from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import METHODS, QUEUEING, Precision, RandomTargets, collision_probability, make_source
+from rfpsurvey.probability import (
+    METHODS,
+    QUEUEING,
+    Precision,
+    ProbabilityQuestion,
+    RandomTargets,
+    collision_probability,
+    make_source,
+)
 from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
 from rfpsurvey.probability._run import run, summarize
 from rfpsurvey.probability._simulate import Simulation
@@ -113,7 +120,7 @@ def _repeat(scene, method, stop, repeats, settings):
     held, widths, errors, iterations = dict.fromkeys(kinds, 0), dict.fromkeys(kinds, 0.0), [], []
     seed = [settings.seed, 95, list(SCENES).index(scene), ("monte_carlo", "conditional").index(method), len(stop)]
     for rng in np.random.default_rng(seed).spawn(repeats):
-        tally, found = run(task, METHODS[method].chunk, precision, plane, rng, None, Progress(False), given=False)
+        tally, found = run(ProbabilityQuestion(plane, precision=precision, rng=rng), task, METHODS[method].chunk)
         errors.append(found["value"] - truth)
         iterations.append(len(tally.pairs))
         for kind in kinds:

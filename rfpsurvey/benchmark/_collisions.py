@@ -143,19 +143,20 @@ def benchmark_collisions(
     cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
     found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
+    typical = {run: float(np.median(times[run])) for run in runs}
     rows = [
-        {"method": m, "n_points": n if COMPARED[m].numbers_of_points else -1, **_errors(truth, found[m, n])}
-        | {"device": COMPARED[m].device, "time": np.median(times[m, n])}
+        {
+            "method": m,
+            "n_points": n if COMPARED[m].numbers_of_points else -1,
+            "device": COMPARED[m].device,
+            "time": 1e3 * typical[m, n] * u.ms,
+            "ratio": typical[m, n] / typical[runs[0]],
+            **_errors(truth, found[m, n]),
+        }
         for m, n in runs
     ]
-    table = QTable({name: [row[name] for row in rows] for name in ("method", "n_points", "device", "time")})
+    table = QTable(rows)
     table["n_points"] = MaskedColumn(table["n_points"], mask=table["n_points"] < 0)
-    table["time"] = (1e3 * np.array(table["time"])) * u.ms
-    table["ratio"] = (table["time"] / table["time"][0]).value
-    for name in ("n_colliding_true", "n_missed", "n_spurious", "misclassified"):
-        table[name] = [row[name] for row in rows]
-    for name in ("max_error", "mean_error"):
-        table[name] = [row[name] for row in rows] * u.mm
     table.meta.update(
         provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats, seconds=seconds
     )
@@ -217,8 +218,8 @@ def _errors(truth, found):
         "n_missed": missed,
         "n_spurious": spurious,
         "misclassified": (missed + spurious) / n if n else np.nan,
-        "max_error": max(errors, default=np.nan),
-        "mean_error": float(np.mean(errors)) if errors else np.nan,
+        "max_error": max(errors, default=np.nan) * u.mm,
+        "mean_error": (float(np.mean(errors)) if errors else np.nan) * u.mm,
     }
 
 

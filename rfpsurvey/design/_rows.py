@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._units import to_plain
 from rfpsurvey.design._axes import AXES
 
 UNITS = {
@@ -82,9 +83,7 @@ def to_rows(table: QTable) -> np.ndarray:
     """Return the records of a table that `to_table` made."""
     rows = np.zeros(len(table), ROW)
     for name in ROW.names:
-        values = getattr(table[name], "value", table[name])
-        # files can contain empty text as masked values
-        rows[name] = values.filled("") if isinstance(values, np.ma.MaskedArray) else values
+        rows[name] = to_plain(table[name])  # files can contain empty text as masked values
     return rows
 
 

@@ -224,12 +224,8 @@ def collision_probability(
             f"{found['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
             f"{wanted:g}"
         )
-    meta = {
-        "confidence": precision.confidence,
-        "interval": precision.interval,
-        "n_positioners": len(plane),
-        **found.pop("meta"),
-    }
+    meta = {"confidence": precision.confidence, "interval": precision.interval, "n_positioners": len(plane)}
+    meta |= found.pop("meta")
     meta["choice"] = meta.get("certain") or choice
     if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}

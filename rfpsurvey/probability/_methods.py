@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpsurvey._methods import Method, table_of
-from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
@@ -76,26 +75,14 @@ def conditional(question: ProbabilityQuestion) -> dict:
 
 
 def _simulated(question: ProbabilityQuestion, task: Callable, chunk: int, *, once: bool = False) -> dict:
-    precision, plane, given = question.precision, question.focal_plane, question.targets.kind == "given"
     if once:
         tally = task(1, question.rng)
-        found = {**summarize(tally, plane, precision, question.rng, given=True), "met": True}
+        found = summarize(tally, question.focal_plane, question.precision, question.rng, given=True)
     else:
-        with Progress(question.progress) as bar:
-            tally, found = run(task, chunk, precision, plane, question.rng, question.executor, bar, given=given)
-            bar(1)
-    return {
-        **_of_tally(tally, found),
-        "n": len(tally.pairs),
-        "met": found["met"],
-        "meta": {
-            **question.targets.describe(),
-            "allocator": question.options.name,
-            "design_effect": found["design_effect"],
-            "trials": tally.trials,
-            **_reason(found),
-        },
-    }
+        tally, found = run(question, task, chunk)
+    meta = {"allocator": question.options.name, "design_effect": found["design_effect"], "trials": tally.trials}
+    values = _of_tally(tally, found, len(tally.pairs), question.targets.describe() | meta)
+    return {**values, "met": found.get("met", True)}
 
 
 def quadrature(question: ProbabilityQuestion) -> dict:
@@ -107,31 +94,28 @@ def quadrature(question: ProbabilityQuestion) -> dict:
     if allocations is not None:
         tally = pool(question.focal_plane, allocations, parked_obstacles=question.parked_obstacles)
         found = summarize(tally, question.focal_plane, question.precision, question.rng, given=True)
-        meta = {"density": "empirical", "n_allocations": len(allocations), **_reason(found)}
-        return {**_of_tally(tally, found), "n": int(np.mean([len(a.queues[1]) for a in allocations])), "meta": meta}
+        n = int(np.mean([len(allocation.queues[1]) for allocation in allocations]))
+        return _of_tally(tally, found, n, {"density": "empirical", "n_allocations": len(allocations)})
     density = question.density
     check_usable(question.focal_plane)
-    task = Quadrature(question.focal_plane, density)
-    with Progress(question.progress) as bar:
-        found = integrate(task, question.precision, question.rng, question.executor, bar)
-        bar(1)
+    found = integrate(Quadrature(question.focal_plane, density), question)
     environments = found.pop("n_environments")
     name = density if isinstance(density, str) else "given"
     return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}
 
 
-def _reason(found) -> dict:
-    """Return the ``meta`` entry that states why there is no confidence interval; empty if there is an interval."""
-    return {"no_interval": found["no_interval"]} if "no_interval" in found else {}
-
-
-def _of_tally(tally, found) -> dict:
+def _of_tally(tally, found, n, meta) -> dict:
+    """Return fields of an `Estimate`; ``meta`` also states why there is no confidence interval, if there is none."""
+    if "no_interval" in found:
+        meta = meta | {"no_interval": found["no_interval"]}
     assigned = tally.rates(2)
     return {
         **{k: found[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
         "value_assigned": float(assigned.mean()) if len(assigned) else np.nan,
         "pairs_per_positioner": float(tally.pair_rates.mean()),
         "per_positioner": tally.per_positioner,
+        "n": n,
+        "meta": meta,
     }
 
 

@@ -1,6 +1,5 @@
 """Quadrature for independent targets, which each positioner draws from a density over its patrol area."""
 
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -17,7 +16,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
-from rfpsurvey.probability._options import Precision
+from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners
 
 DENSITIES = ("uniform", "shared", "voronoi")
@@ -163,11 +162,9 @@ def _scramble(n_points: int, n_sets: int, rng: np.random.Generator) -> np.ndarra
     return ((_net(n_points) ^ shifts).reshape(-1, 2) + rng.random(2)) / 2**BITS
 
 
-def integrate(
-    task: Quadrature, precision: Precision, rng: np.random.Generator, executor: Executor | None, bar: Progress
-) -> dict:
+def integrate(task: Quadrature, question: ProbabilityQuestion) -> dict:
     """Return the collision probability and its confidence interval, with as many points as the precision requires."""
-    plane, (first, number) = task.plane, task.environments
+    precision, plane, (first, number) = question.precision, task.plane, task.environments
     used = np.flatnonzero(plane.arrays.usable[first])
     share = np.bincount(number, minlength=len(first))[used] / np.count_nonzero(plane.arrays.usable)
     plain = isinstance(task.density, str) and task.density == "uniform" and plane.arrays.poses_free
@@ -175,25 +172,27 @@ def integrate(
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     # fewer points are used for environments of few positioners, which contribute little to the error of the mean
     rare = (np.log2(share.max() / share) / 2).astype(int)
-    while True:
-        jobs = np.repeat(first[used], SCRAMBLES)
-        sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), rng.spawn(len(jobs))
-        results = np.empty((len(jobs), 2))
-        for k, result in enumerate(map_in_order(executor, task, jobs.tolist(), sizes.tolist(), sources)):
-            results[k] = result
-            bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
-        probabilities, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
-        values = probabilities @ share
-        p, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(SCRAMBLES))
-        trials = effective_number(p, error, SCRAMBLES * n_points)
-        low, high = wilson(p, trials, quantile(precision.confidence, SCRAMBLES - 1))
-        half = (high - low) / 2
-        met = precision.standard_error is not None and half <= precision.half_width
-        if met or 2 * n_points > precision.max_iterations:
-            break
-        # the error is approximately proportional to 1 / n_points
-        more = 4.0 if precision.half_width == 0 else half / precision.half_width
-        n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
+    with Progress(question.progress) as bar:
+        while True:
+            jobs = np.repeat(first[used], SCRAMBLES)
+            sizes, sources = np.repeat(np.maximum(n_points >> rare, least), SCRAMBLES), question.rng.spawn(len(jobs))
+            results = np.empty((len(jobs), 2))
+            for k, result in enumerate(map_in_order(question.executor, task, jobs.tolist(), sizes.tolist(), sources)):
+                results[k] = result
+                bar(n_points / precision.max_iterations * (k + 1) / len(jobs))
+            probabilities, pairs = results.reshape(len(used), SCRAMBLES, 2).transpose(2, 1, 0)
+            values = probabilities @ share
+            p, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(SCRAMBLES))
+            trials = effective_number(p, error, SCRAMBLES * n_points)
+            low, high = wilson(p, trials, quantile(precision.confidence, SCRAMBLES - 1))
+            half = (high - low) / 2
+            met = precision.standard_error is not None and half <= precision.half_width
+            if met or 2 * n_points > precision.max_iterations:
+                break
+            # the error is approximately proportional to 1 / n_points
+            more = 4.0 if precision.half_width == 0 else half / precision.half_width
+            n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
+        bar(1)
     per_positioner = np.full(len(first), np.nan)
     per_positioner[used] = probabilities.mean(axis=0)
     return {

@@ -1,7 +1,6 @@
 """Repeat a simulation until the confidence interval is narrow enough."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
 from rfpsurvey.probability._options import Precision
+from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._simulate import CollisionSums, merge
 
 FIRST_TASKS = 2
@@ -40,53 +40,49 @@ TOO_FEW = (
 
 
 def run(
-    task: Callable[[int, np.random.Generator], CollisionSums],
-    chunk: int,
-    precision: Precision,
-    plane: FocalPlane,
-    rng: np.random.Generator,
-    executor: Executor | None,
-    bar: Progress,
-    *,
-    given: bool,
+    question: ProbabilityQuestion, task: Callable[[int, np.random.Generator], CollisionSums], chunk: int
 ) -> tuple[CollisionSums, dict]:
     """Simulate realizations until the requested precision or the maximum number of realizations is reached.
 
     The function returns the tally of all realizations and its summary. The number of tasks and the number of
     realizations per task depend only on earlier results. Therefore, the number of workers does not change the result.
     """
+    precision, rng = question.precision, question.rng
+    given = question.targets is not None and question.targets.kind == "given"
     parts: list[CollisionSums] = []
     means, total, used, done = [], 0.0, 0, 0
     note = ""
     goal = min(FIRST_TASKS * chunk, precision.max_iterations)
-    while True:
-        sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
-        for part in map_in_order(executor, task, sizes, rng.spawn(len(sizes))):
-            parts.append(part)
-            rates = part.rates()
-            total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)
-            means.append(total / used if used else np.nan)
-            bar(0.99 * done / goal, note=f"{number_of(done, 'realization')}{note}")
-        parts = [tally := merge(parts)]
-        if used == 0 and done < precision.max_iterations:  # no positioner has been counted yet
-            goal = min(GROWTH * done, precision.max_iterations)
-            continue
-        summary = summarize(tally, plane, precision, rng, given=given)
-        wide = summary.pop("half_width")
-        note = "" if np.isnan(summary["standard_error"]) else f", standard error {summary['standard_error']:.2g}"
-        floor = _fewest(tally, precision)
-        met = precision.standard_error is not None and (
-            wide <= precision.half_width and done >= floor
-            if precision.stop == "interval"
-            else converged(means, precision.standard_error)
-        )
-        if met or done >= precision.max_iterations:
-            break
-        more = done + chunk
-        if precision.stop == "interval":
-            needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
-            more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
-        goal = min(-(-more // chunk) * chunk, precision.max_iterations)
+    with Progress(question.progress) as bar:
+        while True:
+            sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
+            for part in map_in_order(question.executor, task, sizes, rng.spawn(len(sizes))):
+                parts.append(part)
+                rates = part.rates()
+                total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)
+                means.append(total / used if used else np.nan)
+                bar(0.99 * done / goal, note=f"{number_of(done, 'realization')}{note}")
+            parts = [tally := merge(parts)]
+            if used == 0 and done < precision.max_iterations:  # no positioner has been counted yet
+                goal = min(GROWTH * done, precision.max_iterations)
+                continue
+            summary = summarize(tally, question.focal_plane, precision, rng, given=given)
+            wide = summary.pop("half_width")
+            note = "" if np.isnan(summary["standard_error"]) else f", standard error {summary['standard_error']:.2g}"
+            floor = _fewest(tally, precision)
+            met = precision.standard_error is not None and (
+                wide <= precision.half_width and done >= floor
+                if precision.stop == "interval"
+                else converged(means, precision.standard_error)
+            )
+            if met or done >= precision.max_iterations:
+                break
+            more = done + chunk
+            if precision.stop == "interval":
+                needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
+                more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
+            goal = min(-(-more // chunk) * chunk, precision.max_iterations)
+        bar(1)
     return tally, {**summary, "met": met}
 
 

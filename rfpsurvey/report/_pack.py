@@ -26,7 +26,7 @@ def pack(values: object, decimals: int | None = None) -> dict:
         numbers = plain.tolist()
         if mask is not None and mask.any():
             numbers = [None if gone else value for value, gone in zip(numbers, mask.tolist(), strict=True)]
-        return _constant(numbers) or {"v": numbers}
+        return _values(numbers)
     texts = ["" if value is None else text_of(value) for value in np.ma.filled(values, "").tolist()]
     return pack_texts(texts)
 
@@ -34,10 +34,8 @@ def pack(values: object, decimals: int | None = None) -> dict:
 def pack_texts(texts: list[str]) -> dict:
     """Return a column of texts as a dict (see `pack`)."""
     names = list(dict.fromkeys(texts))
-    if len(names) == 1:
-        return {"c": names[0]}
-    if len(names) > FEW:
-        return {"v": texts}
+    if len(names) == 1 or len(names) > FEW:
+        return _values(texts)
     codes = {name: k for k, name in enumerate(names)}
     return {"names": names, "v": [codes[text] for text in texts]}
 
@@ -46,14 +44,15 @@ def _pack_numbers(values, decimals):
     good = np.isfinite(values)
     if decimals is None:
         numbers = [float(f"{v:.6g}") if ok else None for v, ok in zip(values.tolist(), good.tolist(), strict=True)]
-        return _constant(numbers) or {"v": numbers}
+        return _values(numbers)
     whole = np.rint(np.where(good, values, 0) * 10**decimals).astype(np.int64).tolist()
     numbers = [v if ok else None for v, ok in zip(whole, good.tolist(), strict=True)]
-    return {"d": decimals, **(_constant(numbers) or {"v": numbers})}
+    return {"d": decimals, **_values(numbers)}
 
 
-def _constant(values):
-    return {"c": values[0]} if values and all(value == values[0] for value in values) else None
+def _values(values):
+    """Return a list of values as a dict; if all values are equal, the dict contains only one of them."""
+    return {"c": values[0]} if values and all(value == values[0] for value in values) else {"v": values}
 
 
 def json_of(data: object) -> str:

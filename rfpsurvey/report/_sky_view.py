@@ -46,11 +46,8 @@ def sky_view(table: Table, radius_deg: float, still: list) -> View:
         "observed": "n_observed" in table.colnames,
         "ra": pack(table["ra"].to_value(u.deg), DECIMALS),
         "dec": pack(table["dec"].to_value(u.deg), DECIMALS),
-        "columns": {name: _packed(table[name]) for name in COLUMNS if name in table.colnames and table[name].ndim == 1},
+        "columns": {
+            name: pack(table[name], DECIMALS) for name in COLUMNS if name in table.colnames and table[name].ndim == 1
+        },
     }
     return View("sky_map", "Tiles on the sky", data, still)
-
-
-def _packed(column):
-    decimals = DECIMALS if np.asarray(getattr(column, "value", column)).dtype.kind == "f" else None
-    return pack(column, decimals)

@@ -12,8 +12,8 @@ from rfpsurvey.tiling._conditions import (
 from rfpsurvey.tiling._methods import METHODS
 from rfpsurvey.tiling._place import place_tiles
 from rfpsurvey.tiling._serve import Fibers
-from rfpsurvey.tiling._suspicion import warn_of_programs, warn_of_targets
 from rfpsurvey.tiling._tiling import Tiling, as_tiling
+from rfpsurvey.tiling._warnings import warn_of_programs, warn_of_targets
 
 __all__ = [
     "METHODS",

@@ -253,15 +253,9 @@ def place_tiles(
         state = chosen.place(problem)
     summary.update(fibers=number, **_account(state, neighbors, n_away), completeness_means=serve.means)
     _warn(state, n_away, where.limits)
-    centers_, number, n_targets, n_new, so_far = zip(*state.rows, strict=True) if state.rows else [()] * 5
-    columns = {
-        "n_targets": np.array(n_targets, dtype=np.int64),
-        "n_new": np.array(n_new, dtype=np.int64),
-        "completeness": np.array(so_far, dtype=float),
-    }
-    if chosen.needs_tiles:
-        return _finish(given_tiles(where).table[: len(state.rows)], summary, columns)
-    return _finish(_table(np.reshape(centers_, (-1, 3)), number, where), summary, columns)
+    rows = state.table
+    table = given_tiles(where).table[: len(rows)] if chosen.needs_tiles else _table(rows["center"], rows["pass"], where)
+    return _finish(table, summary, {name: rows[name] for name in ("n_targets", "n_new", "completeness")})
 
 
 def _place_on_region(region, method, radius_rad, passes, where, exclude, summary):
@@ -338,8 +332,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     problem = state.problem
     wanted, made = problem.wanted, problem.wanted - state.left
     n = len(state.rows)
-    tiles = np.reshape([row[0] for row in state.rows], (-1, 3))
-    depth = SkyIndex(tiles).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
+    depth = SkyIndex(state.table["center"]).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
         "n_targets": int(np.count_nonzero(wanted)) + n_away,
         **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),

@@ -9,6 +9,11 @@ from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._centers import Declinations
 from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
 
+ROW = np.dtype(
+    [("center", float, 3), ("pass", np.int64), ("n_targets", np.int64), ("n_new", np.int64), ("completeness", float)]
+)
+"""Columns of a placed tile: ``n_targets`` targets in its field require a visit, and it observes ``n_new`` of them."""
+
 
 @dataclass(frozen=True)
 class TilingProblem:
@@ -74,7 +79,7 @@ class TilingState:
     chances: np.ndarray | None = None
     """Number of later tiles that cover each target; None if these numbers are unknown."""
     rows: list = field(default_factory=list)
-    """For each tile: center, pass, number of targets that require a visit, number of observed targets, completeness."""
+    """The tiles that were placed, as tuples of the values of `ROW`."""
 
     def __post_init__(self):
         self.left = self.problem.wanted.astype(np.float64)
@@ -82,6 +87,11 @@ class TilingState:
         self._n_left = float(self.left.sum())
         self._n_requested = max(self._n_left + self.problem.n_beyond, 1.0)
         self._at = {}
+
+    @property
+    def table(self) -> np.ndarray:
+        """The tiles that were placed, as records."""
+        return np.array(self.rows, ROW)
 
     @property
     def weight(self) -> np.ndarray:

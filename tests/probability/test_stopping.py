@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from rfpsurvey._progress import Progress
-from rfpsurvey.probability import Precision
+from rfpsurvey.probability import Precision, ProbabilityQuestion
 from rfpsurvey.probability._run import run
 from rfpsurvey.probability._simulate import CollisionSums
 from scenes import lamost_like
@@ -27,7 +26,7 @@ def rare(p, counted):
 def estimates(p, precision, counted, repeats):
     rngs = np.random.default_rng(4).spawn(repeats)
     stop = Precision(precision, 1_000_000)
-    found = [run(rare(p, counted), 64, stop, PLANE, rng, None, Progress(False), given=False) for rng in rngs]
+    found = [run(ProbabilityQuestion(PLANE, precision=stop, rng=rng), rare(p, counted), 64) for rng in rngs]
     return np.array([summary["value"] for _, summary in found]), np.array([len(tally.pairs) for tally, _ in found])
 
 
