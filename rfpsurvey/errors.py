@@ -94,13 +94,14 @@ class RfpsurveyWarning(UserWarning):
     """Warning that input was ignored, that a value was assumed for missing input, or that a goal was not reached."""
 
 
-def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> None:
-    """Raise an error unless ``value`` is a whole number from ``low`` to ``high``; booleans are not accepted."""
+def check_whole(value: object, name: str, low: int = 1, high: int | None = None) -> int:
+    """Return a whole number from ``low`` to ``high``; raise an error for any other value, such as a boolean."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not (whole and low <= value <= (MOST_WHOLE if high is None else high)):
         wide = high is None and whole and value > MOST_WHOLE
         limits = f"from {low} to 2^53" if wide else f"of at least {low}" if high is None else f"from {low} to {high}"
         raise refusal(f"{name} must be a whole number {limits}", value, Number)
+    return int(value)
 
 
 def warn(text: str) -> None:

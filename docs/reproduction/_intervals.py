@@ -13,20 +13,10 @@ from rfpsurvey._progress import Progress
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import (
-    INTERVALS,
-    METHODS,
-    QUEUEING,
-    Precision,
-    RandomTargets,
-    Simulation,
-    collision_probability,
-    make_source,
-    quantile,
-    run,
-    summarize,
-    wilson,
-)
+from rfpsurvey.probability import METHODS, QUEUEING, Precision, RandomTargets, collision_probability, make_source
+from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
+from rfpsurvey.probability._run import run, summarize
+from rfpsurvey.probability._simulate import Simulation
 
 __all__ = ["coverage", "intervals"]
 

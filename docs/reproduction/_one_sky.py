@@ -8,7 +8,9 @@ from reproduction._designs import Settings, each, error_of_fraction
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Precision, RandomTargets, Simulation, make_source, summarize
+from rfpsurvey.probability import Precision, RandomTargets, make_source
+from rfpsurvey.probability._run import summarize
+from rfpsurvey.probability._simulate import Simulation
 
 __all__ = ["one_sky"]
 

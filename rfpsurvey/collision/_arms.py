@@ -229,9 +229,7 @@ def to_columns(plane, fiber_type):
     """Return the arrays of a focal plane for the fiber types in use; by default, the first type of each positioner."""
     if fiber_type is None:
         return plane.arrays
-    types = to_plain(fiber_type, "fiber_type").astype(str)
-    if types.shape != (len(plane),):
-        raise InputError(f"fiber_type must have the shape ({len(plane)},), got {types.shape}")
+    types = _column(to_plain(fiber_type, "fiber_type").astype(str), "fiber_type", len(plane))
     for name in np.unique(types[types != ""]):
         check_fiber_type(str(name), plane.fiber_types)
     return plane.arrays.using(plane.arrays.index_of(types))

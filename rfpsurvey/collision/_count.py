@@ -11,13 +11,9 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._units import to_mm, to_spawner
 from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_columns, to_sides
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_whole, number_of, short
+from rfpsurvey.collision._methods import METHODS
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, number_of
 from rfpsurvey.focal_plane import FocalPlane
-
-CHUNK = 64
-"""Number of configurations per task. Random draws depend on this number, but not on the number of workers."""
-GPU_CHUNK = 2048
-"""Number of configurations per task on a GPU; for 4000 positioners, a task uses 256 MB of memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +41,7 @@ class CollisionCounts:
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> counts = rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm)
+    >>> counts = rs.collision.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm)
     >>> counts.rate, counts.per_positioner
     (array([1., 0.]), array([1, 1]))
     """
@@ -143,23 +139,22 @@ def count_collisions(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
+    >>> rs.collision.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
     array([1, 0])
     """
     check_plane(focal_plane)
-    check_choice(method, SCORERS, "method of counting collisions")
-    if executor is not None and not isinstance(executor, Executor):
-        raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
+    able = [name for name, one in METHODS.items() if one.chunk]
+    chosen = METHODS[check_choice(method, able, "method of counting collisions")]
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
             raise InputError("handedness and fiber_type must be None for an Allocation, which determines the poses")
-        score, chunks = _of_draws(focal_plane, tips, n_configurations, method, rng)
+        score, chunks = _of_draws(focal_plane, tips, n_configurations, chosen, rng)
     else:
         if n_configurations is not None:
             raise InputError(
                 "n_configurations can be given only with an Allocation; tips have one configuration in each row"
             )
-        score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, method)
+        score, chunks = _of_tips(focal_plane, tips, handedness, fiber_type, parked_obstacles, chosen)
     parts, times = [np.empty((0, batch.N_COUNTS), dtype=np.int64)], np.zeros(len(focal_plane), dtype=np.int64)
     for part, hits in map_in_order(executor, score, *chunks):
         parts.append(part)
@@ -180,10 +175,9 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     side = None
     if handedness is not None or columns.joints_free:
         side = to_sides(columns, np.full((len(plane), 2), np.nan), handedness)[None, :]
-    step, make_scorer = SCORERS[method]
-    starts = range(0, len(tips), step)
-    score = partial(_score_tips, columns, side, make_scorer(columns, setup))
-    return score, ((tips[k : k + step] for k in starts), starts)
+    scorer = _device_scorer(columns, setup) if method.device == "GPU" else partial(_on_processor, columns, setup)
+    starts = range(0, len(tips), method.chunk)
+    return partial(_score_tips, columns, side, scorer), ((tips[k : k + method.chunk] for k in starts), starts)
 
 
 def _score_tips(columns, side, scorer, tips, start):
@@ -196,12 +190,12 @@ def _score_tips(columns, side, scorer, tips, start):
     return counts, times
 
 
-def _processor(columns, setup):
-    return partial(_on_processor, columns, setup)
-
-
 def _on_processor(columns, setup, points, side):
-    """Return the three results of a counting function (see ``SCORERS``) for a chunk of configurations."""
+    """Return the counts of each configuration of a chunk, and sums over the configurations.
+
+    ``points`` are the positions of the tips (mm), and ``side`` contains the sides of the elbows (+1 or -1). The sums
+    are the number of configurations in which each positioner is in collision, and the number of tips out of reach.
+    """
     plane = columns.plane
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
     bounds = columns.bounds
@@ -212,21 +206,13 @@ def _on_processor(columns, setup, points, side):
     return counts, times, far
 
 
-def _device(columns, setup):
+def _device_scorer(columns, setup):
+    """Return a function that does the same as `_on_processor` on a GPU."""
     if columns.plane.positioner.outline is not None or columns.obstacle_polygons:
         raise InputError("the method must be 'exact' if arms have outlines or obstacles are polygons, got 'cuda'")
     from rfpsurvey.collision import _gpu
 
     return _gpu.make_scorer(columns, setup)
-
-
-SCORERS = {"exact": (CHUNK, _processor), "cuda": (GPU_CHUNK, _device)}
-"""For each method, the number of configurations per task, and a function that makes the counting function.
-
-The arguments of the counting function are the positions of the tips (mm) and the sides of the elbows (+1 or -1). It
-returns the counts of each configuration, the number of configurations in which each positioner is in collision, and the
-number of tips out of reach.
-"""
 
 
 def _of_draws(plane, allocation, n_configurations, method, rng):
@@ -243,11 +229,11 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
         )
     n = n_configurations
     check_whole(n, "n_configurations", 0)
-    if method != "exact":
-        raise InputError(f"the method must be 'exact' if configurations are drawn from queues, got {method!r}")
+    if method.device == "GPU":
+        raise InputError(f"the method must be 'exact' if configurations are drawn from queues, got {method.name!r}")
     indptr, entries = queue_segments(plane, allocation)
     setup = make_setup(plane.arrays, allocation.parked_obstacles)
-    sizes = [min(CHUNK, n - k) for k in range(0, n, CHUNK)]
+    sizes = [min(method.chunk, n - k) for k in range(0, n, method.chunk)]
     idle = plane.arrays.idle_segments(allocation.parked_obstacles)
     return partial(_score_draws, plane, setup, idle, indptr, entries), (sizes, to_spawner(rng).spawn(len(sizes)))
 

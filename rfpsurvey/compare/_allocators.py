@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, name_of_best, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import allocators_of, on_kind
+from rfpsurvey.compare._fields import allocators_of, on_kind, plan_of
 from rfpsurvey.errors import RfpsurveyWarning, check_switch, used_elsewhere
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.tile import Tile, plan_tile
@@ -135,21 +135,19 @@ def compare_allocators(
 
 def _row(name, tile, blind):
     """Return the row of the table for the plan of one allocator."""
-    summary, table = tile.summary, tile.table
+    summary, plan = tile.summary, plan_of(tile)
     values = {level: value for level, value, _ in summary["objectives"]}
-    usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
     row = {"allocator": name, **{kind: on_kind(tile, kind) for kind in ("science", "standard", "sky")}}
     classes = [level for level in values if level.startswith("priority ")]
     if len(classes) <= MOST_CLASSES:
         row.update({level.replace(" ", "_"): int(values[level]) for level in classes})
-    seconds = summary["seconds"]
     return row | {
         "missing": int(-values.get("requirements", 0)),
         "colliding": summary["n_colliding"],
-        "pairs": summary["n_colliding_pairs"],
+        "pairs": plan.n_pairs,
         "at_obstacles": summary["n_obstacle_collisions"],
-        "usable": usable,
-        "loss": 1 - usable / blind if blind else np.nan,
-        "gap": np.nan if summary["gap"] is None else summary["gap"],
-        "seconds": seconds["reach"] + seconds["allocation"],
+        "usable": plan.n_usable,
+        "loss": 1 - plan.n_usable / blind if blind else np.nan,
+        "gap": plan.gap,
+        "seconds": plan.seconds,
     }

@@ -30,7 +30,7 @@ from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.tile import plan_tile
+from rfpsurvey.tile import Tile, plan_tile
 
 SAMPLE = 100_000
 
@@ -147,22 +147,23 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
                 )
         except InputError as error:
             raise InputError(f"{field.instrument.name}: {error}") from None
-        table, summary = tile.table, tile.summary
-        counted = np.isin(table["status"], ("assigned", "out_of_reach", "parked"))
-        times = summary["seconds"]
-        usable = int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"]))
-        found.append(
-            Plan(
-                summary["n_reachable"],
-                on_kind(tile, "science"),
-                usable,
-                summary["n_colliding_pairs"],
-                np.where(counted, table["in_collision"], np.nan),
-                np.nan if summary["gap"] is None else summary["gap"],
-                times["reach"] + times["allocation"],
-            )
-        )
+        found.append(plan_of(tile))
     return found
+
+
+def plan_of(tile: Tile) -> Plan:
+    """Return the numbers of fibers, targets and collisions of a tile."""
+    table, summary = tile.table, tile.summary
+    counted = np.isin(table["status"], ("assigned", "out_of_reach", "parked"))
+    return Plan(
+        summary["n_reachable"],
+        on_kind(tile, "science"),
+        int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"])),
+        summary["n_colliding_pairs"],
+        np.where(counted, table["in_collision"], np.nan),
+        np.nan if summary["gap"] is None else summary["gap"],
+        summary["seconds"]["reach"] + summary["seconds"]["allocation"],
+    )
 
 
 def on_kind(tile, kind: str) -> int:

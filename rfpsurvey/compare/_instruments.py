@@ -222,9 +222,7 @@ def compare_instruments(
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
     shared = {name: value for one in methods for name, value in one.record.items() if name != "allocator"}
-    software = dict(versions())
-    for method in methods:
-        software.update(packages(method))
+    software = versions() | {name: value for method in methods for name, value in packages(method).items()}
     table.meta.update(
         made_by="compare_instruments",
         way=way,

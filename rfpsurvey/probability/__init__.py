@@ -2,13 +2,12 @@
 
 from rfpsurvey.probability._collision_probability import collision_probability
 from rfpsurvey.probability._estimate import Estimate
-from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
 from rfpsurvey.probability._methods import METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._question import ProbabilityQuestion
-from rfpsurvey.probability._run import rate_interval, run, summarize
-from rfpsurvey.probability._simulate import QUEUEING, Simulation
+from rfpsurvey.probability._run import rate_interval
+from rfpsurvey.probability._simulate import QUEUEING
 from rfpsurvey.probability._surrogate import (
     AXES,
     interior_probability,
@@ -20,25 +19,19 @@ from rfpsurvey.probability._targets import Source, make_source
 
 __all__ = [
     "AXES",
-    "INTERVALS",
     "METHODS",
     "QUEUEING",
     "Estimate",
     "Precision",
     "ProbabilityQuestion",
     "RandomTargets",
-    "Simulation",
     "Source",
     "collision_probability",
     "find_method",
     "interior_probability",
     "make_source",
     "outside_box",
-    "quantile",
     "rate_interval",
-    "run",
-    "summarize",
     "surrogate_probability",
     "surrogate_spline",
-    "wilson",
 ]

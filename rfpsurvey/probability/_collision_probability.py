@@ -36,7 +36,7 @@ from rfpsurvey.errors import (
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
-from rfpsurvey.probability._methods import ESTIMANDS, METHODS, cheapest, check_usable, reason_of
+from rfpsurvey.probability._methods import ESTIMANDS, METHODS, automatic, check_usable
 from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets, as_precision
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES
@@ -178,22 +178,25 @@ def collision_probability(
     options, precision = as_options(allocator), as_precision(precision)
     if estimand is not None:
         check_choice(estimand, ESTIMANDS, "estimand")
-    chosen = find_method(cheapest(estimand or "allocated", options) if method == "auto" else method)
-    if estimand not in (None, chosen.estimand):
+    chosen = None if method == "auto" else find_method(method)
+    if chosen is not None and estimand not in (None, chosen.estimand):
         raise InputError(
             f"{chosen.name!r} estimates the probability for {chosen.estimand!r} targets, not for {estimand!r} targets"
         )
+    estimand = (estimand or "allocated") if chosen is None else chosen.estimand
     _check_density(density)
     _check_numbers(dynamic=dynamic, most_entries=most_entries)
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     _check_science_only(options)
     source = None
-    if chosen.estimand == "allocated":
+    if estimand == "allocated":
         source = make_source(plane, instrument, targets, center)
-        if method == "auto":
-            chosen = find_method(cheapest("allocated", options, source))
         warn_of_unused_options([options], plane)
+    if chosen is None:
+        chosen, choice = automatic(estimand, options, source)
+    else:
+        choice = f"{chosen.name}, as requested"
     usual = isinstance(targets, RandomTargets) and targets == RandomTargets()
     given = {"density": density, "variant": variant, "targets": "uniform" if usual else targets, "center": center}
     given["most_entries"] = most_entries
@@ -214,21 +217,20 @@ def collision_probability(
     nothing_can_touch = len(plane.arrays.neighbors) == len(plane.arrays.obstacle_pairs) == 0
     has_error = chosen.most_iterations is not None
     found = _zero(plane, source) if nothing_can_touch and has_error else chosen.estimate(question)
-    wanted = precision.standard_error
-    if wanted is not None and not found.pop("met", True):
+    wanted, met = precision.standard_error, found.pop("met", True)
+    if wanted is not None and not met:
         warn(
             f"the standard error after {found['n']} iterations{' (the maximum)' if has_error else ''} is "
             f"{found['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
             f"{wanted:g}"
         )
-    found.pop("met", None)
     meta = {
         "confidence": precision.confidence,
         "interval": precision.interval,
         "n_positioners": len(plane),
         **found.pop("meta"),
     }
-    meta["choice"] = meta.get("certain") or reason_of(chosen.name, source, chosen=method == "auto")
+    meta["choice"] = meta.get("certain") or choice
     if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}
     estimate = Estimate(

@@ -38,11 +38,13 @@ class ProbabilityMethod(Method):
     """Number of realizations that are simulated together, as one task of an executor; results depend on this number."""
     supports_outlines: bool = True
     """Whether arms may have outlines."""
+    averages_queues: bool = False
+    """Whether the method averages over the targets in the queue of each positioner."""
     efforts: tuple[int, ...] = (0,)
     """Numbers of iterations for which a benchmark measures the method; 0 for a formula."""
 
     def estimate(self, question: ProbabilityQuestion) -> dict:
-        """Return fields of an `Estimate`."""
+        """Return fields of an `~rfpsurvey.probability.Estimate`."""
         return _evaluate(self.function, question) if self.is_formula else self.function(question)
 
 
@@ -56,16 +58,9 @@ def _evaluate(function, question: ProbabilityQuestion) -> dict:
     check_usable(question.focal_plane)
     per_positioner, meta = function(question.focal_plane, question.variant)
     used = question.focal_plane.arrays.usable
-    value = float(per_positioner[used].mean())
-    nothing = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
-    return {
-        "value": value,
-        "value_assigned": value,
-        **nothing,
-        "n": 0,
-        "per_positioner": np.where(used, per_positioner, np.nan),
-        "meta": meta,
-    }
+    values = dict.fromkeys(("value", "value_assigned"), float(per_positioner[used].mean()))
+    unknown = dict.fromkeys(("low", "high", "standard_error", "n_effective", "pairs_per_positioner"), np.nan)
+    return {**values, **unknown, "n": 0, "per_positioner": np.where(used, per_positioner, np.nan), "meta": meta}
 
 
 def monte_carlo(question: ProbabilityQuestion) -> dict:
@@ -169,6 +164,7 @@ METHODS = table_of(
         estimand="allocated",
         most_iterations=100_000,
         chunk=8,
+        averages_queues=True,
         efforts=(4, 16, 64),
     ),
 )
@@ -176,28 +172,22 @@ METHODS = table_of(
 ESTIMANDS = tuple(dict.fromkeys(one.estimand for one in METHODS.values()))
 
 
-def reason_of(name: str, source: Source | None, *, chosen: bool) -> str:
-    """Return the reason why a method was used; ``chosen`` states whether `cheapest` chose the method."""
-    if not chosen:
-        return f"{name}, as requested"
-    if name == "quadrature":
-        return "quadrature, the cheapest method with an error estimate for independent targets"
-    if name == "conditional":
-        return "conditional, the cheapest method with an error estimate if positioners have queues of targets"
-    few = source is not None and source.kind not in ("given", "sampler") and source.each < SHORT
-    why = f"there are fewer than {SHORT:g} targets per positioner" if few else "this allocator makes no queues"
-    return f"monte_carlo, since {why}"
+def automatic(estimand: str, options: AllocationOptions, source: Source | None) -> tuple[ProbabilityMethod, str]:
+    """Return the fastest method that estimates a quantity and the error of the estimate, and the reason of the choice.
 
-
-def cheapest(estimand: str, options: AllocationOptions, source: Source | None = None) -> str:
-    """Return the name of the fastest method that estimates both the given estimand and the error of this estimate.
-
-    ``conditional`` averages over the targets of the queues. Longer queues increase the computing time per realization,
-    but they decrease the variance by a much larger factor. If each queue has one target, ``conditional`` has the same
-    variance as ``monte_carlo``.
+    ``source`` is the source of allocated targets; None for independent targets. ``conditional`` averages over the
+    targets of the queues. Longer queues increase the computing time per realization, but they decrease the variance by
+    a much larger factor. If each queue has one target, ``conditional`` has the same variance as ``monte_carlo``.
     """
-    if source is not None and source.kind not in ("given", "sampler") and source.each < SHORT:
-        return "monte_carlo"
-    if estimand == "independent":
-        return "quadrature"
-    return "conditional" if options.method.makes_queues else "monte_carlo"
+    averages_queues = False
+    if source is None:
+        why = "the cheapest method with an error estimate for independent targets"
+    elif source.compiled and source.each < SHORT:
+        why = f"since there are fewer than {SHORT:g} targets per positioner"
+    elif options.method.makes_queues:
+        averages_queues, why = True, "the cheapest method with an error estimate if positioners have queues of targets"
+    else:
+        why = "since this allocator makes no queues"
+    able = (one for one in METHODS.values() if one.estimand == estimand and one.most_iterations is not None)
+    chosen = next(one for one in able if one.averages_queues == averages_queues)
+    return chosen, f"{chosen.name}, {why}"

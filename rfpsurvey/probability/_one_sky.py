@@ -1,7 +1,7 @@
 """Estimate, from one set of targets (sky), how much the mean collision probability varies between such sets."""
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, eye_array
 
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -124,7 +124,7 @@ class _Quadratic:
 
     def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
         n, k = basis.shape
-        own = _identity(n)
+        own = eye_array(n, format="csr")
         base = own if known is None else (own + known).tocsr()
         self.adjacency, self.basis, self.n = adjacency, basis, n
         # expected values of e'e and e'Ae for unit variance, and for unit covariance of neighbors
@@ -145,7 +145,7 @@ class _Quadratic:
 
         Let K = aI + bA, and let P be the projection onto residuals. The code avoids the dense matrix P K P.
         """
-        basis, weight = self.basis, self.a * _identity(self.n) + self.b * self.adjacency
+        basis, weight = self.basis, self.a * eye_array(self.n, format="csr") + self.b * self.adjacency
         expected = covariance.sum() / self.n**2
         weighted = weight @ basis
         beside = weighted - basis @ (basis.T @ weighted) / 2
@@ -163,10 +163,6 @@ class _Quadratic:
         if np.isnan(self.a):
             return np.nan
         return float(max(self.a * own + self.b * float(away @ (self.adjacency @ away)), self.least * own))
-
-
-def _identity(n: int):
-    return coo_array((np.ones(n), (np.arange(n), np.arange(n))), shape=(n, n)).tocsr()
 
 
 def _trace(first, second, basis: np.ndarray) -> float:

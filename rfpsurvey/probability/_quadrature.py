@@ -59,11 +59,10 @@ class Quadrature:
         plane = self.plane
         if not isinstance(self.density, str):
             return np.arange(len(plane)), np.arange(len(plane))
-        radius = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.arrays.touch_slack
+        touching = 2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation
+        radius = touching + plane.arrays.touch_slack
         if len(plane.arrays.broken_pairs):  # include broken positioners near the neighbors
-            radius += (
-                2 * float(plane.arrays.arm_reach.max()) + plane.arrays.separation + plane.margins.numbers["broken"]
-            )
+            radius += touching + plane.margins.numbers["broken"]
         if self.density != "uniform":  # include positioners whose patrol areas overlap the neighbors' areas
             radius += 2 * float(plane.arrays.outer_radius.max())
         return environments(plane, radius)

@@ -77,12 +77,8 @@ class Centers:
             raise InputTypeError(f"centers must be a SkyCoord, a Tiling or a Table, got {short(given)}")
         if isinstance(given, SkyCoord):
             finite = np.isfinite(to_vectors(given, "centers")).all(axis=1)
-            given = to_direction(given).reshape(-1).icrs[finite]  # the same numbers as in `as_tiling`
-            ra, dec = given.ra, given.dec
-            table = Table({"ra": ra.to(u.deg), "dec": dec.to(u.deg)})
-            # repeated directions count once
-            table = table[np.sort(np.unique(place_of(ra.deg, dec.deg), axis=0, return_index=True)[1])]
-            given = Tiling.from_table(table)
+            given = to_direction(given).reshape(-1).icrs[finite]
+            given = given[_distinct(given.ra.deg, given.dec.deg)]
         tiling = as_tiling(given)
         inside = self.limits.distance(tiling.vectors) <= ROUNDING
         return tiling if inside.all() else Tiling(tiling.table[inside])
@@ -97,8 +93,7 @@ class Centers:
         """The distinct centers of the list as unit vectors, or None if no list was given."""
         if self.tiling is None:
             return None
-        places = place_of(self.tiling.table["ra"].value, self.tiling.table["dec"].value)
-        return self.tiling.vectors[np.sort(np.unique(places, axis=0, return_index=True)[1])]
+        return self.tiling.vectors[_distinct(self.tiling.table["ra"].value, self.tiling.table["dec"].value)]
 
 
 @dataclass(frozen=True)
@@ -116,11 +111,8 @@ class Declinations:
     @property
     def words(self) -> str:
         """The limits as text for use within a sentence."""
-        return (
-            ""
-            if self.anywhere
-            else " of centers from {:g} to {:g} deg declination".format(*np.rad2deg([self.low, self.high]))
-        )
+        low, high = np.rad2deg([self.low, self.high])
+        return "" if self.anywhere else f" of centers from {low:g} to {high:g} deg declination"
 
     def distance(self, vectors: np.ndarray) -> np.ndarray:
         """Return the distances (radians) of directions from the limits; 0 for directions inside the limits."""
@@ -159,6 +151,11 @@ def given_tiles(where: Centers) -> Tiling:
     table = where.tiling.table.copy()
     table["position_angle"] = where.angle_deg * u.deg
     return Tiling(table)
+
+
+def _distinct(ra_deg, dec_deg):
+    """Return the first row of each distinct direction."""
+    return np.sort(np.unique(place_of(ra_deg, dec_deg), axis=0, return_index=True)[1])
 
 
 def _two(limits):

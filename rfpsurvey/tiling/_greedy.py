@@ -36,7 +36,7 @@ def max_density(problem: TilingProblem) -> TilingState:
         center = candidates.best()
         return center if center is None or problem.allowed is not None else _climb_sum(state, center)
 
-    return _run(state, candidates, seek)
+    return _run(state, [candidates], seek)
 
 
 def density_gradient(problem: TilingProblem) -> TilingState:
@@ -53,24 +53,23 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
     """Place tiles one after the other; each tile starts where targets are densest, and ``move`` returns its center."""
     state = TilingState(problem)
     seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
-    allowed = None if problem.allowed is None else _Candidates(state, problem.allowed, problem.radius)
+    allowed = [] if problem.allowed is None else [_Candidates(state, problem.allowed, problem.radius)]
 
     def seek():
         seed = seeds.best()
         if seed is None:
             return None
         center = problem.limits.move_inside(move(state, seed))
-        if allowed is not None:
-            return allowed.about(center)
+        if allowed:
+            return allowed[0].about(center)
         # if the maximum of the smoothed density lies between targets, a tile there may contain no target
         return center if len(problem.index.near(center, problem.radius, state.weight)) else seed
 
-    return _run(state, seeds if allowed is None else (seeds, allowed), seek)
+    return _run(state, [seeds, *allowed], seek)
 
 
-def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
+def _run(state: TilingState, candidates: list["_Candidates"], seek: Callable) -> TilingState:
     """Place tiles until no more tiles are needed or no further target can be observed."""
-    lists = candidates if isinstance(candidates, tuple) else (candidates,)
     while not state.done:
         center = seek()
         if center is None:
@@ -82,7 +81,7 @@ def _run(state: TilingState, candidates, seek: Callable) -> TilingState:
         if not any(len(state.observe(one)) for one in tries):
             state.give_up(center)
         changed = max(state.problem.reach, state.problem.radius) + max(BESIDE) * state.problem.radius
-        for one in lists:
+        for one in candidates:
             one.update(center, changed)
     return state
 
@@ -128,16 +127,12 @@ def _grid(problem: TilingProblem) -> np.ndarray:
     """Return candidate centers with targets in their field: a HEALPix grid finer than a tenth of the tile radius."""
     fine = _healpix.nside_for(GRID * problem.radius / 1.0233)  # the side of a pixel is 1.0233 / nside
     coarse = max(_healpix.nside_for(problem.radius) // 2, 1)
-    near = _near_targets(problem, _healpix.centers(coarse, np.arange(12 * coarse**2)), _healpix.pixel_radius(coarse))
+    coarse_centers = _healpix.centers(coarse, np.arange(12 * coarse**2))
+    near = np.flatnonzero(problem.visits_near(coarse_centers, _healpix.pixel_radius(coarse)) > 0)
     children = (fine // coarse) ** 2
     centers = _healpix.centers(fine, (near[:, None] * children + np.arange(children)).ravel())
     centers = problem.limits.fit(centers, problem.radius)
-    return centers[_near_targets(problem, centers, 0.0)]
-
-
-def _near_targets(problem, centers, margin):
-    reach = min(problem.radius + margin, np.pi)
-    return np.flatnonzero(problem.index.sum_near(centers, reach, (problem.wanted > 0).astype(np.float64)) > 0)
+    return centers[problem.visits_near(centers) > 0]
 
 
 def ring(center: np.ndarray, step: float) -> np.ndarray:

@@ -70,8 +70,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
 
 def _attempt(problem: TilingProblem, n: int) -> TilingState:
     """Place ``n`` tiles by network flow, and observe their targets."""
-    cells = _Cells(problem)
-    centers = _relax(problem, cells, _uniform(problem, n))
+    centers = _relax(problem, _Cells(problem), _uniform(problem, n))
     state = TilingState(problem)
     visit_all(state, _allowed(problem, centers), None)
     return state
@@ -81,7 +80,7 @@ def _covering_number(problem: TilingProblem) -> int:
     center, reach = problem.circle()
     pitch = np.sqrt(3) * problem.radius
     centers = lattice(center, reach + 2 * problem.radius, pitch, np.zeros(2))
-    return len(_with_targets(problem, problem.limits.fit(centers, problem.radius)))
+    return np.count_nonzero(problem.visits_near(problem.limits.fit(centers, problem.radius)))
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
@@ -90,7 +89,8 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
 
     def make(pitch):
         centers = lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2))
-        return _with_targets(problem, problem.limits.fit(centers, problem.radius))
+        centers = problem.limits.fit(centers, problem.radius)
+        return centers[problem.visits_near(centers) > 0]
 
     low, high = 0.0, 3 * (reach + problem.radius)
     pitch = np.sqrt(3) * problem.radius
@@ -109,15 +109,10 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
         pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
     if not low:
         enough = np.vstack([centers, problem.limits.move_inside(problem.index.vectors[problem.wanted > 0][:1])])
-    count = problem.index.sum_near(enough, problem.radius, problem.wanted.astype(np.float64))
-    keep = np.sort(np.argsort(-count, kind="stable")[:n])
+    keep = np.sort(np.argsort(-problem.visits_near(enough), kind="stable")[:n])
     enough = enough[keep]
     # if there are fewer than n centers with targets, the best centers occur several times
     return enough[np.arange(n) % len(enough)]
-
-
-def _with_targets(problem, centers):
-    return centers[problem.index.sum_near(centers, problem.radius, problem.wanted.astype(np.float64)) > 0]
 
 
 class _Cells:

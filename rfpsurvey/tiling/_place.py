@@ -164,8 +164,7 @@ def place_tiles(
     by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
-    check_whole(passes, "passes", high=10_000)
-    passes = int(passes)
+    passes = check_whole(passes, "passes", high=10_000)
     warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
     if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
@@ -209,7 +208,7 @@ def place_tiles(
     wanted[beyond] = 0
     if not wanted.any():
         raise InputError(f"at least one target must be within reach{where.limits.words}, got none")
-    n_tiles = None if n_tiles is None else _whole(n_tiles, "n_tiles")
+    n_tiles = None if n_tiles is None else check_whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
     if fibers.number is None and model is None:
@@ -217,7 +216,7 @@ def place_tiles(
     usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
     if usable == 0:
         raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    number = usable if fibers.number is None else _whole(fibers.number, "fibers")
+    number = usable if fibers.number is None else int(fibers.number)
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
@@ -387,8 +386,3 @@ def _finish(table, summary, columns) -> Tiling:
     table.meta.update(method=summary["method"], summary=summary)
     log.info("placed %d tiles: %s", n, summary)
     return Tiling(table)
-
-
-def _whole(value, name):
-    check_whole(value, name)
-    return int(value)

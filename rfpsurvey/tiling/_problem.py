@@ -47,6 +47,10 @@ class TilingProblem:
         """Whether neither a number of tiles nor a completeness is given as the goal."""
         return self.n_tiles is None and self.completeness is None
 
+    def visits_near(self, centers: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """Return the number of visits requested in the field around each center, which is enlarged by a margin."""
+        return self.index.sum_near(centers, min(self.radius + margin, np.pi), self.wanted.astype(np.float64))
+
     def circle(self) -> tuple[np.ndarray, float]:
         """Return the center and the radius of a circle around the targets with requested visits."""
         vectors = self.index.vectors[self.wanted > 0]

@@ -1,14 +1,13 @@
 """The targets that a tile observes, with ideal fibers or with the positioners of a focal plane."""
 
 from dataclasses import dataclass
-from numbers import Number
 
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import check_keywords, check_switch, refusal
+from rfpsurvey.errors import check_keywords, check_switch, check_whole
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder, field_radius_rad, plan_field
 from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles, years_of_tiles
@@ -51,9 +50,8 @@ class Fibers:
 
     def __post_init__(self):
         check_switch(self.lost_in_collision, "lost_in_collision")
-        number = self.number
-        if number is not None and (isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1):
-            raise refusal("fibers must be a whole number of at least 1", number, Number)
+        if self.number is not None:
+            check_whole(self.number, "fibers")
         if self.min_separation is not None:
             to_scalar(self.min_separation, u.rad, "min_separation", low=0, high=np.pi)
 

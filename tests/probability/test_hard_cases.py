@@ -36,7 +36,7 @@ def test_neighbors_of_an_immovable_unit_differ(rng):
     alpha = rng.uniform(0, 2 * np.pi, (n, m))
     tips = plane.xy.value + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
     tips[:, 9] = np.nan
-    counts = rs.count_collisions(plane, tips * MM)
+    counts = rs.collision.count_collisions(plane, tips * MM)
     rates = counts.rate
     assert abs(got.value - rates.mean()) < 3 * rates.std() / np.sqrt(n) + 0.001
     assert np.isnan(got.per_positioner[9])

@@ -245,7 +245,7 @@ def test_real_focal_planes_look_beside_a_hole():
 def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     near = stars.within(SkyCoord("6h20m +23d"), 3 * DEG)
     where = Centers(position_angle=20 * DEG)
-    options = {"method": "max_density", "n_tiles": 2, "centers": where}
+    options = {"method": "max_density", "n_tiles": 2, "centers": where, "allocator": "lamost"}
     kept = rs.tiling.Fibers(lost_in_collision=False)
     tiling = rs.place_tiles(near, instrument, fibers=kept, **options)
     tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG, allocator="lamost")
