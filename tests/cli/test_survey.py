@@ -153,6 +153,7 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     assert lines == 2 * [["required", "targets", "observed", str(n), "of", str(len(required))]]
 
 
+@pytest.mark.exhaustive
 def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
     folder, sky, _ = files
     words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]

@@ -149,6 +149,7 @@ def test_a_range_of_hour_angles_gives_the_largest_displacements(presets):
     assert both.drift.value == pytest.approx(max(one.drift.value for one in single))
 
 
+@pytest.mark.exhaustive
 def test_the_default_tolerance_is_a_tenth_of_the_fiber(presets):
     diameters = {"lamost": 320, "sdss_apo": 120, "sdss_lco": 120, "moons": 571, "desi": 107, "pfs": 99.2}
     for name, microns in diameters.items():
