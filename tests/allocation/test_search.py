@@ -275,7 +275,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
-    for module in ("_milp", "_clusters"):
+    for module in ("_milp", "_solver"):
         monkeypatch.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
     # without prices of cliques, all bounds follow from a matching
     monkeypatch.setattr("rfpsurvey.allocation._search.MOST_BOUNDS", 0)
