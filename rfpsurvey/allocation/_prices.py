@@ -12,6 +12,7 @@ from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover_by_pairs, extend
 from rfpsurvey.allocation._clock import left
+from rfpsurvey.allocation._objectives import offset_of
 from rfpsurvey.allocation._problem import AllocationProblem
 
 # The value of a candidate is its weight minus the prices of its cliques. To adjust the prices, the largest value among
@@ -89,7 +90,7 @@ class Prices:
         return best
 
 
-def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
+def weights_of(problem: AllocationProblem, options) -> list:
     """Return the weights of all candidates for each objective, or None for the objective of the requirements.
 
     The weights for a class include the targets of this class and of all earlier classes.
@@ -100,17 +101,14 @@ def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
         The allocation problem.
     options : Options
         The candidates.
-    names : list of str
-        Names of the objectives.
 
     Returns
     -------
     list of (ndarray of float or None)
         Weights of the candidates: one array, or None, for each objective.
     """
-    n_classes, found = len(problem.classes), []
-    offset = len(names) - n_classes - (not problem.science.all())
-    for k, name in enumerate(names):
+    n_classes, offset, found = len(problem.classes), offset_of(problem), []
+    for k, name in enumerate(problem.level_names):
         if name == "required targets":
             found.append(np.append(problem.is_required, False)[options.target].astype(float))
         elif name == "requirements":

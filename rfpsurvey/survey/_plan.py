@@ -13,15 +13,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
-from rfpsurvey.errors import (
-    InputError,
-    InputTypeError,
-    check_choice,
-    check_keywords,
-    check_switch,
-    short,
-    warn,
-)
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._joint import JointOptions, as_joint, check_joint
 from rfpsurvey.survey._order import ORDERS

@@ -10,15 +10,7 @@ from astropy.table import QTable
 from rfpsurvey._progress import Progress
 from rfpsurvey.survey._joint._fixed import fixed_tiles
 from rfpsurvey.survey._joint._search import Search, levels_of
-from rfpsurvey.survey._joint._start import (
-    TilePlan,
-    classes_of,
-    first_plans,
-    given_plan,
-    list_all,
-    place,
-    plans_of,
-)
+from rfpsurvey.survey._joint._start import TilePlan, classes_of, first_plans, given_plan, list_all, place, plans_of
 from rfpsurvey.survey._joint._state import read_state, write_state
 from rfpsurvey.survey._request import Request
 
