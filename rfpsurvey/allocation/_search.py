@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
-from rfpsurvey.allocation._candidates import Candidates, find_candidates
+from rfpsurvey.allocation._candidates import Candidates, find_candidates, reduced
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
 from rfpsurvey.allocation._idle import separate_idle_arms
@@ -35,7 +35,6 @@ from rfpsurvey.allocation._objectives import (
 )
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.allocation._subpriority import TIE_SEED
 from rfpsurvey.focal_plane import Reach, elbow_names
 

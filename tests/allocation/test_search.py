@@ -11,7 +11,7 @@ import flat
 import rfpsurvey as rs
 from brute import edges_alone
 from rfpsurvey._kernels import conflicts
-from rfpsurvey.allocation._reduction import reduced
+from rfpsurvey.allocation._candidates import reduced
 
 MM = u.mm
 EXHAUSTIVE = pytest.mark.exhaustive
