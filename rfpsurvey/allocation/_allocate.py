@@ -8,7 +8,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import rows_of, to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
+from rfpsurvey._units import to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
@@ -17,7 +17,7 @@ from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._sky import with_sky
-from rfpsurvey.allocation._subpriority import check_values, service_order, tie_order, to_subpriorities
+from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
 from rfpsurvey.constraints import KINDS
@@ -127,7 +127,7 @@ def allocate(
     n = len(points)
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
     columns = TargetColumns(
-        _priorities(priority, n),
+        None if priority is None else check_one_each(to_numbers(priority, "priority"), n, "priority"),
         _labels(kind, n, "kind"),
         _labels(category, n, "category"),
         to_plain(fiber_type, "fiber_type").astype(str) if named else None,
@@ -227,17 +227,6 @@ def assign(
         seconds={"reach": middle - begin, "allocation": end - middle},
         excluded=excluded,
     )
-
-
-def _priorities(priority, n):
-    if priority is None:
-        return None
-    values = to_numbers(priority, "priority")
-    if values.shape != (n,):
-        raise InputError(f"priority must have one value per target, shape ({n},), got {values.shape}")
-    if (lacking := ~np.isfinite(values)).any():
-        raise InputError(f"priority must be a finite number for every target, but {rows_of(lacking)} have none")
-    return values
 
 
 def _classes(priority, n):

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import conflicts
+from rfpsurvey._kernels import conflicts, reduce
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
-from rfpsurvey.allocation._clock import OutOfTimeError, now
+from rfpsurvey.allocation._clock import OutOfTimeError, left, now
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
@@ -16,6 +16,8 @@ from rfpsurvey.collision import arms_closer_exactly, touching
 ROOM = 1 << 18
 # Number of tests of two candidates for a collision before the clock is read again.
 BATCH = 10_000_000
+# Number of comparisons of candidates before the clock is read again, while candidates are removed.
+COMPARED = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,3 +240,26 @@ def _by_target(target, n):
     rows = np.flatnonzero(target >= 0)
     rows = rows[np.argsort(target[rows], kind="stable")]
     return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows
+
+
+def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
+    """Mark the candidates that remain after removing candidates that an optimal plan does not need.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    deadline : float, optional
+        Value of `now` at which the removal stops.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_candidates,)
+        Whether each candidate remains.
+    """
+    n = len(options.start) - 1
+    alive, queue, waiting = np.ones(len(options.own), dtype=bool), np.arange(n), np.ones(n, dtype=bool)
+    ends, mark, removed = np.array([0, n]), np.full(len(options.own), -1), np.empty(len(options.own), dtype=np.int64)
+    while ends[0] < ends[1] and left(deadline) > 0:
+        reduce.reduce_some(options, alive, queue, waiting, ends, mark, removed, COMPARED)
+    return alive

@@ -1,7 +1,7 @@
 """Find plans and upper bounds for many positioners by integer programs for clusters of neighboring positioners."""
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import conflicts
 from rfpsurvey._kernels import prices as kernels
@@ -12,7 +12,7 @@ from rfpsurvey.allocation._lexicographic import pursue
 from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
-from rfpsurvey.allocation._solver import maximize, with_errors
+from rfpsurvey.allocation._solver import choose_one_each
 
 # Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
 SIZE, SMALLEST, LARGEST = 2000, 100, 8000
@@ -87,19 +87,10 @@ def _solve_cluster(matrix, rows, start, value, deadline):
     """Solve the integer program of one cluster; return an upper bound of its weight, and its variables' values."""
     if left(deadline) == 0:
         return np.inf, None
-    size = np.diff(start)
     part = csr_array(matrix[:, rows])
     part = part[np.flatnonzero(np.diff(part.indptr) > 1)]
-    m = len(size)
-    single = csr_array(
-        (np.ones(len(rows)), (np.repeat(np.arange(m), size), np.arange(len(rows)))), shape=(m, len(rows))
-    )
-    high = np.ones(m + part.shape[0])
-    low = np.append(np.ones(m), np.full(part.shape[0], -np.inf))
-    both = vstack([single, part], format="csr")
-    limit = share(deadline, FOR_ONE)
-    x, bound = maximize((both, low, high), value, np.ones(len(rows)), limit, integral=True, gap=GAP, presolve=True)
-    return with_errors(bound, len(rows)), x
+    x, bound = choose_one_each(start, value, part, np.ones(part.shape[0]), share(deadline, FOR_ONE), gap=GAP)
+    return bound, x
 
 
 def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None) -> np.ndarray:
@@ -159,20 +150,10 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
 
 def _improve_cluster(candidates, members, now, blocked, holder, deadline):
     """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
-    options, problem = candidates.options, candidates.problem
-    before = now[members].copy()
-    size = options.start[members + 1] - options.start[members]
-    begin = np.cumsum(size) - size
-    rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
-    for i in members:
-        moves.put(i, -1, options, now, blocked, holder)
-    target = options.target[rows]
-    rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
-    found = None
+    options, before, found = candidates.options, now[members].copy(), None
     limit = share(deadline, FOR_ONE)
     try:
-        others = now[now >= 0] if problem.groups else np.empty(0, dtype=np.int64)
-        program = Program(candidates, rows, others, edges_within(options, rows), limit)
+        program = program_of(candidates, members, now, blocked, holder, limit)
         found = pursue(program, before, limit, None, integral=True, squared_cost=False)
     except OutOfTimeError:
         pass
@@ -185,6 +166,23 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline):
     for c in after:
         moves.put(options.own[c], c, options, now, blocked, holder)
     return better, found is not None and bool((found.values >= found.bounds).all())
+
+
+def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder, deadline: float) -> Program:
+    """Take the candidates from some positioners, in place, and return the program that finds new candidates for them.
+
+    ``now``, ``blocked`` and ``holder`` are the state of the plan (`stand`); all other arms are fixed.
+    """
+    options = candidates.options
+    for i in members:
+        moves.put(i, -1, options, now, blocked, holder)
+    size = options.start[members + 1] - options.start[members]
+    begin = np.cumsum(size) - size
+    rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
+    target = options.target[rows]
+    rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
+    others = now[now >= 0] if candidates.problem.groups else np.empty(0, dtype=np.int64)
+    return Program(candidates, rows, others, edges_within(options, rows), deadline)
 
 
 def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:

@@ -6,9 +6,8 @@ from scipy.sparse import csr_array, hstack, vstack
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, share
-from rfpsurvey.allocation._clusters import edges_within
+from rfpsurvey.allocation._clusters import program_of
 from rfpsurvey.allocation._local_search import stand
-from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._solver import maximize
 
 # Positioners that are changed at the same time have at most this many candidates in total.
@@ -65,25 +64,17 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
 
 def _separate(candidates, members, state, deadline):
     """Minimize the collisions between the idle arms of some positioners in place, while all other arms are fixed."""
-    options, problem, (now, blocked, holder) = candidates.options, candidates.problem, state
-    before = now[members].copy()
-    inside, idle = np.zeros(len(now), dtype=bool), options.start[1:] - 1
-    inside[members] = True
-    for i in members:
-        moves.put(i, -1, options, now, blocked, holder)
+    options, now = candidates.options, state[0]
+    before, idle = now[members].copy(), options.start[1:] - 1
     after = before
     try:
-        rows = np.flatnonzero(inside[options.own])
-        target = options.target[rows]
-        rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
-        others = now[now >= 0] if problem.groups else np.empty(0, dtype=np.int64)
-        program = Program(candidates, rows, others, edges_within(options, rows), deadline)
+        program = program_of(candidates, members, *state, deadline)
         x = _fewest(program, candidates.idle_pairs, idle, now, program.variables(before), deadline)
         if x is not None and len(program.chosen(x)) == len(members):
             after = program.chosen(x)
     finally:
         for c in after:
-            moves.put(options.own[c], c, options, now, blocked, holder)
+            moves.put(options.own[c], c, options, *state)
 
 
 def _fewest(program, pairs, idle, now, x, deadline):

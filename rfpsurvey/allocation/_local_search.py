@@ -6,7 +6,7 @@ from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import left
-from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 
 ROUNDS = 10
 # Number of collisions of candidates that are tested before the clock is read again.
@@ -41,9 +41,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
 
 def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     """Remove the least important targets from a plan until the plan does not exceed the maximum of any requirement."""
-    target_of = target_of.copy()
-    if problem.watched is not None:
-        target_of = np.where(problem.watched >= 0, problem.watched, target_of)
+    target_of = with_watched(problem, target_of).copy()
     for group in problem.groups:
         most = group.requirement.maximum
         if most is None:

@@ -10,7 +10,7 @@ from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
-from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
 
@@ -63,7 +63,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
     kernels.fill_queues(owner_of, count, indptr, queue)
     target_of = np.empty(len(count), dtype=np.int64)
     kernels.draw_configuration(indptr, queue, problem.rng.random(len(count)), target_of)
-    return AllocationAnswer(_with_watched(problem, target_of), queues=(indptr, queue))
+    return AllocationAnswer(with_watched(problem, target_of), queues=(indptr, queue))
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
@@ -77,12 +77,12 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
         target_of, owner_of = np.empty(reach.n_positioners, dtype=np.int64), np.empty(len(rank), dtype=np.int64)
         order = np.argsort(rank, kind="stable")
         kernels.serve(order, reach.indptr, reach.owner, reach.r2, target_of, owner_of)
-        return AllocationAnswer(_with_watched(problem, target_of))
+        return AllocationAnswer(with_watched(problem, target_of))
     indptr, target, r2, _ = _best(problem, reach, rank)
     m = len(problem.rank)
     target_of = np.empty(len(indptr) - 1, dtype=np.int64)
     kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
-    return AllocationAnswer(_with_watched(problem, target_of))
+    return AllocationAnswer(with_watched(problem, target_of))
 
 
 def lamost(problem: AllocationProblem) -> AllocationAnswer:
@@ -100,7 +100,7 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
     target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     scratch = (in_reach, np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
     kernels.nominate(indptr, target, r2, rank, n_ranks, reach.indptr, reach.owner, *scratch, target_of, owner_of)
-    target_of = _with_watched(problem, target_of)
+    target_of = with_watched(problem, target_of)
     _fill_quotas(problem, target_of, owner_of)
     return AllocationAnswer(target_of)
 
@@ -244,13 +244,6 @@ def _best(problem, reach, rank):
     in_order = problem.subpriority is not None
     kernels.list_best(reach.indptr, reach.owner, reach.r2, rank, in_order, indptr, count, target, r2)
     return indptr, target, r2, in_reach
-
-
-def _with_watched(problem, target_of):
-    """Return the target of each positioner, including the sky positions that stuck fibers observe."""
-    if problem.watched is None:
-        return target_of
-    return np.where(problem.watched >= 0, problem.watched, target_of)
 
 
 def _fill_quotas(problem, target_of, owner_of):

@@ -51,12 +51,12 @@ def levels_of(
     return [Level(*row) for row in zip(names, values.tolist(), bounds.tolist(), strict=True)]
 
 
-def offset_of(problem: AllocationProblem, names: tuple[str, ...]) -> int:
+def offset_of(problem: AllocationProblem) -> int:
     """Return the index of the objective of the most important class in the list of all objectives."""
-    return len(names) - len(problem.classes) - (not problem.science.all())
+    return len(problem.level_names) - len(problem.classes) - (not problem.science.all())
 
 
-def matching_limits(problem: AllocationProblem, everything: Candidates | None, names: tuple[str, ...]) -> np.ndarray:
+def matching_limits(problem: AllocationProblem, everything: Candidates | None) -> np.ndarray:
     """Return upper limits of the objectives from the best matching, in which arms may collide.
 
     The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
@@ -72,7 +72,7 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None, n
         target = match(everything)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    offset = offset_of(problem, names)
+    names, offset = problem.level_names, offset_of(problem)
     limits = np.empty(len(names))
     for k, name in enumerate(names[:offset]):
         limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
@@ -82,14 +82,12 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None, n
     return limits
 
 
-def conditional_bounds(
-    problem: AllocationProblem, names: tuple[str, ...], values: np.ndarray, limits: np.ndarray, first: int
-) -> np.ndarray:
+def conditional_bounds(problem: AllocationProblem, values: np.ndarray, limits: np.ndarray, first: int) -> np.ndarray:
     """Return an upper bound of each objective, given the values of all earlier objectives.
 
     The bounds of objectives before ``first`` are infinite.
     """
-    offset, bounds = offset_of(problem, names), limits.copy()
+    offset, bounds = offset_of(problem), limits.copy()
     last = offset + len(problem.classes)
     bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
     bounds[:first] = np.inf

@@ -10,7 +10,7 @@ from rfpsurvey._plugins import Plugin, find_function, find_plugin
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
-from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.constraints import named_plugins
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import elbow_names
@@ -63,8 +63,7 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
-        if problem.watched is not None:  # add the sky positions that stuck fibers observe
-            target_of = np.where(problem.watched >= 0, problem.watched, target_of)
+        target_of = with_watched(problem, target_of)
         _check_claims(problem, target_of, answer)
     meta = {**(answer.meta or {}), **({"software": plugin.software} if plugin.package else {})}
     return answer._replace(target_of_positioner=target_of, handedness=elbows, meta=meta)

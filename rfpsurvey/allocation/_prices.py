@@ -3,6 +3,8 @@
 A clique is a set of candidates; a plan uses at most one candidate of each clique.
 """
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -10,6 +12,7 @@ from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover_by_pairs, extend
 from rfpsurvey.allocation._clock import left
+from rfpsurvey.allocation._objectives import offset_of
 from rfpsurvey.allocation._problem import AllocationProblem
 
 # The value of a candidate is its weight minus the prices of its cliques. To adjust the prices, the largest value among
@@ -38,7 +41,7 @@ class Prices:
         column = np.concatenate([column, real[of_target]])
         alive = np.ones(len(candidates), dtype=bool)
         self.indptr, self.column = extend(options, indptr, column, alive, deadline)
-        self.options = options
+        self.start, self.own = options.start, options.own
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
         self.price, self.most = np.zeros(shape[0]), np.ones(shape[0])
@@ -49,36 +52,45 @@ class Prices:
 
     def bound(self, weights: np.ndarray) -> float:
         """Return an upper bound of the total weight of any plan."""
-        bound = float(kernels.bound_of(self.options.start, self.values(weights), self.price))
-        return bound + ROUNDING * (len(self.options.start) + float(self.price.sum()))
+        bound = float(kernels.bound_of(self.start, self.values(weights), self.price))
+        return bound + ROUNDING * (len(self.start) + float(self.price.sum()))
 
     def improve(self, weights: np.ndarray, deadline: float) -> float:
         """Adjust the prices for an objective until a deadline, and return the upper bound of the objective."""
-        start, own = self.options.start, self.options.own
-        value, n = self.values(weights), len(self.price)
+        sweeps = [(width, N_SWEEPS) for width in WIDTHS]
+        return self.adjust(weights, sweeps, lambda: left(deadline) == 0, slow=SLOW, n_least=3)
+
+    def adjust(self, weights: np.ndarray, sweeps: Iterable, is_over: Callable, *, slow: float, n_least: int) -> float:
+        """Adjust the prices for an objective, and return the upper bound of the objective.
+
+        ``sweeps`` contains the width and the number of sweeps of each stage. A stage also ends if the bound decreases
+        by less than the fraction ``slow`` in a sweep, but not before ``n_least`` sweeps.
+        """
+        n = len(self.price)
         best, best_price = self.bound(weights), self.price.copy()
-        for width in WIDTHS:
+        for width, number in sweeps:
             before = np.inf
-            for sweep in range(N_SWEEPS):
+            for sweep in range(number):
+                value = self.values(weights)
                 for begin in range(0, n, BATCH):
-                    if left(deadline) == 0:
+                    if is_over():
                         break
                     end = min(begin + BATCH, n)
                     ends = (begin, end, 1) if sweep % 2 == 0 else (n - begin - 1, n - end - 1, -1)
                     kernels.adjust_prices(
-                        start, own, self.indptr, self.column, value, self.price, self.most, width, *ends
+                        self.start, self.own, self.indptr, self.column, value, self.price, self.most, width, *ends
                     )
-                now = float(kernels.bound_of(start, value, self.price))
+                now = self.bound(weights)
                 if now < best:
                     best, best_price = now, self.price.copy()
-                if left(deadline) == 0 or (before - now < SLOW * abs(now) and sweep > 1):
+                if is_over() or (before - now < slow * abs(now) and sweep + 1 >= n_least):
                     break
                 before = now
         self.price = best_price
-        return self.bound(weights)
+        return best
 
 
-def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
+def weights_of(problem: AllocationProblem, options) -> list:
     """Return the weights of all candidates for each objective, or None for the objective of the requirements.
 
     The weights for a class include the targets of this class and of all earlier classes.
@@ -89,17 +101,14 @@ def weights_of(problem: AllocationProblem, options, names: list[str]) -> list:
         The allocation problem.
     options : Options
         The candidates.
-    names : list of str
-        Names of the objectives.
 
     Returns
     -------
     list of (ndarray of float or None)
         Weights of the candidates: one array, or None, for each objective.
     """
-    n_classes, found = len(problem.classes), []
-    offset = len(names) - n_classes - (not problem.science.all())
-    for k, name in enumerate(names):
+    n_classes, offset, found = len(problem.classes), offset_of(problem), []
+    for k, name in enumerate(problem.level_names):
         if name == "required targets":
             found.append(np.append(problem.is_required, False)[options.target].astype(float))
         elif name == "requirements":

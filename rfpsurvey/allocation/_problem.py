@@ -381,3 +381,8 @@ class AllocationProblem:
             stuck = np.flatnonzero(self.watched >= 0)
             n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck]), stuck).sum())
         return n
+
+
+def with_watched(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
+    """Return the target of each positioner, including the sky positions that stuck fibers observe."""
+    return target_of if problem.watched is None else np.where(problem.watched >= 0, problem.watched, target_of)

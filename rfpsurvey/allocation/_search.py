@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
-from rfpsurvey.allocation._candidates import Candidates, find_candidates
+from rfpsurvey.allocation._candidates import Candidates, find_candidates, reduced
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
 from rfpsurvey.allocation._idle import separate_idle_arms
@@ -35,7 +35,6 @@ from rfpsurvey.allocation._objectives import (
 )
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.allocation._subpriority import TIE_SEED
 from rfpsurvey.focal_plane import Reach, elbow_names
 
@@ -95,7 +94,7 @@ def decide(
     everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
     problem, everything, kept = with_used_classes(problem, everything)
-    names, repaired, found = problem.level_names, None, None
+    repaired = found = None
     is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
     if collide and is_long and not is_late and whole and not squared_cost:
         found = local_optimum(replace(given, row=None), everything)
@@ -124,15 +123,15 @@ def decide(
     values = values_of(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
-        bounds = np.where(np.arange(len(names)) <= first, bounds if whole else np.inf, np.inf)
-        limits = matching_limits(problem, everything if whole else None, names)
+        bounds = np.where(np.arange(len(bounds)) <= first, bounds if whole else np.inf, np.inf)
+        limits = matching_limits(problem, everything if whole else None)
         if collide:
             if repaired is None:
                 repaired = repaired_plan(given, everything, whole)
             used, chosen = better_of(used, chosen, everything, repaired, deadline)
-            chosen, limits = _refine(used, chosen, bounding if whole else None, names, first, bounds, limits, deadline)
+            chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
-        bounds = np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))
+        bounds = np.minimum(bounds, conditional_bounds(problem, values, limits, first))
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
         chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
@@ -141,7 +140,7 @@ def decide(
         # the plan of ``repair`` uses a candidate that was left out
         target_of, side = repaired
         values = problem.level_values(target_of)
-    levels = levels_of(given, offset_of(problem, names), kept, values, np.maximum(bounds, values))
+    levels = levels_of(given, offset_of(problem), kept, values, np.maximum(bounds, values))
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 
@@ -211,7 +210,7 @@ def _chosen_in(everything, used, chosen):
     return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
-def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
+def _refine(used, chosen, bounding, first, bounds, limits, deadline):
     """Improve a plan, and find smaller upper limits of the objectives, beginning with objective ``first``.
 
     The limit of a class applies to the number of targets of this class and of all earlier classes. The limits are
@@ -221,15 +220,15 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
 
     def is_best(plan):
         values = values_of(used, plan)
-        return bool((values >= np.minimum(bounds, conditional_bounds(problem, names, values, limits, first))).all())
+        return bool((values >= np.minimum(bounds, conditional_bounds(problem, values, limits, first))).all())
 
     def better(plan):
         return plan if tuple(values_of(used, plan)) > tuple(values_of(used, chosen)) else chosen
 
     able, weights = [], []
     if bounding is not None:
-        weights = weights_of(problem, bounding.options, names)
-        able = [k for k in range(first, len(names)) if weights[k] is not None]
+        weights = weights_of(problem, bounding.options)
+        able = [k for k in range(first, len(weights)) if weights[k] is not None]
         able = [able[k] for k in np.unique(np.linspace(0, len(able) - 1, MOST_BOUNDS).astype(int))] if able else []
     try:
         if able:
@@ -238,12 +237,12 @@ def _refine(used, chosen, bounding, names, first, bounds, limits, deadline):
             if not is_best(chosen):
                 bound, plan = bound_by_clusters(bounding, prices, weights[k], share(deadline, FOR_FIRST))
                 limits[k] = min(limits[k], _whole(bound))
-                if bounding is used and len(names) == 1:
+                if bounding is used and len(weights) == 1:
                     chosen = better(repair_collisions(used, plan, deadline)[0])
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
-            offset = offset_of(problem, names)
+            offset = offset_of(problem)
             limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
     except OutOfTimeError:
         pass

@@ -5,7 +5,7 @@ import threading
 from time import perf_counter
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._clock import left, now, stop
 
@@ -86,6 +86,23 @@ def maximize(
         return (x, -info.objective_function_value) if done else (None, np.inf)
     bound = -info.mip_dual_bound
     return None if x is None else np.round(x), bound if np.isfinite(bound) else np.inf
+
+
+def choose_one_each(
+    start: np.ndarray, weight: np.ndarray, sets: csr_array, most: np.ndarray, deadline: float, **limits
+):
+    """Return the variables of the plan with the largest weight, and an upper bound of the weight of any plan.
+
+    A plan uses one candidate of each positioner, whose first candidates are ``start``, and at most the numbers ``most``
+    of the candidates of each of the ``sets``, the rows of a matrix. The bound allows for rounding errors. ``limits``
+    are parameters of `maximize`.
+    """
+    m, n = len(start) - 1, len(weight)
+    single = csr_array((np.ones(n), (np.repeat(np.arange(m), np.diff(start)), np.arange(n))), shape=(m, n))
+    low = np.append(np.ones(m), np.full(sets.shape[0], -np.inf))
+    rows = vstack([single, sets], format="csr"), low, np.append(np.ones(m), most)
+    x, bound = maximize(rows, weight, np.ones(n), deadline, integral=True, presolve=True, **limits)
+    return x, with_errors(bound, n)
 
 
 def with_errors(bound: float, n: int) -> float:

@@ -124,12 +124,17 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
 
 
 def check_values(values: object, n: int, what: str) -> np.ndarray:
-    """Return subpriorities as numbers; raise an error unless each target has a finite number."""
+    """Convert subpriorities to numbers; raise an error unless each target has a finite number."""
     plain = to_plain(values, what, "numbers")
     try:
         numbers = plain.astype(float)
     except ValueError as error:
         raise InputError(f"{what} must be numbers: {error}") from None
+    return check_one_each(numbers, n, what)
+
+
+def check_one_each(numbers: np.ndarray, n: int, what: str) -> np.ndarray:
+    """Return numbers unchanged; raise an error unless each target has a finite number."""
     if numbers.shape != (n,):
         raise InputError(f"{what} must have one value per target, shape ({n},), got {numbers.shape}")
     if (lacking := ~np.isfinite(numbers)).any():

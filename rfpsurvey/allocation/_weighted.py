@@ -4,15 +4,14 @@ from time import time
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
-from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._prices import ROUNDING, Prices
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.allocation._solver import maximize, with_errors
+from rfpsurvey.allocation._solver import choose_one_each
 from rfpsurvey.focal_plane import elbow_names
 
 
@@ -121,34 +120,20 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     bound : float
         Upper bound of the sum of the weights, including an allowance for the rounding errors of HiGHS.
     """
-    size, n = np.diff(problem.start), len(problem.weight)
-    m = len(size)
-    single = csr_array((np.ones(n), (np.repeat(np.arange(m), size), np.arange(n))), shape=(m, n))
+    n = len(problem.weight)
     sets = csr_array((np.ones(len(problem.column)), problem.column, problem.indptr), shape=(len(problem.most), n))
-    low = np.append(np.ones(m), np.full(len(problem.most), -np.inf))
-    rows = vstack([single, sets], format="csr"), low, np.append(np.ones(m), problem.most)
-    start = None
+    first = None
     if problem.first is not None:
-        start = np.zeros(n)
-        start[problem.first] = 1.0
+        first = np.zeros(n)
+        first[problem.first] = 1.0
+    limits = {"gap": problem.gap, "first": first, "nodes": problem.nodes}
     deadline = now() + problem.deadline - time()
-    x, bound = maximize(
-        rows,
-        problem.weight,
-        np.ones(n),
-        deadline,
-        integral=True,
-        gap=problem.gap,
-        presolve=True,
-        first=start,
-        nodes=problem.nodes,
-    )
-    bound = with_errors(bound, n)
+    x, bound = choose_one_each(problem.start, problem.weight, sets, problem.most, deadline, **limits)
     if x is None:
         return None, bound
     chosen = np.flatnonzero(x > 0.5)
     own = np.searchsorted(problem.start, chosen, side="right") - 1
-    if not np.array_equal(own, np.arange(m)) or (sets @ x > problem.most + 0.5).any():
+    if not np.array_equal(own, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + 0.5).any():
         return None, bound
     return chosen, bound
 
@@ -213,21 +198,4 @@ class RowPrices(Prices):
         float
             Upper bound of the total weight of any plan.
         """
-        n = len(self.price)
-        best, best_price = self.bound(weights), self.price.copy()
-        for width, number in sweeps:
-            before = np.inf
-            for sweep in range(number):
-                value = self.values(weights)
-                ends = (0, n, 1) if sweep % 2 == 0 else (n - 1, -1, -1)
-                kernels.adjust_prices(
-                    self.start, self.own, self.indptr, self.column, value, self.price, self.most, width, *ends
-                )
-                now = self.bound(weights)
-                if now < best:
-                    best, best_price = now, self.price.copy()
-                if is_over() or before - now < 1e-5 * abs(now):
-                    break
-                before = now
-        self.price = best_price
-        return best
+        return self.adjust(weights, sweeps, is_over, slow=1e-5, n_least=1)

@@ -253,8 +253,12 @@ class Constraint:
             If the constraint requires positions on the sky, but only positions on the focal plane are known.
         """
         if instrument is None and self.parts != {"counts"}:
-            raise InputError(f"constraints can be used only with a catalog, got '{self}'; use plan_tile")
+            self._refuse_focal_plane()
         return self
+
+    def _refuse_focal_plane(self) -> None:
+        """Raise the error that states that the constraint cannot be used if only a focal plane is known."""
+        raise InputError(f"constraints can be used only with a catalog, got '{self}'; use plan_tile")
 
     def excluded(self, field: ConstraintField) -> np.ndarray | None:
         """Return which targets must not be observed.

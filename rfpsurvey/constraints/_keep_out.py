@@ -84,30 +84,11 @@ class KeepOut(Constraint):
     def __str__(self):
         return " ".join([self.name, *(circle_text(one).removeprefix("cap ") for one in self.circles)])
 
-    def for_instrument(self, instrument: object) -> "KeepOut":
-        """Return the constraint; raise an error if only positions on the focal plane are known.
-
-        Parameters
-        ----------
-        instrument : Instrument or None
-            The instrument.
-
-        Returns
-        -------
-        KeepOut
-            The constraint.
-
-        Raises
-        ------
-        InputError
-            If there is no instrument.
-        """
-        if instrument is None:
-            raise InputError(
-                f"keep_out can be used only with positions on the sky, got {len(self.circles)} circles; use "
-                "plan_tile, or define obstacles of the focal plane"
-            )
-        return self
+    def _refuse_focal_plane(self) -> None:
+        raise InputError(
+            f"keep_out can be used only with positions on the sky, got {len(self.circles)} circles; use "
+            "plan_tile, or define obstacles of the focal plane"
+        )
 
     @cached_property
     def _values(self) -> np.ndarray:

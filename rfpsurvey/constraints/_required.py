@@ -80,30 +80,11 @@ class Required(Constraint):
         """Identifiers of targets that take precedence over all other targets."""
         return self.ids
 
-    def for_instrument(self, instrument: object) -> "Required":
-        """Return the constraint; raise an error if only positions on the focal plane are known.
-
-        Parameters
-        ----------
-        instrument : Instrument or None
-            The instrument.
-
-        Returns
-        -------
-        Required
-            The constraint.
-
-        Raises
-        ------
-        InputError
-            If there is no instrument.
-        """
-        if instrument is None:
-            raise InputError(
-                f"ids of required targets can be used only with a catalog, got {brief(self.ids)}; use "
-                "plan_tile, or pass rows of targets as the argument required of allocate"
-            )
-        return self
+    def _refuse_focal_plane(self) -> None:
+        raise InputError(
+            f"ids of required targets can be used only with a catalog, got {brief(self.ids)}; use "
+            "plan_tile, or pass rows of targets as the argument required of allocate"
+        )
 
     def check(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
         """Return a sentence on the required targets outside the field.

@@ -1,6 +1,6 @@
 """The realizations of a survey: their seeds, and their division into blocks that are planned together."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ def in_batch(request: Request) -> bool:
     return isinstance(options.allocator, str) and options.allocator in RULES and simple
 
 
+@dataclass(frozen=True)
 class Block:
     """Realizations that are planned together.
 
@@ -38,8 +39,9 @@ class Block:
         Number of the first realization, and one more than the number of the last realization.
     """
 
-    def __init__(self, number: int, first: int, last: int):
-        self.number, self.first, self.last = number, first, last
+    number: int
+    first: int
+    last: int
 
     def __len__(self):
         return self.last - self.first

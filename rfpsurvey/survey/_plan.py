@@ -13,17 +13,9 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
-from rfpsurvey.errors import (
-    InputError,
-    InputTypeError,
-    check_choice,
-    check_keywords,
-    check_switch,
-    short,
-    warn,
-)
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.survey._joint import JointOptions, Together, as_joint, check_joint
+from rfpsurvey.survey._joint import JointOptions, as_joint, check_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
@@ -165,8 +157,7 @@ def plan_survey(
         executor=executor,
         rng=rng,
     )
-    together = None if request.joint is None else Together(executor, progress)
-    survey = run(request, folder, executor, progress, resume=resume, together=together)
+    survey = run(request, folder, executor, progress, resume=resume)
     if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:

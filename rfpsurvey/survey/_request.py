@@ -155,7 +155,7 @@ class Request:
     def check_text(self) -> None:
         """Raise an error if FITS files cannot contain an identifier or another text of the survey."""
         columns = {"tile ids": self.tiling.table["tile"], "positioner ids": self.instrument.focal_plane.id}
-        if self.source.has_text_ids:
+        if next(iter(self.source.ids_by_part())).dtype.kind == "U":
             columns["target ids"] = self.source.ids()
         columns.update(self.source.text_columns())
         check_fits_text(columns, "plan without a folder")

@@ -116,7 +116,7 @@ def _never_observed(source, missed: np.ndarray, why: np.ndarray) -> list[str]:
     code[missed] = why
     code = source.by_row(code)
     rows = np.flatnonzero(code < len(OUTCOMES))
-    ids, code = source.ids_of(rows), code[rows]
+    ids, code = source.ids()[rows], code[rows]
     return [
         f"required targets never observed, {OUTCOMES[k]}: {brief(tuple(ids[code == k].tolist()))}"
         for k in np.unique(code).tolist()

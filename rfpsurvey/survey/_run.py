@@ -14,6 +14,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
+from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
@@ -23,12 +24,8 @@ from rfpsurvey.survey._work import N_FIELD, Done, cards_of, reach_of, work
 IN_FLIGHT = 256
 
 
-def run(request: Request, path, executor: Executor | None, progress, *, resume: bool, together=None) -> Survey:
-    """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None.
-
-    ``together`` is None, or a function that first plans all tiles together. ``together`` returns a request with these
-    plans, and a table of the iterations of the joint search.
-    """
+def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
+    """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None."""
     joint = None
     where = nullcontext()
     if path is not None:
@@ -36,14 +33,13 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         where = Folder(path, request.identity(), len(request.tiling), resume=resume)
     with where as folder:
         n = len(request.tiling)
-        found = None if folder is None else read_finished(folder.path, n, joint=together is not None)
+        found = None if folder is None else read_finished(folder.path, n, joint=request.joint is not None)
         if found is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
             return found
-        if together is not None:
-            request, joint = together(request, folder)
-            progress = together.rest
+        if request.joint is not None:
+            request, joint, progress = plan_together(request, folder, executor, progress)
         state = request.open_state()
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]

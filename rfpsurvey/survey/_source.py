@@ -29,18 +29,9 @@ class InMemory(CatalogTargets):
         """Whether two targets have the same id."""
         return self.catalog.arrays.repeated_ids
 
-    @property
-    def has_text_ids(self) -> bool:
-        """Whether ids are text."""
-        return self.catalog.id.dtype.kind == "U"
-
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self.catalog.id
-
-    def ids_of(self, row: np.ndarray) -> np.ndarray:
-        """Return the ids of the targets in the given rows of the catalog."""
-        return self.catalog.id[row]
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Reorder values from the order of slots to the order of the rows of the catalog."""
@@ -157,11 +148,6 @@ class Partitioned:
     """Always False: whether two targets have the same id is not tested, because this requires all ids in memory."""
 
     @property
-    def has_text_ids(self) -> bool:
-        """Whether ids are text."""
-        return self._part(0).has_text_ids
-
-    @property
     def units(self) -> dict:
         """Units of the additional columns (``extra``) of the catalog, by name."""
         return self._part(0).units
@@ -180,11 +166,6 @@ class Partitioned:
     def ids_by_part(self) -> Iterator[np.ndarray]:
         """Return the ids of each partition, one after the other."""
         return (self._parts.part(k).id for k in range(len(self._parts.files)))
-
-    def ids_of(self, row: np.ndarray) -> np.ndarray:
-        """Return the ids of the targets in the given rows of the catalog; the rows must be in ascending order."""
-        parts = np.searchsorted(self._first, row, side="right") - 1
-        return np.concatenate([self._parts.part(k).id[row[parts == k] - self._first[k]] for k in np.unique(parts)])
 
     def digest(self) -> str:
         """Return a digest that identifies the catalog, computed from the columns that a survey requires."""

@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import to_center, to_generator, to_vectors
+from rfpsurvey._units import to_center, to_generator, to_seed, to_vectors
 from rfpsurvey.allocation import (
     DEFAULT_ALLOCATOR,
     KINDS,
@@ -26,14 +26,7 @@ from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
 from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import (
-    CatalogTargets,
-    FieldBuilder,
-    FieldPlan,
-    SelectedRows,
-    field_radius_rad,
-    plan_field,
-)
+from rfpsurvey.pipeline import CatalogTargets, FieldBuilder, FieldPlan, SelectedRows, field_radius_rad, plan_field
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
@@ -288,11 +281,8 @@ def _known(value):
 
 def _generator(rng):
     """Return a random number generator, and the seed or state with which this generator can be made again."""
-    generator = to_generator(rng)
     if isinstance(rng, np.random.Generator):
         state = rng.bit_generator.state
         return rng, f"{state['bit_generator']} {state.get('state')}"
-    if rng is None:
-        seed = int(np.random.SeedSequence().entropy)
-        return np.random.default_rng(seed), seed
-    return generator, int(rng) if isinstance(rng, int | np.integer) else str(rng)
+    seed = to_seed(rng) if rng is None else rng
+    return to_generator(seed), int(seed) if isinstance(seed, int | np.integer) else str(seed)

@@ -66,7 +66,7 @@ def test_bounds_from_prices_alone_are_valid(clusters, monkeypatch):
     for seed in range(12):
         best = allocate(*scene(seed))
         with monkeypatch.context() as late:
-            for module in ("_milp", "_clusters"):
+            for module in ("_milp", "_solver"):
                 late.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
             found = allocate(*scene(seed))
         assert found.levels[0].value <= best.levels[0].bound

@@ -11,7 +11,7 @@ import flat
 import rfpsurvey as rs
 from brute import edges_alone
 from rfpsurvey._kernels import conflicts
-from rfpsurvey.allocation._reduction import reduced
+from rfpsurvey.allocation._candidates import reduced
 
 MM = u.mm
 EXHAUSTIVE = pytest.mark.exhaustive
@@ -277,7 +277,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
-    for module in ("_milp", "_clusters"):
+    for module in ("_milp", "_solver"):
         monkeypatch.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
     # without prices of cliques, all bounds follow from a matching
     monkeypatch.setattr("rfpsurvey.allocation._search.MOST_BOUNDS", 0)

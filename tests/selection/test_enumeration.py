@@ -9,7 +9,6 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from oracles import tangent_plane_mm
 from orders import RULES, observed_sets, pair_chances, reaches_of
-from rfpsurvey.selection._bits import unpack_bits
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 SCALE = 200  # mm per deg
@@ -41,7 +40,7 @@ def scene(name):
 def check(found, chances, n_errors=4):
     """Compare the fractions of realizations that observe both targets of each pair with their probabilities."""
     n = found.n_realizations
-    observed = unpack_bits(found.bits, n).astype(float)
+    observed = np.column_stack([found.observed_in(k) for k in range(n)]).astype(float)
     fractions = observed @ observed.T / n
     errors = np.sqrt(np.maximum(chances * (1 - chances), 0) / n)
     assert (np.abs(fractions - chances) <= n_errors * errors + 1e-12).all(), (fractions, chances)

@@ -35,8 +35,8 @@ def case(small):
     return sky, small, rs.Tiling.from_table(table)
 
 
-def compute(case, folder, n=N, **options):
-    return rs.selection_probabilities(*case, n, folder=folder, **options)
+def compute(case, folder, n=N, allocator="nearest", **options):
+    return rs.selection_probabilities(*case, n, allocator=allocator, folder=folder, **options)
 
 
 @pytest.fixture(scope="module")

@@ -63,24 +63,6 @@ class Network:
         """Return the number of visits to each priority class; ``chosen`` is the candidate of each positioner."""
         return np.bincount(self.rank[chosen], minlength=self.n_classes + 1)[: self.n_classes]
 
-    def holds(self, chosen: np.ndarray) -> bool:
-        """Return whether the plan ``chosen`` has no collisions and no target with more visits than requested."""
-        own = np.arange(len(self.start) - 1)
-        inside = (chosen >= self.start[:-1]) & (chosen < self.start[1:])
-        x = np.zeros(len(self.target))
-        x[chosen] = 1.0
-        several = self._of_tile(chosen)
-        return bool(inside.all() and len(own) and (self.matrix @ x <= self.most + 0.5).all() and several)
-
-    def _of_tile(self, chosen):
-        """Return whether each tile observes each target at most once, and no target has more visits than requested."""
-        real = np.flatnonzero(self.target[chosen] >= 0)
-        tile = np.searchsorted(self.first, real, side="right") - 1
-        target = self.target[chosen[real]]
-        key = tile * len(self.slot) + target
-        number = np.bincount(target, minlength=len(self.slot))
-        return len(np.unique(key)) == len(key) and bool((number <= self.visits).all())
-
     def matching(self, level: int, most_edges: int) -> float:
         """Return the largest possible number of visits to the classes 0 to ``level`` if collisions are ignored.
 

@@ -129,17 +129,10 @@ class Patches:
         x = np.zeros(len(rows))
         x[mine] = 1.0
         rest = network.most[sets] - (load[sets] - part @ x)
-        open_ones = part.T @ (rest < 0.5).astype(float) == 0
-        new = np.cumsum(open_ones) - 1
-        part = part[:, np.flatnonzero(open_ones)].tocsr()
-        binding = np.diff(part.indptr) > rest
-        part = part[np.flatnonzero(binding)]
-        start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
-        rows = rows[open_ones]
-        first = new[mine]
+        is_open, start, sets = _without_full_sets(part, rest, ends)
+        rows, first = rows[is_open], (np.cumsum(is_open) - 1)[mine]
         gap = PRECISION / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
-        args = part.indptr, part.indices, rest[binding], first, nodes, gap, deadline
-        return rows, WeightedProblem(start, weight[rows], *args)
+        return rows, WeightedProblem(start, weight[rows], *sets, first, nodes, gap, deadline)
 
     def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
         """Return the integer program of a patch; sets that contain candidates of several patches are omitted."""
@@ -148,16 +141,22 @@ class Patches:
         part = network.columns[:, rows]
         sets = np.unique(part.indices)
         sets = sets[~self.crosses[sets]]
-        part = part.tocsr()[sets]
-        rest = self.rest[sets]
-        open_ones = part.T @ (rest < 0.5).astype(float) == 0
-        part = part[:, np.flatnonzero(open_ones)].tocsr()
-        binding = np.diff(part.indptr) > rest
-        part = part[np.flatnonzero(binding)]
-        start = np.concatenate([[0], np.cumsum(open_ones)])[ends]
-        args = part.indptr, part.indices, rest[binding], None, nodes, gap, deadline
-        return WeightedProblem(start, value[rows[open_ones]], *args)
+        is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
+        return WeightedProblem(start, value[rows[is_open]], *sets, None, nodes, gap, deadline)
 
     def value_of_rest(self, value: np.ndarray) -> float:
         """Return the sum of the values of the positioners that have only one candidate."""
         return float(value[self._only].sum())
+
+
+def _without_full_sets(part, rest, ends):
+    """Return the candidates that are in no full set, their first index for each positioner, and the other sets.
+
+    ``rest`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
+    number are omitted.
+    """
+    is_open = part.T @ (rest < 0.5).astype(float) == 0
+    part = part[:, np.flatnonzero(is_open)].tocsr()
+    binding = np.diff(part.indptr) > rest
+    part = part[np.flatnonzero(binding)]
+    return is_open, np.concatenate([[0], np.cumsum(is_open)])[ends], (part.indptr, part.indices, rest[binding])

@@ -10,16 +10,7 @@ from astropy.table import QTable
 from rfpsurvey._progress import Progress
 from rfpsurvey.survey._joint._fixed import fixed_tiles
 from rfpsurvey.survey._joint._search import Search, levels_of
-from rfpsurvey.survey._joint._start import (
-    TilePlan,
-    class_names,
-    class_of,
-    first_plans,
-    given_plan,
-    list_all,
-    place,
-    plans_of,
-)
+from rfpsurvey.survey._joint._start import TilePlan, classes_of, first_plans, given_plan, list_all, place, plans_of
 from rfpsurvey.survey._joint._state import read_state, write_state
 from rfpsurvey.survey._request import Request
 
@@ -41,61 +32,60 @@ class PlannedRequest(Request):
         return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
 
 
-class Together:
-    """A function object that plans all tiles of a survey together.
+def plan_together(request: Request, folder, executor, progress) -> tuple[Request, QTable, object]:
+    """Plan all tiles together; return a request with these plans, and a table of the iterations of the search.
 
     Parameters
     ----------
+    request : Request
+        The request of the survey.
+    folder : Folder or None
+        Folder for the state of the search.
     executor : Executor or None
         Executor that plans tiles and solves integer programs in parallel.
     progress : bool or callable
         Whether and how to show the progress, as in `plan_survey`.
+
+    Returns
+    -------
+    planned : PlannedRequest
+        The request with the plan of each tile.
+    table : QTable
+        Table with a row for each iteration and priority.
+    progress : bool or callable
+        The value of ``progress`` for the step after the search, in which the tiles are written.
     """
-
-    def __init__(self, executor, progress):
-        self._executor, self._progress = executor, progress
-        self.rest = progress
-        """The value of ``progress`` for the step after the search, in which the tiles are written."""
-
-    def __call__(self, request: Request, folder) -> tuple[Request, QTable]:
-        """Return a request with the plans of all tiles, and a table with a row for each iteration and priority."""
-        n, most = len(request.tiling), request.joint.iterations
-        stored = (
-            None if folder is None else read_state(folder, n, len(request.instrument.focal_plane), _n_levels(request))
-        )
-        fixed = fixed_tiles(request)
-        tell, steps = self._progress, n + most + 1
-        if callable(tell):  # the search and the writing of the tiles report the same total number of steps
-            self.rest = partial(_tell, self._progress, steps, steps + n)
-            tell = partial(_tell, self._progress, 0, steps + n)
-        with Progress(tell, steps, "steps") as tell:
-            if stored is None:
-                note = "planning one tile after the other"
-                plans = first_plans(request, fixed, self._executor, partial(tell, note=note))
-            else:
-                plans = [TilePlan(*columns) for columns in stored.plans]
-                tell(n, new=False)
-            network, directions = list_all(request, plans, fixed, self._executor)
-            chosen = place(network, plans)
-            search = Search(network, chosen, directions, request.joint, request.seed)
-            if stored is not None:
-                search.restore(stored)
-            else:
-                search.begin(partial(_inform, request.joint.inform))
-                _store(folder, network, search)
-            while not search.is_over:
-                search.iterate(self._executor)
-                tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
-                _store(folder, network, search)
-            tell(steps)
-        log.info("planned %d tiles together in %d iterations", n, search.iteration)
-        columns = {f.name: getattr(request, f.name) for f in fields(request)}
-        planned = PlannedRequest(**columns, plans=plans_of(network, search.chosen), fixed=fixed)
-        return planned, table_of(search, class_names(request))
-
-
-def _n_levels(request) -> int:
-    return len(levels_of(int(class_of(request, request.builder.left).max(initial=0)) + 1))
+    n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
+    names = classes_of(request)[1]
+    stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
+    fixed = fixed_tiles(request)
+    tell, steps = progress, n + request.joint.iterations + 1
+    if callable(progress):  # the search and the writing of the tiles report the same total number of steps
+        tell, progress = (partial(_tell, progress, before, steps + n) for before in (0, steps))
+    with Progress(tell, steps, "steps") as tell:
+        if stored is None:
+            note = "planning one tile after the other"
+            plans = first_plans(request, fixed, executor, partial(tell, note=note))
+        else:
+            plans = [TilePlan(*columns) for columns in stored.plans]
+            tell(n, new=False)
+        network, directions = list_all(request, plans, fixed, executor)
+        chosen = place(network, plans)
+        search = Search(network, chosen, directions, request.joint, request.seed)
+        if stored is not None:
+            search.restore(stored)
+        else:
+            search.begin(partial(_inform, request.joint.inform))
+            _store(folder, network, search)
+        while not search.is_over:
+            search.iterate(executor)
+            tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
+            _store(folder, network, search)
+        tell(steps)
+    log.info("planned %d tiles together in %d iterations", n, search.iteration)
+    columns = {f.name: getattr(request, f.name) for f in fields(request)}
+    planned = PlannedRequest(**columns, plans=plans_of(network, search.chosen), fixed=fixed)
+    return planned, table_of(search, names), progress
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:

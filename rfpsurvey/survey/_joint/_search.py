@@ -73,16 +73,12 @@ class Search:
         self.bounds = np.full(len(self.levels), np.inf)
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
-        # If an iteration does not lower a bound, this bound is computed again only when the patches are larger.
-        self._next_size = np.zeros(len(self.levels))
+        # The size that the patches must reach before the bound of each level is computed again; an iteration that does
+        # not lower the bound increases this size.
+        self.next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
         self._begin = perf_counter()
-
-    @property
-    def next_size(self) -> np.ndarray:
-        """For each level, the size that the patches must reach before its bound is computed again."""
-        return self._next_size
 
     @property
     def prices(self) -> list:
@@ -92,7 +88,7 @@ class Search:
     def restore(self, state) -> None:
         """Continue a search from its stored state."""
         n = len(self.levels)
-        self._next_size = state.next_size
+        self.next_size = state.next_size
         self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
         for row in state.steps:
             self.steps.append(Step(int(row[0]), np.nan, row[1 : 1 + n].astype(np.int64), row[1 + n :]))
@@ -166,12 +162,12 @@ class Search:
         self._improve(patches, executor)
         self._follow_paths()
         open_levels = np.flatnonzero(self.bounds > self.visits)
-        open_levels = [k for k in open_levels.tolist() if self.size >= self._next_size[k]]
+        open_levels = [k for k in open_levels.tolist() if self.size >= self.next_size[k]]
         if open_levels and not self.out_of_time():
             k = open_levels[self.iteration % len(open_levels)]
             self._bound(k, patches, executor)
             if self.bounds[k] == before[1][k]:
-                self._next_size[k] = self.size * GROWTH
+                self.next_size[k] = self.size * GROWTH
         self.iteration += 1
         rest = np.maximum(before[1] - before[0], 1.0)
         gained = (self.visits - before[0] + before[1] - self.bounds) / rest

@@ -77,25 +77,19 @@ def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tu
     nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(lists) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
-    return make_network(list(tiles), slots, left, class_of(request, left)), np.concatenate(vectors)
+    return make_network(list(tiles), slots, left, classes_of(request)[0]), np.concatenate(vectors)
 
 
-def class_of(request, wanted: np.ndarray) -> np.ndarray:
-    """Return the class of each target in the order of slots; the classes are the distinct priorities, largest first."""
-    priority = request.source.by_slot("priority")
-    if priority is None:
-        return np.zeros(len(wanted), dtype=np.int64)
-    values = np.unique(priority[wanted > 0])[::-1]
-    return np.clip(np.searchsorted(-values, -priority), 0, max(len(values) - 1, 0)).astype(np.int64)
+def classes_of(request) -> tuple[np.ndarray, list[str]]:
+    """Return the class of each target in the order of slots, and the name of each class, which is its priority.
 
-
-def class_names(request) -> list[str]:
-    """Return the names of the classes that `class_of` returns; the name of a class is its priority."""
-    priority = request.source.by_slot("priority")
-    wanted = request.builder.left
-    if priority is None or not (wanted > 0).any():
-        return ["all"]
-    return [exact_text(value) for value in np.unique(priority[wanted > 0])[::-1]]
+    The classes are the distinct priorities of the targets with requested visits, largest first.
+    """
+    priority, wanted = request.source.by_slot("priority"), request.builder.left > 0
+    if priority is None or not wanted.any():
+        return np.zeros(len(wanted), dtype=np.int64), ["all"]
+    values = np.unique(priority[wanted])[::-1]
+    return np.clip(np.searchsorted(-values, -priority), 0, len(values) - 1), [exact_text(value) for value in values]
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
