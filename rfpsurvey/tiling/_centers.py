@@ -139,11 +139,6 @@ class Declinations:
         return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
 
 
-def as_centers(given: object) -> Centers:
-    """Return `Centers` from a list of directions or None; return given `Centers` unchanged."""
-    return given if isinstance(given, Centers) else Centers(given)
-
-
 def given_tiles(where: Centers) -> Tiling:
     """Return the tiles of the list, with the position angle of ``where`` if there is one."""
     if where.position_angle is None:

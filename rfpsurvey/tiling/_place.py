@@ -29,7 +29,7 @@ from rfpsurvey.errors import (
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
-from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
+from rfpsurvey.tiling._centers import Centers, Declinations, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
@@ -168,7 +168,7 @@ def place_tiles(
     warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
     if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
-    where, exclude = as_centers(centers), _regions(exclude)
+    where, exclude = centers if isinstance(centers, Centers) else Centers(centers), _regions(exclude)
     progress = progress if callable(progress) else check_switch(progress, "progress")
     if chosen.needs_tiles and where.tiling is None:
         raise InputError(f"the method {method!r} needs a list of tiles as centers, got none")
