@@ -34,26 +34,20 @@ if TYPE_CHECKING:
         tile,
         tiling,
     )
-    from rfpsurvey.allocation import Allocation, AllocationOptions, allocate
-    from rfpsurvey.catalog import Catalog, PartitionedCatalog, example_catalog, partition_catalog, synthetic_catalog
-    from rfpsurvey.collision import CollisionCounts, CollisionReport, count_collisions, find_collisions
+    from rfpsurvey.allocation import AllocationOptions, allocate
+    from rfpsurvey.catalog import Catalog, example_catalog, synthetic_catalog
+    from rfpsurvey.collision import find_collisions
     from rfpsurvey.compare import compare_allocators, compare_instruments
-    from rfpsurvey.constraints import Constraint, KeepOut, Required, Requirement
-    from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
+    from rfpsurvey.constraints import KeepOut, Required, Requirement
+    from rfpsurvey.errors import InputError, RfpsurveyWarning
     from rfpsurvey.focal_plane import FocalPlane, Margins
-    from rfpsurvey.instrument import Instrument, ProjectionComparison, available_instruments, compare_projections
+    from rfpsurvey.instrument import Instrument, available_instruments
     from rfpsurvey.observing import ObservingConditions
-    from rfpsurvey.positioner import ArmOutline, Positioner, divide_polygon
-    from rfpsurvey.probability import Estimate, collision_probability
-    from rfpsurvey.projection import DistortionMap, RadialMap, TangentPlane
+    from rfpsurvey.positioner import Positioner
+    from rfpsurvey.probability import collision_probability
     from rfpsurvey.region import Region
     from rfpsurvey.report import write_report
-    from rfpsurvey.selection import (
-        PotentialAssignments,
-        SelectionProbabilities,
-        potential_assignments,
-        selection_probabilities,
-    )
+    from rfpsurvey.selection import SelectionProbabilities, selection_probabilities
     from rfpsurvey.survey import JointOptions, Survey, plan_survey
     from rfpsurvey.tile import Tile, plan_tile, score_tile
     from rfpsurvey.tiling import Tiling, place_tiles
@@ -64,36 +58,22 @@ except ImportError:  # the source tree has not been built
     __version__ = "0+unknown"
 
 __all__ = [
-    "Allocation",
     "AllocationOptions",
-    "ArmOutline",
     "Catalog",
-    "CollisionCounts",
-    "CollisionReport",
-    "Constraint",
-    "DistortionMap",
-    "Estimate",
     "FocalPlane",
     "InputError",
-    "InputTypeError",
-    "InputUnitsError",
     "Instrument",
     "JointOptions",
     "KeepOut",
     "Margins",
     "ObservingConditions",
-    "PartitionedCatalog",
     "Positioner",
-    "PotentialAssignments",
-    "ProjectionComparison",
-    "RadialMap",
     "Region",
     "Required",
     "Requirement",
     "RfpsurveyWarning",
     "SelectionProbabilities",
     "Survey",
-    "TangentPlane",
     "Tile",
     "Tiling",
     "__version__",
@@ -102,16 +82,11 @@ __all__ = [
     "collision_probability",
     "compare_allocators",
     "compare_instruments",
-    "compare_projections",
-    "count_collisions",
-    "divide_polygon",
     "example_catalog",
     "find_collisions",
-    "partition_catalog",
     "place_tiles",
     "plan_survey",
     "plan_tile",
-    "potential_assignments",
     "score_tile",
     "selection_probabilities",
     "synthetic_catalog",
@@ -119,35 +94,43 @@ __all__ = [
 ]
 
 _IMPORTED_ON_USE = {
-    "allocation": ("Allocation", "AllocationOptions", "allocate"),
+    "allocation": ("AllocationOptions", "allocate"),
     "benchmark": (),
-    "catalog": ("Catalog", "PartitionedCatalog", "example_catalog", "partition_catalog", "synthetic_catalog"),
-    "collision": ("CollisionCounts", "CollisionReport", "count_collisions", "find_collisions"),
+    "catalog": ("Catalog", "example_catalog", "synthetic_catalog"),
+    "collision": ("find_collisions",),
     "compare": ("compare_allocators", "compare_instruments"),
-    "constraints": ("Constraint", "KeepOut", "Required", "Requirement"),
+    "constraints": ("KeepOut", "Required", "Requirement"),
     "design": (),
-    "errors": ("InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"),
+    "errors": ("InputError", "RfpsurveyWarning"),
     "focal_plane": ("FocalPlane", "Margins"),
-    "instrument": ("Instrument", "ProjectionComparison", "available_instruments", "compare_projections"),
+    "instrument": ("Instrument", "available_instruments"),
     "observing": ("ObservingConditions",),
     "plans": (),
     "plot": (),
-    "positioner": ("ArmOutline", "Positioner", "divide_polygon"),
-    "probability": ("Estimate", "collision_probability"),
-    "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
+    "positioner": ("Positioner",),
+    "probability": ("collision_probability",),
+    "projection": (),
     "region": ("Region",),
     "report": ("write_report",),
-    "selection": (
-        "PotentialAssignments",
-        "SelectionProbabilities",
-        "potential_assignments",
-        "selection_probabilities",
-    ),
+    "selection": ("SelectionProbabilities", "selection_probabilities"),
     "survey": ("JointOptions", "Survey", "plan_survey"),
     "tile": ("Tile", "plan_tile", "score_tile"),
     "tiling": ("Tiling", "place_tiles"),
 }
-__getattr__ = importer(__name__, _IMPORTED_ON_USE)
+# Names that 0.2 also had at the top level.
+_MOVED = {
+    "allocation": ("Allocation",),
+    "catalog": ("PartitionedCatalog", "partition_catalog"),
+    "collision": ("CollisionCounts", "CollisionReport", "count_collisions"),
+    "constraints": ("Constraint",),
+    "errors": ("InputTypeError", "InputUnitsError"),
+    "instrument": ("ProjectionComparison", "compare_projections"),
+    "positioner": ("ArmOutline", "divide_polygon"),
+    "probability": ("Estimate",),
+    "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
+    "selection": ("PotentialAssignments", "potential_assignments"),
+}
+__getattr__ = importer(__name__, _IMPORTED_ON_USE, _MOVED)
 
 
 def __dir__():

@@ -73,10 +73,12 @@ def test_former_names_of_parameters_are_accepted_with_a_warning():
     assert caught[0].filename == __file__
     with pytest.warns(rs.RfpsurveyWarning, match="Survey.visits is now called Survey.tile"):
         assert len(survey.visits(0)) == len(survey.tile(0))
-    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
+    with pytest.raises(rs.errors.InputTypeError, match="plan_survey has no parameter 'tiling'"):
         rs.plan_survey(stars, "moons", tiles=stars, tiling=stars)
-    with pytest.raises(rs.InputTypeError, match="compare_allocators has no parameter 'tiling'"):
-        rs.compare_allocators(stars, "moons", tiling=stars)
+    with pytest.raises(rs.errors.InputTypeError, match="plan_tile has no parameter 'tiling'"):
+        rs.plan_tile(stars, "moons", tiling=stars)
+    with pytest.warns(rs.RfpsurveyWarning, match="rfpsurvey.RadialMap is now called rfpsurvey.projection.RadialMap"):
+        assert rs.RadialMap is rs.projection.RadialMap
 
 
 def test_functions_that_check_keywords_keep_their_signature():

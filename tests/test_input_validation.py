@@ -82,7 +82,7 @@ CALLS = {
     "targets_per_fiber must be a positive number, got 0": lambda: rs.Instrument(
         "a", PLANE, plate_scale=1 * MM / DEG, targets_per_fiber=0
     ),
-    "factor must be a number, got [[1], 'x']": lambda: rs.RadialMap(
+    "factor must be a number, got [[1], 'x']": lambda: rs.projection.RadialMap(
         "theta", [1.0], max_angle=1 * DEG, factor=[[1], "x"]
     ),
     "the vertices of a polygon must be finite": lambda: rs.Region.polygon(
@@ -182,7 +182,7 @@ def test_a_wrong_path_is_a_sentence(tmp_path):
     for call, message in (
         (lambda: rs.Catalog.read(3), "a path must be text or a Path object, got 3"),
         (lambda: catalog.write(tmp_path / "here.fits"), "is a folder; an output must be a file"),
-        (lambda: rs.partition_catalog(catalog, tmp_path / "no" / "stars"), "no does not exist"),
+        (lambda: rs.catalog.partition_catalog(catalog, tmp_path / "no" / "stars"), "no does not exist"),
         (lambda: rs.Survey.read(tmp_path), "does not hold a survey: there is no survey.json"),
     ):
         with pytest.raises(rs.InputError) as caught:

@@ -247,7 +247,7 @@ def test_its_constraint_is_found_by_its_name(installed):
 
 
 def test_an_entry_point_of_constraints_must_name_a_class_with_its_name(install):
-    code = "import rfpsurvey as rs\nf = len\nclass One(rs.Constraint):\n    name = 'two'\n"
+    code = "import rfpsurvey as rs\nf = len\nclass One(rs.constraints.Constraint):\n    name = 'two'\n"
     install("odd", code, constraints={"one": "One", "f": "f", "required": "f"})
     with pytest.raises(rs.InputError, match="its attribute name must be 'one', as in the entry point, got 'two'"):
         rs.AllocationOptions(constraints="one")

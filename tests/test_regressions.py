@@ -122,8 +122,8 @@ def test_a_unit_without_a_target_turns_its_arm_as_its_own_fiber_does():
 def test_targets_without_a_type_go_to_the_first_type_where_maps_differ(small):
     """Such targets were projected with the first map, and then assigned to fibers of another type."""
     maps = {
-        "A": rs.RadialMap("theta", [349.0], max_angle=2 * u.deg),
-        "B": rs.RadialMap("theta", [330.0], max_angle=2 * u.deg),
+        "A": rs.projection.RadialMap("theta", [349.0], max_angle=2 * u.deg),
+        "B": rs.projection.RadialMap("theta", [330.0], max_angle=2 * u.deg),
     }
     plane = rs.FocalPlane([[0, 0], [110, 0]] * MM, small.focal_plane.positioner, fiber_type=["A", "B"])
     instrument = rs.Instrument("two", plane, distortion=maps)

@@ -35,9 +35,9 @@ CALLS = [
     (rs.Instrument.preset, {"name": "lamost"}),
     (rs.Instrument.read, {"path": "x.toml"}),
     (SMALL.projection, {"center": CENTER}),
-    (rs.RadialMap, {"form": "theta", "coefficients": [1.0], "max_angle": 1 * DEG}),
-    (rs.TangentPlane, {"center": CENTER, "plate_scale": 200 * MM / DEG}),
-    (rs.TangentPlane.from_focal_length, {"center": CENTER, "focal_length": 2 * u.m}),
+    (rs.projection.RadialMap, {"form": "theta", "coefficients": [1.0], "max_angle": 1 * DEG}),
+    (rs.projection.TangentPlane, {"center": CENTER, "plate_scale": 200 * MM / DEG}),
+    (rs.projection.TangentPlane.from_focal_length, {"center": CENTER, "focal_length": 2 * u.m}),
     (rs.Region.cap, {"center": CENTER, "radius": 1 * DEG}),
     (rs.Region.box, {"ra": (0 * DEG, 1 * DEG), "dec": (0 * DEG, 1 * DEG)}),
     (rs.Region.polygon, {"vertices": SkyCoord([0, 1, 0] * DEG, [0, 0, 1] * DEG)}),
@@ -63,7 +63,7 @@ CALLS = [
     (rs.Tiling.from_table, {"table": TABLE}),
     (rs.plan_survey, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.selection_probabilities, {"catalog": SKY, "instrument": SMALL, "tiles": TILING, "n_realizations": 1}),
-    (rs.potential_assignments, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
+    (rs.selection.potential_assignments, {"catalog": SKY, "instrument": SMALL, "tiles": TILING}),
     (rs.compare_allocators, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
     (rs.compare_instruments, {"catalog": SKY, "instruments": [SMALL]}),
     (rs.design.LossOptions, {}),
@@ -141,7 +141,7 @@ def cases():
 @pytest.mark.parametrize(("call", "given", "name"), list(cases()))
 def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, given, name):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(rs.InputTypeError) as told:
+    with pytest.raises(rs.errors.InputTypeError) as told:
         call(**{**given, name: Strange()})
     assert len(str(told.value)) < 400
 
@@ -155,7 +155,7 @@ def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, 
         lambda value: rs.collision_probability(value),
         lambda value: rs.AllocationOptions(value),
         lambda value: rs.AllocationOptions(start=value),
-        lambda value: rs.TangentPlane(value, 200 * MM / DEG),
+        lambda value: rs.projection.TangentPlane(value, 200 * MM / DEG),
         lambda value: rs.tiling.Fibers(value),
         lambda value: rs.place_tiles(value, SMALL),
         lambda value: rs.plan_survey(SKY, SMALL, value),

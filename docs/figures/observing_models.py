@@ -35,7 +35,7 @@ for ax, (name, (site, wavelength, milliseconds)) in zip(axes.flat, CASES.items()
     for altitude in ALTITUDES:
         cosine = (np.sin(np.deg2rad(altitude)) - np.sin(latitude) ** 2) / np.cos(latitude) ** 2
         center = SkyCoord(0 * u.deg, latitude * u.rad)
-        result = rs.compare_projections(name, center, conditions.at_hour_angle(np.arccos(cosine) * u.rad))
+        result = rs.instrument.compare_projections(name, center, conditions.at_hour_angle(np.arccos(cosine) * u.rad))
         moved.append([*result.table["max"].to_value(u.um)[:4], result.drift.to_value(u.um)])
     for model, values in zip(LABELS, np.transpose(moved), strict=True):
         values = np.where(values > 1e-3, values, np.nan)

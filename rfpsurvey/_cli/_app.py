@@ -83,7 +83,7 @@ def read_catalog(keys):
         for name in ("hdu", "epoch"):
             if getattr(keys, name) is not None:
                 raise rs.InputError(f"{name} must be used only with FITS files, got the folder {keys.path}")
-        parts = rs.PartitionedCatalog(keys.path, **options)
+        parts = rs.catalog.PartitionedCatalog(keys.path, **options)
         for name in ("collection", "columns"):
             if name in parts.meta:
                 print(f"{name}: {parts.meta[name]}")

@@ -60,7 +60,7 @@ def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs
     if tiling is not None:
         warn_of_targets(tiling, len(targets))
         return tiling
-    if isinstance(targets, rs.PartitionedCatalog):
+    if isinstance(targets, rs.catalog.PartitionedCatalog):
         raise rs.InputError(
             "--tiles must be given for a partitioned catalog: make a table of tiles with rfpsurvey tile --region"
         )

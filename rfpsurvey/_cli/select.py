@@ -119,7 +119,7 @@ def select(keys: SelectKeys, _: Given) -> None:
 
 def _with_visits(targets, visits: int):
     """Return a copy of a catalog in which every target requires the given number of visits."""
-    if isinstance(targets, rs.PartitionedCatalog):
+    if isinstance(targets, rs.catalog.PartitionedCatalog):
         raise rs.InputError("visits cannot be used with a partitioned catalog; add the column visits to the catalog")
     return replace(targets, visits=np.full(len(targets), visits))
 

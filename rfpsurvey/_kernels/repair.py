@@ -149,12 +149,10 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 def settle(options, order, fixed, chosen, blocked, holder):
     """Move colliding positioners to collision-free candidates that are at least as good; return how many were moved.
 
-    ``order`` lists the positioners in the order in which they move. ``fixed`` is set for positioners with only
-    one candidate.
+    ``order`` lists the positioners in the order in which they move, except those marked in ``fixed``.
     """
     moved = 0
     for i in order:
-        fixed[i] = options.start[i + 1] - options.start[i] == 1
         if fixed[i] or blocked[chosen[i]] == 0:
             continue
         c = best_free(i, chosen[i], options, chosen, blocked, holder)

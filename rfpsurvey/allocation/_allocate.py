@@ -32,8 +32,6 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
-__all__ = ["allocate", "assign"]
-
 NO_POINTS = np.empty((0, 2))
 
 

@@ -1,4 +1,4 @@
-"""The class `Allocation`, the result of `allocate`."""
+"""The class `~rfpsurvey.allocation.Allocation`, the result of `allocate`."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,6 @@ from rfpsurvey.collision import Arms, place_arms
 from rfpsurvey.constraints import Shortfall
 from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
-
-__all__ = ["Allocation"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["AllocationAnswer", "Level"]
-
 
 class Level(NamedTuple):
     """One objective of a plan; earlier objectives take precedence over all later ones.
@@ -49,7 +47,8 @@ class AllocationAnswer(NamedTuple):
     levels : list of Level, optional
         Value and bound of each objective. With None, rfpsurvey computes the values, and the bounds are NaN.
     meta : dict, optional
-        Information about the search of the allocator, which is copied to the ``meta`` of the `~rfpsurvey.Allocation`.
+        Information about the search of the allocator, which is copied to the ``meta`` of the
+        `~rfpsurvey.allocation.Allocation`.
 
     Examples
     --------

@@ -4,8 +4,6 @@ import numpy as np
 
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["place_segments"]
-
 
 def place_segments(
     problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None

@@ -1,6 +1,7 @@
 """Candidates, which are the possible targets and elbows of each positioner, and pairs of candidates that collide."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,8 +12,6 @@ from rfpsurvey.allocation._clock import OutOfTimeError, now
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
-
-__all__ = ["Candidates", "find_candidates", "find_conflicts", "list_candidates", "obstacle_hits"]
 
 ROOM = 1 << 18
 # Number of tests of two candidates for a collision before the clock is read again.
@@ -61,6 +60,23 @@ class Candidates:
         columns = o.start, o.own, target[order], self.side[order], np.zeros(len(self)), new[self.pairs]
         return _assemble(problem, self.preselection, *columns)
 
+    @cached_property
+    def segments(self) -> np.ndarray:
+        """Segments that represent the arms in tests for collisions, shape (4, n)."""
+        o = self.options
+        return place_segments(self.problem, o.own, o.target, self.side, o.start[1:] - 1)
+
+    def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
+        """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
+        o, is_idle = self.options, np.zeros(len(self), dtype=bool)
+        is_idle[o.start[1:] - 1] = True
+        pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs)
+        # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
+        both = is_idle[pairs[0]] & is_idle[pairs[1]]
+        idle_pairs, pairs = o.own[pairs[:, both]], np.ascontiguousarray(pairs[:, ~both])
+        options = o._replace(**_adjacency(len(self), pairs))
+        return replace(self, options=options, pairs=pairs, idle_pairs=idle_pairs)
+
     def relaxed(self) -> "Candidates":
         """Return a copy without some of the collisions, so that its best plan gives an upper bound for all plans.
 
@@ -88,29 +104,19 @@ def find_candidates(
     If ``collide`` is false, collisions are ignored, and each pair of a target and a positioner has only one elbow.
     ``keep_target`` contains one target (or -1) for each positioner; this target is always kept. If finding the
     collisions would take more than ``seconds``, or if there are more than ``most_pairs`` collisions, `OutOfTimeError`
-    is raised.
+    is raised. If ``most_pairs`` is 0, the collisions of two arms are not found.
     """
-    plane = problem.focal_plane
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
     start, own, target, side, r2 = list_candidates(problem, preselection.reach, both=collide)
     cost = r2 if squared_cost else np.zeros(len(own))
+    found = _assemble(problem, preselection, start, own, target, side, cost, np.empty((2, 0), dtype=np.int64))
     if not collide:
-        no_pairs = np.empty((2, 0), dtype=np.int64)
-        return _assemble(problem, preselection, start, own, target, side, cost, no_pairs)
-    idle = start[1:] - 1
-    at_home = np.zeros(len(own), dtype=bool)
-    at_home[idle] = True
-    segments = place_segments(problem, own, target, side, idle)
-    pairs = find_conflicts(plane, start, segments, seconds, most_pairs)
-    # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
-    both = at_home[pairs[0]] & at_home[pairs[1]]
-    idle_pairs = own[pairs[:, both]]
-    pairs = pairs[:, ~both]
-    found = _assemble(problem, preselection, start, own, target, side, cost, pairs)
-    touch = np.zeros(len(own), dtype=bool)
-    touch[obstacle_hits(plane, start, segments)[:, 0]] = True
-    touch &= ~at_home
-    return replace(found.where(~touch) if touch.any() else found, idle_pairs=idle_pairs)
+        return found
+    keep = np.ones(len(own), dtype=bool)
+    keep[obstacle_hits(problem.focal_plane, start, found.segments)[:, 0]] = False
+    keep[start[1:] - 1] = True
+    found = found if keep.all() else found.where(keep)
+    return found.with_collisions(seconds, most_pairs) if most_pairs else found
 
 
 def _pairs_where(pairs, keep, new):
@@ -125,12 +131,17 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     place = problem.spectrograph_of(own, target) if problem.groups else None
     held = np.array([g.holds(target, place, own) for g in problem.groups], dtype=bool).reshape(-1, len(own))
     key, as_good = _keys(problem, target, held)
-    indptr, other = np.empty(len(own) + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
     pairs = np.ascontiguousarray(pairs)  # for another memory layout, numba would compile the kernel again
-    conflicts.adjacency(pairs[0], pairs[1], indptr, other)
-    by_target = _by_target(target, len(problem.xy))
-    options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, indptr, other)
+    by_target, adjacency = _by_target(target, len(problem.xy)), _adjacency(len(own), pairs)
+    options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, **adjacency)
     return Candidates(problem, options, side, pairs, held, preselection)
+
+
+def _adjacency(n, pairs):
+    """Return the collisions of each of n candidates as compressed rows, for `Options`."""
+    indptr, other = np.empty(n + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
+    conflicts.adjacency(pairs[0], pairs[1], indptr, other)
+    return {"indptr": indptr, "other": other}
 
 
 def list_candidates(problem, reach, both):

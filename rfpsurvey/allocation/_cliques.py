@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._kernels import conflicts, prices
 from rfpsurvey.allocation._clock import OutOfTimeError, left
 
-__all__ = ["cover_by_pairs", "extend"]
-
 # Amount of work between two readings of the clock: number of collisions that are covered by cliques, number of cliques
 # that are extended, and number of comparisons of candidates while cliques are extended.
 BATCH, N_EXTENDED, WORK = 200_000, 4096, 50_000_000

@@ -8,8 +8,6 @@ from time import perf_counter
 
 from numba.core import event
 
-__all__ = ["OutOfTimeError", "end_on_interrupt", "left", "now", "searching", "share", "stop"]
-
 stop = Event()
 """Event that is set to end all searches early; the searches then return the best plans found so far."""
 _active = Event()

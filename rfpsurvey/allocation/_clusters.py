@@ -14,8 +14,6 @@ from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
 from rfpsurvey.allocation._solver import maximize, with_errors
 
-__all__ = ["bound_by_clusters", "edges_within", "improve_by_clusters"]
-
 # Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
 SIZE, SMALLEST, LARGEST = 2000, 100, 8000
 # Allowed relative error of the integer programs that give upper bounds.

@@ -11,8 +11,6 @@ from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._solver import maximize
 
-__all__ = ["separate_idle_arms"]
-
 # Positioners that are changed at the same time have at most this many candidates in total.
 SIZE = 2000
 # Fraction of the remaining time that one integer program may take.

@@ -7,8 +7,6 @@ import numpy as np
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._milp import Program
 
-__all__ = ["Solution", "pursue"]
-
 # Successive objectives are combined into one as long as the product of their numbers of possible values is below this
 # limit. Rounding errors then have no effect.
 LARGEST = 1e6

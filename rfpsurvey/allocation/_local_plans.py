@@ -12,8 +12,6 @@ from rfpsurvey.allocation._methods import lamost
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import Reach
 
-__all__ = ["AT_LEAST", "MOST_PAIRS", "Found", "better_of", "local_optimum", "repaired_plan", "unproven", "values_of"]
-
 # Largest number of collisions of candidates.
 MOST_PAIRS = 20_000_000
 # Time in seconds that steps of the search may always take, even if the time limit is shorter.

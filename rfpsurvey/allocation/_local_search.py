@@ -8,8 +8,6 @@ from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["improve", "match", "pick", "repair_collisions", "stand", "trim"]
-
 ROUNDS = 10
 # Number of collisions of candidates that are tested before the clock is read again.
 BATCH = 2_000_000
@@ -59,10 +57,44 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     return target_of
 
 
+def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidates, np.ndarray, int, int]:
+    """Return candidates, and the result of `repair_collisions` for them, which is the same as for all candidates.
+
+    The collisions of ``everything`` are not yet known. Only positioners that collide, or that have no target of the
+    best class in reach, can change the plan: they can move, or move a positioner that touches them or shares a target
+    with them. Therefore, all other positioners only need the candidates that they use.
+    """
+    options, problem = everything.options, everything.problem
+    idle = options.start[1:] - 1
+    plan = np.where(chosen < 0, idle, chosen)
+    if not problem.groups:
+        keep = np.zeros(len(everything), dtype=bool)
+        keep[plan] = keep[idle] = True
+        used = everything.where(keep).with_collisions()
+        now, blocked, _ = stand(used, np.searchsorted(np.flatnonzero(keep), plan))
+        active = (blocked[now] > 0) | (options.rank[plan] > _best_rank(options))
+        near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
+        near[second[active[first]]] = near[first[active[second]]] = True
+        shared = np.zeros(len(problem.xy) + 1, dtype=bool)  # the last element is for idle arms
+        shared[options.target[active[options.own]]] = True
+        shared[-1] = False
+        near[options.own[shared[options.target]]] = True
+        keep |= near[options.own]
+        some = everything.where(keep).with_collisions()
+        found = repair_collisions(some, np.searchsorted(np.flatnonzero(keep), plan), active=active, near=near)
+        if found is not None:
+            return some, *found
+    everything = everything.with_collisions()
+    return everything, *repair_collisions(everything, plan)
+
+
 def repair_collisions(
-    candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf
-) -> tuple[np.ndarray, int, int]:
+    candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf, *, active=None, near=None
+) -> tuple[np.ndarray, int, int] | None:
     """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
+
+    If ``near`` is given, it marks the positioners that may move; ``active`` marks those whose neighbors are all in
+    ``near``. None is returned if any other positioner would have to move.
 
     A positioner in a collision is moved to a new candidate that is at least as good as its previous candidate. If there
     is no such candidate, the positioner can lose its target. The last candidate of each positioner must be its idle
@@ -82,14 +114,16 @@ def repair_collisions(
         """
         return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
 
-    moved, dropped = _repair(options, order(), now, *state, deadline)
+    counts = _repair(options, order(), now, *state, deadline, active, near)
+    if counts is None:
+        return None
     for g, group in enumerate(groups):
         count = held[:, now].sum(axis=1)
         first = order()
         first = first[~held[low][:, now].any(axis=0)[first]]
         need = group.requirement.minimum - count[g]
         moves.fill_group(first, need, g, held, count, most, options, now, *state)
-    return now, int(moved), int(dropped)
+    return now, *counts
 
 
 def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf) -> np.ndarray:
@@ -100,18 +134,24 @@ def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf
     return now
 
 
-def _repair(options, order, now, blocked, holder, deadline):
+def _repair(options, order, now, blocked, holder, deadline, active=None, near=None):
     """Remove collisions and assign better targets, in place; return the numbers of moved positioners and lost targets.
 
     After the deadline, each remaining collision is removed by taking the target from one of the positioners, and no
-    better targets are assigned.
+    better targets are assigned. ``active`` and ``near`` are the masks of `repair_collisions`.
     """
     moved, fixed = 0, np.diff(options.start) == 1
+    if near is not None:
+        fixed |= ~near
     for some in _batches(options, order):
         if left(deadline) == 0:
             break
-        moved += moves.settle(options, some, fixed, now, blocked, holder)
-    dropped = moves.drop(options, order, fixed, now, blocked, holder)
+        moved += int(moves.settle(options, some, fixed, now, blocked, holder))
+    dropped = int(moves.drop(options, order, fixed, now, blocked, holder))
+    if near is not None and (
+        (blocked[now] > 0)[~near].any() or (options.rank[now] > _best_rank(options))[~active].any()
+    ):
+        return None
     parts = _batches(options, order[::-1].copy())
     for _ in range(ROUNDS):
         changed = False
@@ -122,6 +162,11 @@ def _repair(options, order, now, blocked, holder, deadline):
         if not changed:
             break
     return moved, dropped
+
+
+def _best_rank(options):
+    """Return the class of the best candidate of each positioner."""
+    return np.minimum.reduceat(options.rank, options.start[:-1]) if len(options.start) > 1 else options.rank
 
 
 def _batches(options, order):

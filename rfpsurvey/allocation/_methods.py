@@ -9,12 +9,10 @@ from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
-from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
+from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
-
-__all__ = ["COUNTS", "DEFAULT_ALLOCATOR", "METHODS", "OPTIONS", "Allocator", "name_of_best", "with_cost"]
 
 COUNTS = ("exactly", "goal", "no")
 
@@ -131,15 +129,15 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
-    candidates = find_candidates(problem, keep_target=before)
+    everything = find_candidates(problem, keep_target=before, most_pairs=0)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
-    first = pick(candidates, trim(problem, before), side)
-    chosen, moved, dropped = repair_collisions(candidates, first)
+    first = pick(everything, trim(problem, before), side)
+    candidates, chosen, moved, dropped = repair_nearby(everything, first)
     options, had = candidates.options, before >= 0
     dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or the maximum of a requirement
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
-    levels = None if problem.groups else _bounded(problem, target_of, match(candidates))
+    levels = None if problem.groups else _bounded(problem, target_of, match(everything))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 

@@ -10,8 +10,6 @@ from rfpsurvey.allocation._cliques import cover_by_pairs, extend
 from rfpsurvey.allocation._clock import share
 from rfpsurvey.allocation._solver import maximize
 
-__all__ = ["Objective", "Program"]
-
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
 # measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5

@@ -9,8 +9,6 @@ from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._local_search import match
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["conditional_bounds", "levels_of", "matching_limits", "offset_of", "with_used_classes"]
-
 
 def with_used_classes(
     problem: AllocationProblem, candidates: Candidates

@@ -40,8 +40,6 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.region import Region
 
-__all__ = ["OBJECTIVES", "AllocationOptions", "as_options"]
-
 SEPARATION = (
     "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky such as "
     "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"

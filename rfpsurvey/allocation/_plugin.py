@@ -15,8 +15,6 @@ from rfpsurvey.constraints import named_plugins
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["find_allocator", "find_improving", "packages"]
-
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
 ELBOWS = ("right", "left")

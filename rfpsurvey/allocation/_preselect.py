@@ -10,8 +10,6 @@ from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import touching
 from rfpsurvey.focal_plane import Reach
 
-__all__ = ["Preselection", "preselect", "replaceable"]
-
 # Each positioner keeps at least its N_BEST best targets, and N_SPREAD further targets of the same class as the last of
 # the best targets.
 N_BEST, N_SPREAD = 64, 64

@@ -12,8 +12,6 @@ from rfpsurvey.allocation._cliques import cover_by_pairs, extend
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._problem import AllocationProblem
 
-__all__ = ["Prices", "weights_of"]
-
 # The value of a candidate is its weight minus the prices of its cliques. To adjust the prices, the largest value among
 # the candidates of a positioner is replaced by a smooth maximum: width * log(sum(exp(value / width))). WIDTHS contains
 # the successive widths; N_SWEEPS is the largest number of sweeps for each width. A sweep adjusts all prices once.

@@ -16,8 +16,6 @@ from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
-__all__ = ["AllocationProblem", "TargetColumns"]
-
 
 class TargetColumns(NamedTuple):
     """Columns of the targets, shape (n_targets,); a column that is not given is None."""

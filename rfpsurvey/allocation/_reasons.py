@@ -14,8 +14,6 @@ from rfpsurvey.collision import Arms
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["IDLE_REASONS", "IdleReason", "IdleReasons", "find_idle_reasons"]
-
 
 class IdleReason(IntEnum):
     """Reason why a positioner has no target."""

@@ -5,8 +5,6 @@ import numpy as np
 from rfpsurvey._kernels import conflicts, reduce
 from rfpsurvey.allocation._clock import left
 
-__all__ = ["reduced"]
-
 # Number of comparisons of candidates before the clock is read again.
 BATCH = 10_000_000
 

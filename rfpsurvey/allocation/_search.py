@@ -39,8 +39,6 @@ from rfpsurvey.allocation._reduction import reduced
 from rfpsurvey.allocation._subpriority import TIE_SEED
 from rfpsurvey.focal_plane import Reach, elbow_names
 
-__all__ = ["decide"]
-
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
 # Parts with more than this number of variables are not solved as one integer program, but divided into clusters.

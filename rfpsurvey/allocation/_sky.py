@@ -10,8 +10,6 @@ from rfpsurvey._kernels import gaps
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import Reach
 
-__all__ = ["with_sky"]
-
 # Number of points that are tested for each positioner, and largest number of blank points that are kept for each
 # positioner.
 N_TRIALS, N_KEPT = 64, 4

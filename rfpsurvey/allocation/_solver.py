@@ -9,8 +9,6 @@ from scipy.sparse import csr_array
 
 from rfpsurvey.allocation._clock import left, now, stop
 
-__all__ = ["maximize", "with_errors"]
-
 # Interval in seconds at which the caller checks for an interrupt while HiGHS runs in a different thread.
 INTERVAL = 0.1
 # Some steps of HiGHS do not end at the time limit of HiGHS. If a thread of HiGHS still runs this many seconds after the

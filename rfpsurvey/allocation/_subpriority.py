@@ -6,8 +6,6 @@ from rfpsurvey._kernels import hashing
 from rfpsurvey._units import rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
-__all__ = ["TIE_SEED", "id_numbers", "service_order", "subpriorities", "tie_order", "to_subpriorities"]
-
 # Seed of the hash by which ``optimal`` breaks ties.
 TIE_SEED = 0
 # Positions that agree in this length (mm) have the same hash.

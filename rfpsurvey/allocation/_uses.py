@@ -11,8 +11,6 @@ from rfpsurvey.constraints import ONLY_CHECKED
 from rfpsurvey.errors import listed, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
-__all__ = ["given_options", "warn_of_parked", "warn_of_unused_options"]
-
 
 def given_options(options: object) -> list[str]:
     """Return the names of the fields of a dataclass, except the first field, that do not have their default values."""

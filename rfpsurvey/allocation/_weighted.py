@@ -15,8 +15,6 @@ from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._solver import maximize, with_errors
 from rfpsurvey.focal_plane import elbow_names
 
-__all__ = ["GivenPlan", "ListCandidates", "RowPrices", "TileCandidates", "WeightedProblem", "solve_weighted"]
-
 
 class TileCandidates(NamedTuple):
     """The candidates of the positioners of one tile; the last candidate of each positioner is its idle arm."""

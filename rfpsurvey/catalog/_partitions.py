@@ -67,8 +67,8 @@ class PartitionedCatalog:
     >>> import rfpsurvey as rs
     >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = rs.partition_catalog(stars, f"{folder}/stars", order=3)
-    ...     print(len(rs.PartitionedCatalog(f"{folder}/stars")))
+    ...     _ = rs.catalog.partition_catalog(stars, f"{folder}/stars", order=3)
+    ...     print(len(rs.catalog.PartitionedCatalog(f"{folder}/stars")))
     1000
     """
 
@@ -189,7 +189,7 @@ def partition_catalog(
     >>> import rfpsurvey as rs
     >>> stars = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 5 * u.deg, n_targets=1000, rng=1)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     parts = rs.partition_catalog(stars, f"{folder}/stars", order=3)
+    ...     parts = rs.catalog.partition_catalog(stars, f"{folder}/stars", order=3)
     ...     print(len(parts), len(parts.read()))
     1000 1000
     """

@@ -41,7 +41,7 @@ class CollisionCounts:
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> counts = rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm)
+    >>> counts = rs.collision.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm)
     >>> counts.rate, counts.per_positioner
     (array([1., 0.]), array([1, 1]))
     """
@@ -139,7 +139,7 @@ def count_collisions(
     >>> import rfpsurvey as rs
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
-    >>> rs.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
+    >>> rs.collision.count_collisions(plane, [[[12, 0], [14, 0]], [[-12, 0], [40, 0]]] * u.mm).n_pairs
     array([1, 0])
     """
     check_plane(focal_plane)

@@ -165,7 +165,7 @@ class Constraint:
     >>> from dataclasses import dataclass
     >>> import rfpsurvey as rs
     >>> @dataclass(frozen=True)
-    ... class Faint(rs.Constraint):
+    ... class Faint(rs.constraints.Constraint):
     ...     limit: float
     ...     name = "faint"
     ...

@@ -82,7 +82,7 @@ def _as_constraint(one: object) -> Constraint:
 def _class_of(plugin: Plugin) -> type[Constraint]:
     value = plugin.value
     if not (isinstance(value, type) and issubclass(value, Constraint)):
-        raise InputError(f"it must be a subclass of rfpsurvey.Constraint, got {short(value)}")
+        raise InputError(f"it must be a subclass of rfpsurvey.constraints.Constraint, got {short(value)}")
     if value.name != plugin.name:
         raise InputError(f"its attribute name must be {plugin.name!r}, as in the entry point, got {value.name!r}")
     return value

@@ -61,8 +61,8 @@ class FocalPlane:
         Circles (x, y, radius) where fibers receive no light, such as the areas behind the black dots of PFS. Targets
         inside a circle are out of reach, but arms may enter it. Collision probabilities do not depend on the circles.
     obstacle_polygons : sequence of Quantity, shape (k, 2), optional
-        Vertices of convex polygons that no arm may touch, such as guide cameras. `divide_polygon` divides a
-        polygon that is not convex into convex polygons.
+        Vertices of convex polygons that no arm may touch, such as guide cameras. `~rfpsurvey.positioner.divide_polygon`
+        divides a polygon that is not convex into convex polygons.
     margins : Margins, optional
         Distances that plans keep from the edges of patrol areas and from broken positioners; by default, none.
 

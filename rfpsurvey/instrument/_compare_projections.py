@@ -55,7 +55,7 @@ class ProjectionComparison:
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> conditions = rs.ObservingConditions("kitt peak", hour_angle=3 * u.hourangle)
-    >>> rs.compare_projections("desi", "10h +32d", conditions).sufficient
+    >>> rs.instrument.compare_projections("desi", "10h +32d", conditions).sufficient
     'refraction'
     """
 
@@ -146,7 +146,8 @@ def compare_projections(
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> conditions = rs.ObservingConditions("xinglong", hour_angle=0 * u.deg)
-    >>> result = rs.compare_projections("lamost", "6h20m +23d", conditions, hour_angles=[-2, 0, 2] * u.hourangle)
+    >>> hours = [-2, 0, 2] * u.hourangle
+    >>> result = rs.instrument.compare_projections("lamost", "6h20m +23d", conditions, hour_angles=hours)
     >>> result.sufficient
     'refraction'
     """

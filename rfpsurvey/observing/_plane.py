@@ -29,9 +29,9 @@ class ObservedPlane(TangentPlane):
     Parameters
     ----------
     center : SkyCoord
-        Field center, as in `~rfpsurvey.TangentPlane`.
+        Field center, as in `~rfpsurvey.projection.TangentPlane`.
     plate_scale, rotation, distortion : optional
-        Optics and orientation, as in `~rfpsurvey.TangentPlane`.
+        Optics and orientation, as in `~rfpsurvey.projection.TangentPlane`.
     conditions : ObservingConditions
         The observing conditions.
     field_radius : Quantity, optional

@@ -11,7 +11,7 @@ MOST = 500
 
 
 def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
-    """Divide a polygon into convex polygons, which can be parts of an `ArmOutline`.
+    """Divide a polygon into convex polygons, which can be parts of an `~rfpsurvey.positioner.ArmOutline`.
 
     The parts do not overlap, and all their vertices are vertices of the polygon.
 
@@ -35,7 +35,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> bracket = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]] * u.mm
-    >>> len(rs.divide_polygon(bracket))
+    >>> len(rs.positioner.divide_polygon(bracket))
     2
     """
     points = to_points_mm(vertices, "vertices")

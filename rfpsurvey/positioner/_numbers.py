@@ -30,8 +30,8 @@ class PositionerNumbers:
     separation : float
         Distance in mm below which two arms collide.
     arm_length : float or None
-        Length in mm of the segment (arm model ``capsule``) or of the `~rfpsurvey.ArmOutline` (arm model ``outline``);
-        None for the other arm models.
+        Length in mm of the segment (arm model ``capsule``) or of the `~rfpsurvey.positioner.ArmOutline` (arm model
+        ``outline``); None for the other arm models.
     home : ndarray of float, shape (2,)
         theta and phi of a parked positioner, in radians.
     joints_free : bool

@@ -34,8 +34,8 @@ class ArmOutline:
 
     Each part consists of a convex polygon and of all points within ``radius`` of this polygon. A polygon of two
     vertices is a segment, and a polygon of one vertex is a point, so parts with a radius can be capsules and
-    discs. Shapes that are not convex consist of several parts, which can overlap. `divide_polygon` divides a polygon
-    that is not convex into such parts.
+    discs. Shapes that are not convex consist of several parts, which can overlap.
+    `~rfpsurvey.positioner.divide_polygon` divides a polygon that is not convex into such parts.
 
     Two positioners collide if the gap between an eccentric part of one positioner and any part of the other
     positioner is less than the minimum separation. Central parts do not collide with each other.
@@ -67,7 +67,7 @@ class ArmOutline:
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
     >>> arm = [[-1, -1], [4, -1], [4, 1], [-1, 1]] * u.mm
-    >>> rs.ArmOutline([arm], central=[([[0, 0], [3, 0]] * u.mm, 2 * u.mm)])
+    >>> rs.positioner.ArmOutline([arm], central=[([[0, 0], [3, 0]] * u.mm, 2 * u.mm)])
     <ArmOutline: 1 eccentric part, 1 central part, length 4 mm>
     """
 
@@ -240,7 +240,7 @@ def _to_part(part, name):
     hull = _hull(points)
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
         raise InputError(
-            f"{name} must be a convex polygon, got {short(part)}; rfpsurvey.divide_polygon divides other polygons into "
+            f"{name} must be a convex polygon, got {short(part)}; divide_polygon divides other polygons into "
             "convex polygons"
         )
     return locked(hull), radius

@@ -43,7 +43,7 @@ class ProbabilityMethod(Method):
     """Numbers of iterations for which a benchmark measures the method; 0 for a formula."""
 
     def estimate(self, question: ProbabilityQuestion) -> dict:
-        """Return fields of an `Estimate`."""
+        """Return fields of an `~rfpsurvey.probability.Estimate`."""
         return _evaluate(self.function, question) if self.is_formula else self.function(question)
 
 

@@ -21,10 +21,10 @@ class ProbabilityQuestion:
     Built-in methods and methods of other packages are functions whose only argument is this object. A method returns an
     array of float, shape (n_positioners,), with the probability that each positioner is in collision, and NaN for
     positioners that are never counted. Instead of this array, the method may return a dict with any of the fields of
-    `~rfpsurvey.Estimate` except ``method``, ``estimand`` and ``seconds``. The dict must contain ``per_positioner`` or
-    ``value``. If the dict does not contain ``low`` and ``high``, they are computed from ``standard_error``. The
-    attribute ``estimand`` of the method names the quantity that the method estimates: "independent", the default, or
-    "allocated".
+    `~rfpsurvey.probability.Estimate` except ``method``, ``estimand`` and ``seconds``. The dict must contain
+    ``per_positioner`` or ``value``. If the dict does not contain ``low`` and ``high``, they are computed from
+    ``standard_error``. The attribute ``estimand`` of the method names the quantity that the method estimates:
+    "independent", the default, or "allocated".
 
     Parameters
     ----------

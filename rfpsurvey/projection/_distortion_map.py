@@ -60,7 +60,7 @@ class DistortionMap:
     >>> import astropy.units as u
     >>> from dataclasses import replace
     >>> import rfpsurvey as rs
-    >>> trace = rs.DistortionMap.from_ray_trace("raytrace-tan2fp-4957-v18.csv.gz")  # doctest: +SKIP
+    >>> trace = rs.projection.DistortionMap.from_ray_trace("raytrace-tan2fp-4957-v18.csv.gz")  # doctest: +SKIP
     >>> trace.residuals["max"].max()  # doctest: +SKIP
     <Quantity 0.00141 mm>
     >>> desi = rs.Instrument.preset("desi")

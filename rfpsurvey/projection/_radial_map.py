@@ -53,7 +53,7 @@ class RadialMap:
     --------
     >>> import astropy.units as u
     >>> import rfpsurvey as rs
-    >>> radial = rs.RadialMap("theta", [243.0, 4.05], max_angle=1.6 * u.deg)
+    >>> radial = rs.projection.RadialMap("theta", [243.0, 4.05], max_angle=1.6 * u.deg)
     >>> radial.to_radius(1 * u.deg)
     <Quantity 247.05 mm>
     >>> radial.to_angle(247.05 * u.mm)

@@ -48,7 +48,7 @@ class TangentPlane:
     >>> import astropy.units as u
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
-    >>> plane = rs.TangentPlane(SkyCoord("6h20m +23d"), 20 * u.m / u.rad)
+    >>> plane = rs.projection.TangentPlane(SkyCoord("6h20m +23d"), 20 * u.m / u.rad)
     >>> plane.to_focal_plane(SkyCoord("6h20m +23d30m")).round(6)
     <Quantity [[  0.      , 174.537356]] mm>
     """

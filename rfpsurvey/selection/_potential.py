@@ -17,8 +17,8 @@ from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.selection._run import count_tiles, count_type, in_order
-from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
+from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
+from rfpsurvey.survey import Job, Request, Survey, in_order, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 COLUMNS = {
@@ -100,7 +100,7 @@ def potential_assignments(
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
-    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> found = rs.selection.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
     >>> found.table.colnames
     ['tile', 'positioner', 'point']
     >>> int(found.n_tiles().max())
@@ -115,13 +115,10 @@ def potential_assignments(
         instrument,
         tiles,
         allocator="nearest",
-        visits=None,
         passes=passes,
         epoch=epoch,
         lost_in_collision=False,
-        order="color",
         executor=executor,
-        rng=0,
     )
     found = PotentialAssignments(request, survey, executor, progress)
     if survey is not None:
@@ -152,7 +149,7 @@ class PotentialAssignments:
     >>> from astropy.coordinates import SkyCoord
     >>> import rfpsurvey as rs
     >>> points = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
-    >>> found = rs.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> found = rs.selection.potential_assignments(points, "desi", SkyCoord([95.0, 95.1] * u.deg, [23, 23] * u.deg))
     >>> sum(len(table) for table in found) == len(found.table)
     True
     """
@@ -244,13 +241,12 @@ class PotentialAssignments:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
         everything = np.ones(len(request.source), dtype=np.uint8)
-        jobs = (
-            ReachJob(request.job(tile, everything, as_file=False), self._colliding(tile)) for tile in range(len(self))
-        )
+        jobs = (request.job(tile, everything, as_file=False) for tile in range(len(self)))
+        given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in enumerate(jobs))
         with Progress(self.progress, len(self), "tiles") as tell:
-            found = in_order(self.executor, reachable, jobs, lambda given: given.job)
-            for tile, (given, (own, target)) in enumerate(found):
-                yield tile, own, given.job.field.row[target]
+            found = in_order(self.executor, reachable, given, IN_FLIGHT)
+            for tile, (job, (own, target), _) in enumerate(found):
+                yield tile, own, job.field.row[target]
                 tell(tile + 1)
 
     def _colliding(self, tile: int) -> np.ndarray:

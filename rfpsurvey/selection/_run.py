@@ -3,14 +3,12 @@
 The *slot* of a target is its index in the arrays that describe the state of a survey.
 """
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import nullcontext
 
 import numpy as np
 
-from rfpsurvey._executors import submit
 from rfpsurvey._progress import Progress
 from rfpsurvey.selection._bits import n_words
 from rfpsurvey.selection._folder import NAME, SelectionFolder
@@ -19,7 +17,7 @@ from rfpsurvey.selection._realizations import Block, blocks_of, in_batch, reques
 from rfpsurvey.selection._result import realization_table
 from rfpsurvey.selection._state import State
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Request, told
+from rfpsurvey.survey import Request, in_order
 
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
@@ -94,7 +92,8 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))
-    for k, (job, found) in enumerate(in_order(executor, reach_counts, jobs, lambda job: job), 1):
+    given = ((job, job, None) for job in jobs)
+    for k, (job, found, _) in enumerate(in_order(executor, reach_counts, given, IN_FLIGHT), 1):
         n_tiles[job.field.slot[found > 0]] += 1
         tell(k)
     return n_tiles
@@ -114,8 +113,9 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
     plan = plan_together if together else plan_alone
     for tiles in request.rounds[state.n_rounds :]:
         jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
-        for given, found in in_order(executor, plan, jobs, lambda given: given.job):
-            state.enter(given.job.field.slot, found.mask, found.counts)
+        given = ((block_job.job, block_job, None) for block_job in jobs)
+        for job, found, _ in in_order(executor, plan, given, IN_FLIGHT):
+            state.enter(job.field.slot, found.mask, found.counts)
             done += len(block)
             tell(done)
         state.n_rounds += 1
@@ -128,29 +128,3 @@ def _job(request, tile: int, state: State, seeds) -> BlockJob:
     if job.field.targets.around is None:  # no constraint uses the further columns
         job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
-
-
-def in_order(executor: Executor | None, function: Callable, jobs: Iterable, job_of: Callable) -> Iterator:
-    """Yield each job and its result, in the order of the jobs; each job is created only when it is submitted."""
-    waiting = deque()
-    try:
-        for job in jobs:
-            with told(job_of(job)):
-                done = function(job) if executor is None else submit(executor, function, job)
-            waiting.append((job, done))
-            if executor is None or len(waiting) >= IN_FLIGHT:
-                yield _take(waiting, executor, job_of)
-        while waiting:
-            yield _take(waiting, executor, job_of)
-    finally:
-        for _, done in waiting:
-            if executor is not None:
-                done.cancel()
-
-
-def _take(waiting, executor, job_of):
-    job, done = waiting.popleft()
-    if executor is not None:
-        with told(job_of(job)):
-            done = done.result()
-    return job, done

@@ -148,7 +148,6 @@ def selection_probabilities(
             instrument,
             tiles,
             allocator=allocator,
-            visits=None,
             passes=passes,
             epoch=epoch,
             lost_in_collision=lost_in_collision,

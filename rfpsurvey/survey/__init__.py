@@ -3,19 +3,18 @@
 from rfpsurvey.survey._joint import JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
-from rfpsurvey.survey._run import IN_FLIGHT, told
+from rfpsurvey.survey._run import in_order
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
 __all__ = [
-    "IN_FLIGHT",
     "Job",
     "JointOptions",
     "Request",
     "Survey",
+    "in_order",
     "plan_survey",
     "prepare_request",
     "reach_of",
-    "told",
     "work",
 ]

@@ -1,5 +1,7 @@
 """The folder of a survey, with a file for the result of each tile, which is called the *part* of this tile."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from rfpsurvey._folder import RequestFolder, read_verified
@@ -38,19 +40,11 @@ class Folder(RequestFolder):
 
     def part(self, tile: int) -> bytes | None:
         """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
-        name = part_name(tile)
-        if name not in self._known:
-            return None
-        try:
-            return read_verified(self.path, name, self._known)
-        except InputError as error:
-            self.distrust(tile, str(error))
-            return None
+        return self._content(part_name(tile), partial(self.distrust, tile))
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
-        text = f"the tile in row {tile} of the tiling is planned again: {reason}"
-        warn(text)
+        warn(f"the tile in row {tile} of the tiling is planned again: {reason}")
 
     def put_part(self, tile: int, content: bytes) -> None:
         """Write the result of a tile to the file of this tile."""
@@ -58,12 +52,13 @@ class Folder(RequestFolder):
 
     def file(self, name: str) -> bytes | None:
         """Return the content of a file, or None if there is no valid file; a damaged file causes a warning."""
-        if name not in self._known:
-            return None
+        return self._content(name, warn)
+
+    def _content(self, name: str, complain: Callable[[str], None]) -> bytes | None:
         try:
-            return read_verified(self.path, name, self._known)
+            return read_verified(self.path, name, self._known) if name in self._known else None
         except InputError as error:
-            warn(str(error))
+            complain(str(error))
             return None
 
     def put_file(self, name: str, content: bytes) -> None:

@@ -77,8 +77,9 @@ def plan_survey(
     visits : int or array_like of int, shape (n_targets,), optional
         Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
         catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
-        assigned, except required targets. A tile observes a target at most once. For a `PartitionedCatalog`, the values
-        must be in the order in which its method ``read`` returns the targets.
+        assigned, except required targets. A tile observes a target at most once. For a
+        `~rfpsurvey.catalog.PartitionedCatalog`, the values must be in the order in which its method ``read`` returns
+        the targets.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
@@ -175,7 +176,18 @@ def plan_survey(
 
 
 def prepare_request(
-    catalog, instrument, tiles, *, allocator, visits, passes, epoch, lost_in_collision, order, executor, rng
+    catalog,
+    instrument,
+    tiles,
+    *,
+    allocator,
+    passes,
+    epoch,
+    lost_in_collision,
+    executor,
+    visits=None,
+    order="color",
+    rng=0,
 ) -> Request:
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):

@@ -1,7 +1,7 @@
 """The loop over the tiles of a survey."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager, nullcontext
 
@@ -52,16 +52,17 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         with Progress(progress, n, "tiles") as tell:
             for k, tiles in enumerate(request.rounds):
                 round_of[tiles] = k
-                for tile, field, done, fresh in _plan_round(request, tiles, state, folder, executor):
-                    slot = np.append(field.slot, -1)[done.target]
-                    kept = state.enter(field, done.in_reach, slot, done.observed, request.number[tile])
-                    if fresh and folder is not None:
+                results = in_order(executor, work, _jobs_of(request, tiles, state, folder))
+                for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
+                    slot = np.append(job.field.slot, -1)[done.target]
+                    kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile])
+                    if is_new and folder is not None:
                         folder.put_part(tile, done.part)
                     parts[tile] = done.visits
                     for name, value in {**done.counts, "n_observed": kept}.items():
                         counts[name][tile] = value
                     finished += 1
-                    tell(finished, new=fresh)
+                    tell(finished, new=is_new)
         outcomes = outcome_table(request, state)
         tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
         if joint is not None:
@@ -80,47 +81,48 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     return Survey(*tables, folder.path, joint=joint)
 
 
-def _plan_round(request, tiles, state, folder, executor) -> Iterator:
-    """Yield, for each tile of a round, its row, its field, its result, and whether this run computed the result."""
+def _jobs_of(request, tiles, state, folder) -> Iterator:
+    """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any."""
+    for tile in tiles.tolist():
+        job = request.job(tile, state.left, as_file=folder is not None)
+        yield job, job.bare(), None if folder is None else _read(folder, tile, job)
+
+
+def in_order(executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT) -> Iterator:
+    """Yield the job of each tile, its result, and whether this run computed the result.
+
+    ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
+    it is submitted. At most ``most`` tiles are submitted before the result of the first of them is awaited.
+    """
     waiting = deque()
     try:
-        for tile in tiles.tolist():
-            job = request.job(tile, state.left, as_file=folder is not None)
-            done = None if folder is None else _read(folder, tile, job)
-            fresh = done is None
-            if fresh:
-                done = _begin(job, executor)
-            waiting.append((tile, job, done, fresh))
-            if executor is None or len(waiting) >= IN_FLIGHT:
-                yield _take(waiting)
+        for job, argument, known in jobs:
+            result = known
+            if known is None:
+                with naming_tile(job):
+                    result = function(argument) if executor is None else submit(executor, function, argument)
+            waiting.append((job, result, known is None))
+            if executor is None or len(waiting) >= most:
+                yield _take(waiting, executor)
         while waiting:
-            yield _take(waiting)
+            yield _take(waiting, executor)
     finally:
-        for *_, done, _ in waiting:
-            if not isinstance(done, Done):
-                done.cancel()
+        for _, result, is_new in waiting:
+            if is_new and executor is not None:
+                result.cancel()
 
 
-def _begin(job, executor):
-    """Plan the tile of a job, or submit the job to the executor if there is one."""
-    with told(job):
-        if executor is None:
-            return work(job)
-        # workers do not require the slots of targets
-        return submit(executor, work, job._replace(field=job.field._replace(slot=None)))
-
-
-def _take(waiting: deque):
-    """Wait for the tile that was submitted first; return its row, field and result, and whether this run planned it."""
-    tile, job, done, fresh = waiting.popleft()
-    if not isinstance(done, Done):
-        with told(job):
-            done = done.result()
-    return tile, job.field, done, fresh
+def _take(waiting: deque, executor):
+    """Wait for the tile that was submitted first, and return its job, its result, and whether this run planned it."""
+    job, result, is_new = waiting.popleft()
+    if is_new and executor is not None:
+        with naming_tile(job):
+            result = result.result()
+    return job, result, is_new
 
 
 @contextmanager
-def told(job):
+def naming_tile(job):
     """Add the name of the tile to error messages, and a remedy if a worker process ended abruptly."""
     try:
         yield

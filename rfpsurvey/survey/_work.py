@@ -1,6 +1,7 @@
 """The function `work`, which plans one tile from the data of a `Job`, and can run on any machine."""
 
 import pickle
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -42,6 +43,7 @@ VISITS = {
 }
 
 
+@dataclass(frozen=True, eq=False)
 class Model:
     """The data that all tiles of a survey share; each worker process unpacks these data only once.
 
@@ -59,21 +61,15 @@ class Model:
         Units of the additional columns of the catalog, by name.
     """
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        options: AllocationOptions,
-        blank: BlankIds | None,
-        lost_in_collision: bool,
-        units: dict,
-    ):
-        self.instrument, self.options, self.blank = instrument, options, blank
-        self.lost_in_collision, self.units = lost_in_collision, units
+    instrument: Instrument
+    options: AllocationOptions
+    blank: BlankIds | None
+    lost_in_collision: bool
+    units: dict
 
     @cached_property
     def _packed(self) -> bytes:
-        asked = self.instrument, self.options, self.blank, self.lost_in_collision, self.units
-        return pickle.dumps(asked, protocol=5)
+        return pickle.dumps([getattr(self, one.name) for one in fields(self)], protocol=5)
 
     def __reduce__(self):
         return _unpack, (self._packed,)
@@ -106,6 +102,10 @@ class Job(NamedTuple):
     conditions: ObservingConditions | None = None
     epoch: str | None = None
     """Epoch of the positions of the targets; None if the targets were not moved."""
+
+    def bare(self) -> "Job":
+        """Return the job without the slots of targets, which workers do not require."""
+        return self._replace(field=self.field._replace(slot=None))
 
 
 class Done(NamedTuple):

@@ -90,8 +90,8 @@ def plan_tile(
         of the summary then states which model of the projection is accurate enough, and the displacements of targets
         that each simpler model neglects.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
-        Model of the projection, as in `compare_projections`; ``auto`` is the fastest model that is accurate enough. By
-        default, the model is ``full`` if conditions are given, and ``radial`` otherwise.
+        Model of the projection, as in `~rfpsurvey.instrument.compare_projections`; ``auto`` is the fastest model that
+        is accurate enough. By default, the model is ``full`` if conditions are given, and ``radial`` otherwise.
     progress : bool or callable, optional
         Show the progress of the search by the allocator ``sdss`` or ``optimal`` on the standard error, or call a
         function with two numbers: the finished fraction of the search, and 1.

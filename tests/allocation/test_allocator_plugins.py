@@ -74,7 +74,7 @@ def test_the_plan_to_begin_with(small, hers, rng):
     xy = rng.uniform(-70, 70, (200, 2)) * u.mm
     plane = small.focal_plane
     for start in ("lamost", "nearest", rs.allocate(plane, xy, allocator="optimal")):
-        usual = start if isinstance(start, rs.Allocation) else rs.allocate(plane, xy, allocator=start)
+        usual = start if isinstance(start, rs.allocation.Allocation) else rs.allocate(plane, xy, allocator=start)
         same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)
     with pytest.raises(rs.InputError, match="the option start must be given for an allocator"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start="begin"))

@@ -9,7 +9,7 @@ import pytest
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import METHODS, _local_search, _methods
 from scenes import SCENES, lamost_like, sdss_like
 
 MM = u.mm
@@ -219,3 +219,23 @@ def test_a_start_within_the_margins_of_broken_arms_is_an_error():
     own = rs.allocate(margined, xy, allocator="lamost")
     found = rs.allocate(margined, xy, allocator=rs.AllocationOptions("repair", start=own))
     assert (found.target_of_positioner >= 0).any()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("n", [30, 110, 600])
+def test_the_plan_is_the_same_as_if_all_collisions_of_candidates_were_known(name, n, monkeypatch):
+    """Collisions are found only for arms that can move, and for arms that these arms can move."""
+
+    def with_all_collisions(everything, chosen):
+        everything = everything.with_collisions()
+        return everything, *_local_search.repair_collisions(everything, chosen)
+
+    for seed in range(4):
+        plane, xy, options = scene(name, n, seed)
+        found = flat.allocate(plane, xy, allocator="repair", **options)
+        with monkeypatch.context() as patch:
+            patch.setattr(_methods, "repair_nearby", with_all_collisions)
+            expected = flat.allocate(plane, xy, allocator="repair", **options)
+        np.testing.assert_array_equal(found.target_of_positioner, expected.target_of_positioner)
+        np.testing.assert_array_equal(found.handedness, expected.handedness)
+        assert (found.meta, found.levels) == (expected.meta, expected.levels)

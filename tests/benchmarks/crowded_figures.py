@@ -96,7 +96,7 @@ def digest(n=5_000_000):
     coord = SkyCoord(rng.uniform(0, 90, n) * u.deg, np.rad2deg(np.arcsin(rng.uniform(0, 0.7, n))) * u.deg)
     catalog = rs.Catalog(coord, priority=rng.integers(0, 5, n), visits=rng.integers(1, 4, n))
     with tempfile.TemporaryDirectory() as folder:
-        parts = rs.partition_catalog(catalog, f"{folder}/sky")
+        parts = rs.catalog.partition_catalog(catalog, f"{folder}/sky")
         size = sum(path.stat().st_size for *_, path in parts.parts.files) / 1e6
         begin = perf_counter()
         parts.parts.digest()

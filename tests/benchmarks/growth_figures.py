@@ -74,7 +74,7 @@ def configurations(n):
     rng = np.random.default_rng(1)
     r, angle = 8.0 + 14.0 * rng.random((n, len(plane))), rng.uniform(0, 2 * np.pi, (n, len(plane)))
     xy = plane.xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) * u.mm
-    return n, lambda: rs.count_collisions(plane, xy)
+    return n, lambda: rs.collision.count_collisions(plane, xy)
 
 
 def trials(n):

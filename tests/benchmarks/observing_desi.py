@@ -80,7 +80,9 @@ def complexity(path):
     print("\nlargest residual (mm), and number of coefficients, by degree (rows) and order of the Fourier series")
     print(" " * 6 + "".join(f"{order:>16}" for order in HARMONICS))
     for degree in DEGREES:
-        found = [rs.DistortionMap.from_ray_trace(path, degree=degree, harmonics=order) for order in HARMONICS]
+        found = [
+            rs.projection.DistortionMap.from_ray_trace(path, degree=degree, harmonics=order) for order in HARMONICS
+        ]
         cells = (f"{one.residuals['max'].max().to_value(u.mm):.4f} ({len(one.coefficients)})" for one in found)
         print(f"{degree:>6}" + "".join(f"{cell:>16}" for cell in cells))
 
@@ -96,9 +98,9 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "half.csv"
         table[np.asarray(table["ADC1"]) % 20 == 0].write(path)
-        half = rs.DistortionMap.from_ray_trace(path)
+        half = rs.projection.DistortionMap.from_ray_trace(path)
     radial_maps(table, preset)
-    settings(table, rs.DistortionMap.from_ray_trace(PATH), half, preset)
+    settings(table, rs.projection.DistortionMap.from_ray_trace(PATH), half, preset)
     complexity(PATH)
 
 

@@ -64,7 +64,7 @@ if __name__ == "__main__":
     for name in CASES:
         for altitude in ALTITUDES:
             conditions, center = conditions_at(name, altitude)
-            result = rs.compare_projections(name, center, conditions)
+            result = rs.instrument.compare_projections(name, center, conditions)
             moved = [f"{1e3 * value:9.2f}" for value in result.table["max"].to_value(u.mm)]
             drift, limit = (1e3 * value.to_value(u.mm) for value in (result.drift, result.tolerance))
             print(

@@ -116,7 +116,7 @@ def speed():
     directions = np.column_stack([np.cos(angle + phi / 2), np.sin(angle + phi / 2)])
     neighbors = cKDTree(xy).query_pairs(25.0, output_type="ndarray")
     for name, eccentric in OUTLINES.items():
-        shape = rs.ArmOutline([np.array(p) * u.mm for p in eccentric], [p * u.mm for p in CENTRAL_PARTS])
+        shape = rs.positioner.ArmOutline([np.array(p) * u.mm for p in eccentric], [p * u.mm for p in CENTRAL_PARTS])
         outline = make_outline(shape, xy, arm)
         separation, length = 0.2 + outline.offset, shape.length.value
         segments = np.vstack([elbows.T, (elbows + length * directions).T])

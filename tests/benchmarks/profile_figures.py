@@ -116,7 +116,7 @@ def configurations():
     for name, plane, tips in random_tips(1000):
         with ThreadPoolExecutor(2) as pool:
             ms = smallest_ms(
-                lambda pool=pool, plane=plane, tips=tips: rs.count_collisions(plane, tips, executor=pool), 15
+                lambda pool=pool, plane=plane, tips=tips: rs.collision.count_collisions(plane, tips, executor=pool), 15
             )
         print(f"count_collisions, {name}, {len(plane)} positioners, two threads")
         show("10,000 configurations", 10 * ms)

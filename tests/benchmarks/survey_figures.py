@@ -135,11 +135,11 @@ def main():
     print(f"stages of a tile with all its targets, ms: {one_tile(options.allocator)}")
     tiling = desi_tiles(options.tiles)
     if options.partitions and options.partitions.exists():
-        targets = rs.PartitionedCatalog(options.partitions)
+        targets = rs.catalog.PartitionedCatalog(options.partitions)
     else:
         targets = make_targets(tiling, options.targets)
         if options.partitions:
-            targets = rs.partition_catalog(targets, options.partitions)
+            targets = rs.catalog.partition_catalog(targets, options.partitions)
     print(f"{len(tiling)} tiles, {len(targets)} targets; memory so far: {peak_gb():.2f} GB")
     folder = options.folder or Path(tempfile.mkdtemp()) / "survey"
     survey, seconds = plan(targets, tiling, options, folder)

@@ -125,7 +125,9 @@ def test_8_thousand_configurations(benchmark, tile, workers):
     with ThreadPoolExecutor(workers) as executor:
         pool = executor if workers > 1 else None
         benchmark.pedantic(
-            lambda: [rs.count_collisions(tile.plane, tips, executor=pool) for _ in range(4)], rounds=7, warmup_rounds=1
+            lambda: [rs.collision.count_collisions(tile.plane, tips, executor=pool) for _ in range(4)],
+            rounds=7,
+            warmup_rounds=1,
         )
 
 
@@ -137,7 +139,7 @@ def test_9_ten_thousand_draws_from_queues(benchmark, tile, workers):
     with ThreadPoolExecutor(workers) as executor:
         pool = executor if workers > 1 else None
         benchmark.pedantic(
-            lambda: rs.count_collisions(tile.plane, allocation, n_configurations=10_000, executor=pool),
+            lambda: rs.collision.count_collisions(tile.plane, allocation, n_configurations=10_000, executor=pool),
             rounds=5,
             warmup_rounds=1,
         )

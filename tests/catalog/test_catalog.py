@@ -221,7 +221,7 @@ def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
     pytest.importorskip("pyarrow")
     model = rs.Instrument.preset("moons")
     star = SkyCoord([10.0, 50.0] * DEG, [20.0, 20.0] * DEG, pm_ra_cosdec=[0, 0] * PM, pm_dec=[3e5, 0] * PM)
-    parts = rs.partition_catalog(rs.Catalog(star, id=[7, 8], epoch=2000.0), tmp_path / "fast", order=6)
+    parts = rs.catalog.partition_catalog(rs.Catalog(star, id=[7, 8], epoch=2000.0), tmp_path / "fast", order=6)
     field = SkyCoord([10.0] * DEG, [20.05 + np.rad2deg(np.arctan(np.deg2rad(50 * 300 / 3600)))] * DEG)
     survey = rs.plan_survey(parts, model, field, epoch=2050.0)
     assert survey.tiles["n_in_field"].tolist() == [1]

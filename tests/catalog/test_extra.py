@@ -131,8 +131,8 @@ def test_partitions_keep_columns(tmp_path):
     rng = np.random.default_rng(1)
     coord = SkyCoord(rng.uniform(90, 100, 500) * u.deg, rng.uniform(20, 26, 500) * u.deg)
     stars = rs.Catalog(coord, id=np.arange(500), extra={"g": rng.uniform(8, 12, 500)})
-    rs.partition_catalog(stars, tmp_path / "stars", order=4)
-    parts = rs.PartitionedCatalog(tmp_path / "stars", keep=["g"])
+    rs.catalog.partition_catalog(stars, tmp_path / "stars", order=4)
+    parts = rs.catalog.PartitionedCatalog(tmp_path / "stars", keep=["g"])
     whole = parts.read()
     np.testing.assert_array_equal(whole.extra["g"], np.asarray(stars.extra["g"])[whole.id])
     tiles = SkyCoord([94, 96] * u.deg, [23, 23] * u.deg)
@@ -141,7 +141,7 @@ def test_partitions_keep_columns(tmp_path):
     for name in ("target_id", "g"):
         np.testing.assert_array_equal(of_parts[name], of_whole[name])
     with pytest.raises(rs.InputError, match="keep must name columns of"):
-        rs.PartitionedCatalog(tmp_path / "stars", keep=["h"])
+        rs.catalog.PartitionedCatalog(tmp_path / "stars", keep=["h"])
 
 
 def test_a_table_with_units_is_taken_as_it_is():

@@ -45,7 +45,7 @@ def test_all_functions_of_catalogs_take_dataframes(frame, tmp_path):
     assert len(rs.compare_allocators(frame, "sdss_apo", allocators=["lamost"])) == 1
     assert len(rs.compare_instruments(frame, ["sdss_apo"], allocators=["lamost"], center="95 23")) == 1
     pytest.importorskip("pyarrow")
-    assert len(rs.partition_catalog(frame, tmp_path / "parts")) == N
+    assert len(rs.catalog.partition_catalog(frame, tmp_path / "parts")) == N
 
 
 def tables_of(frame):

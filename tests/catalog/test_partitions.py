@@ -42,7 +42,7 @@ def sky():
 @pytest.fixture(scope="module")
 def folder(sky, tmp_path_factory):
     folder = tmp_path_factory.mktemp("partitions") / "sky"
-    rs.partition_catalog(sky, folder, order=4)
+    rs.catalog.partition_catalog(sky, folder, order=4)
     return folder
 
 
@@ -55,7 +55,7 @@ def same(a, b):
 
 
 def test_nothing_is_lost_on_the_way(sky, folder):
-    parts = rs.PartitionedCatalog(folder)
+    parts = rs.catalog.PartitionedCatalog(folder)
     whole = parts.read()
     assert len(parts) == len(whole) == len(sky)
     rows = np.array([int(name.split()[1]) for name in whole.id])
@@ -69,9 +69,9 @@ def test_nothing_is_lost_on_the_way(sky, folder):
 @pytest.mark.filterwarnings("ignore:requirement standard")
 def test_the_same_survey_as_from_one_piece(folder, small):
     options = {"requirements": "standard=2", "allocator": "lamost"}
-    whole = flat.plan_survey(rs.PartitionedCatalog(folder).read(), small, TILES, **options)
+    whole = flat.plan_survey(rs.catalog.PartitionedCatalog(folder).read(), small, TILES, **options)
     for kept in (10_000_000, 100):
-        same(flat.plan_survey(rs.PartitionedCatalog(folder, kept_rows=kept), small, TILES, **options), whole)
+        same(flat.plan_survey(rs.catalog.PartitionedCatalog(folder, kept_rows=kept), small, TILES, **options), whole)
 
 
 def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
@@ -82,7 +82,7 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
         "read_table",
         lambda path, columns, **kw: (read.append((path, columns)), real(path, columns=columns, **kw))[1],
     )
-    source = _source.Partitioned(rs.PartitionedCatalog(folder))
+    source = _source.Partitioned(rs.catalog.PartitionedCatalog(folder))
     field = source.field(TILES[0].cartesian.xyz.value, np.deg2rad(0.5), np.ones(len(source), dtype=np.uint8))
     assert len(field.row) > 0
     assert len({path for path, _ in read}) < 10
@@ -92,7 +92,7 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
 @pytest.mark.parametrize(("kept", "most"), [(10_000_000, 1), (1, 100)])
 def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, most):
     read = []
-    parts = rs.PartitionedCatalog(folder, kept_rows=kept)
+    parts = rs.catalog.PartitionedCatalog(folder, kept_rows=kept)
     source = _source.Partitioned(parts)
     real = Partitions.part
     monkeypatch.setattr(Partitions, "part", lambda self, k: (read.append(k), real(self, k))[1])
@@ -106,7 +106,7 @@ def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, mo
 
 
 def test_tiles_are_placed_on_all_partitions(folder):
-    parts = rs.PartitionedCatalog(folder)
+    parts = rs.catalog.PartitionedCatalog(folder)
     options = {"radius": 3 * u.deg, "fibers": 500, "method": "mean_shift"}
     one, other = (rs.place_tiles(catalog, **options).table for catalog in (parts, parts.read()))
     assert len(one) > 3
@@ -139,7 +139,7 @@ def plain_partitions(catalog, folder):
         write = pq.write_table
         plain = {"compression": "none", "use_dictionary": False}
         patch.setattr(pq, "write_table", lambda table, path, **_: write(table, path, **plain))
-        return rs.partition_catalog(catalog, folder, order=3)
+        return rs.catalog.partition_catalog(catalog, folder, order=3)
 
 
 def test_a_survey_is_not_resumed_with_other_contents(sky, small, tmp_path):
@@ -164,22 +164,22 @@ def test_a_survey_is_not_resumed_with_other_contents(sky, small, tmp_path):
 
 def test_columns_that_are_not_read_may_change(sky, small, tmp_path):
     """The digest includes only the columns that a survey reads."""
-    parts = rs.partition_catalog(sky, tmp_path / "sky", order=3)
+    parts = rs.catalog.partition_catalog(sky, tmp_path / "sky", order=3)
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     for *_, path in parts.parts.files:
         table = pq.read_table(path, partitioning=None)
         table = table.append_column("flux", pa.array(np.arange(float(len(table)))))
         pq.write_table(table, path, write_page_checksum=True)
-    wider = rs.PartitionedCatalog(tmp_path / "sky")
+    wider = rs.catalog.PartitionedCatalog(tmp_path / "sky")
     rs.plan_survey(wider, small, TILES, folder=tmp_path / "survey", resume=True)
 
 
 def test_resume_and_another_catalog(folder, sky, small, tmp_path):
-    parts = rs.PartitionedCatalog(folder)
+    parts = rs.catalog.PartitionedCatalog(folder)
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
-    rs.plan_survey(rs.PartitionedCatalog(folder), small, TILES, folder=tmp_path / "survey", resume=True)
-    other = rs.partition_catalog(sky[:-1], tmp_path / "other", order=4)
-    upside_down = rs.PartitionedCatalog(folder, columns={"priority": "-priority"})
+    rs.plan_survey(rs.catalog.PartitionedCatalog(folder), small, TILES, folder=tmp_path / "survey", resume=True)
+    other = rs.catalog.partition_catalog(sky[:-1], tmp_path / "other", order=4)
+    upside_down = rs.catalog.PartitionedCatalog(folder, columns={"priority": "-priority"})
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):
             rs.plan_survey(catalog, small, TILES, folder=tmp_path / "survey", resume=True)
@@ -191,7 +191,7 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
 
 
 def test_the_whole_sky_in_one_partition(sky, small, tmp_path):
-    parts = rs.partition_catalog(sky, tmp_path / "one", order=0)
+    parts = rs.catalog.partition_catalog(sky, tmp_path / "one", order=0)
     assert parts.meta["n_partitions"] == 4  # four partitions meet at the pole
     same(rs.plan_survey(parts, small, TILES), rs.plan_survey(parts.read(), small, TILES))
 
@@ -201,7 +201,7 @@ def test_proper_motions_and_epochs(small, tmp_path):
     """A star as fast as Barnard's star moves into the field, out of the field, and out of its partition."""
     moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)
     catalog = rs.Catalog(moving.reshape(1), epoch=2000.0)
-    parts = rs.partition_catalog(catalog, tmp_path / "moving", order=9)
+    parts = rs.catalog.partition_catalog(catalog, tmp_path / "moving", order=9)
     seen = []
     for epoch in (1720.0, 2000.0, 2290.0):
         there = TILES[0].spherical_offsets_by(0 * u.deg, (epoch - 2000) * 10_300 * u.mas).reshape(1)
@@ -226,9 +226,9 @@ def test_epochs_of_partitions_may_differ(small, tmp_path):
             id=[number],
         )
     with pytest.raises(rs.InputError, match="all targets must lie inside the HEALPix pixel"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "sky"), small, TILES)
+        rs.plan_survey(rs.catalog.PartitionedCatalog(tmp_path / "sky"), small, TILES)
     place = SkyCoord([45.0, 100.0] * u.deg, [2.0, -60.0] * u.deg)
-    parts = rs.partition_catalog(
+    parts = rs.catalog.partition_catalog(
         rs.Catalog(
             SkyCoord(place.ra, place.dec, pm_ra_cosdec=[0, 0] * u.mas / u.yr, pm_dec=[0, 10_000] * u.mas / u.yr),
             epoch=Time([2016.0, 1800.0], format="jyear"),
@@ -245,21 +245,23 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
     write(tmp_path / "columns" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0])
     write(tmp_path / "columns" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], priority=[1.0])
     with pytest.raises(rs.InputError, match=r"same columns, but some partitions have no priority"):
-        rs.PartitionedCatalog(tmp_path / "columns")
+        rs.catalog.PartitionedCatalog(tmp_path / "columns")
     write(tmp_path / "ids" / "Norder=0" / "Npix=0.parquet", ra=[45.0], dec=[10.0], id=[1])
     write(tmp_path / "ids" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
     with pytest.raises(
         rs.InputError, match="must have the same type in all partitions: the column id contains numbers and text"
     ):
-        rs.PartitionedCatalog(tmp_path / "ids").read()
+        rs.catalog.PartitionedCatalog(tmp_path / "ids").read()
     with pytest.raises(rs.InputError, match="ids must be integers in all partitions, or text in all"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
+        rs.plan_survey(rs.catalog.PartitionedCatalog(tmp_path / "ids"), small, SkyCoord([0] * u.deg, [0] * u.deg))
     none = pa.array([], type=pa.string())
     write(tmp_path / "empty" / "Norder=0" / "Npix=0.parquet", ra=np.array([]), dec=np.array([]), id=none)
     with pytest.raises(rs.InputError, match="at least one target"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, TILES)
+        rs.plan_survey(rs.catalog.PartitionedCatalog(tmp_path / "empty"), small, TILES)
     write(tmp_path / "empty" / "Norder=0" / "Npix=4.parquet", ra=[0.0], dec=[0.0], id=["a"])
-    survey = rs.plan_survey(rs.PartitionedCatalog(tmp_path / "empty"), small, SkyCoord([0] * u.deg, [0] * u.deg))
+    survey = rs.plan_survey(
+        rs.catalog.PartitionedCatalog(tmp_path / "empty"), small, SkyCoord([0] * u.deg, [0] * u.deg)
+    )
     assert survey.targets["target_id"].tolist() == ["a"]
 
 
@@ -269,7 +271,7 @@ def test_partitions_that_do_not_fit_together(small, tmp_path):
 )
 def test_bad_options(folder, options):
     with pytest.raises(rs.InputError, match=f"{next(iter(options))} must be"):
-        rs.PartitionedCatalog(folder, **options)
+        rs.catalog.PartitionedCatalog(folder, **options)
 
 
 def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
@@ -283,7 +285,7 @@ def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.table({"RA_x": [45.0 + pixel, 46.0], "DEC_x": [1.0, 2.0], "flux": [1.0, 2.0]}), path)
     (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
-    parts = rs.PartitionedCatalog(root)
+    parts = rs.catalog.PartitionedCatalog(root)
     assert parts.read().id.tolist() == list(range(6))
     assert repr(parts) == "<PartitionedCatalog of 6 targets in 3 partitions>"
     assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
@@ -297,62 +299,62 @@ def write(path, **columns):
 def test_of_threads_that_write_one_folder_one_writes(tmp_path, sky):
     def write(k):
         try:
-            return len(rs.partition_catalog(sky[k:], tmp_path / "parts", order=1))
+            return len(rs.catalog.partition_catalog(sky[k:], tmp_path / "parts", order=1))
         except rs.InputError:
             return None
 
     with ThreadPoolExecutor(4) as pool:
         (n,) = (n for n in pool.map(write, range(4)) if n is not None)
-    assert len(rs.PartitionedCatalog(tmp_path / "parts").read()) == n
+    assert len(rs.catalog.PartitionedCatalog(tmp_path / "parts").read()) == n
     assert [path.name for path in tmp_path.iterdir()] == ["parts"]
 
 
 def test_damaged_partitions_are_refused(tmp_path):
     """A flipped bit in a value of a partition remained undetected, because the pages had no checksums."""
     sky = rs.synthetic_catalog("uniform", SkyCoord("6h +23d"), 2 * u.deg, n_targets=300, rng=1)
-    rs.partition_catalog(sky, tmp_path / "parts", order=0)
+    rs.catalog.partition_catalog(sky, tmp_path / "parts", order=0)
     (path, *_) = (tmp_path / "parts").rglob("Npix=*.parquet")
     content = bytearray(path.read_bytes())
     column = next(c for k in range(12) if (c := pq.read_metadata(path).row_group(0).column(k)).path_in_schema == "ra")
     content[column.data_page_offset + column.total_compressed_size // 2] ^= 1
     path.write_bytes(content)
     with pytest.raises(rs.InputError, match=r"\.parquet cannot be read as parquet: .*checksum verification failed"):
-        rs.PartitionedCatalog(tmp_path / "parts").read()
+        rs.catalog.PartitionedCatalog(tmp_path / "parts").read()
 
 
 def test_bad_folders(tmp_path, sky, folder, small):
     with pytest.raises(rs.InputError, match="there is no such folder"):
-        rs.PartitionedCatalog(tmp_path / "nowhere")
+        rs.catalog.PartitionedCatalog(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     with pytest.raises(rs.InputError, match="must contain partitions"):
-        rs.PartitionedCatalog(tmp_path / "empty")
+        rs.catalog.PartitionedCatalog(tmp_path / "empty")
     write(tmp_path / "overlap" / "Norder=0" / "Npix=0.parquet", ra=[1.0], dec=[1.0])
     write(tmp_path / "overlap" / "Norder=1" / "Npix=3.parquet", ra=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="Norder=0/Npix=0 and Norder=1/Npix=3 do"):
-        rs.PartitionedCatalog(tmp_path / "overlap")
+        rs.catalog.PartitionedCatalog(tmp_path / "overlap")
     write(tmp_path / "pixel" / "Norder=0" / "Npix=12.parquet", ra=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="impossible order or pixel"):
-        rs.PartitionedCatalog(tmp_path / "pixel")
+        rs.catalog.PartitionedCatalog(tmp_path / "pixel")
     write(tmp_path / "names" / "Norder=0" / "Npix=0.parquet", x=[1.0], dec=[1.0])
     with pytest.raises(rs.InputError, match="no column for ra"):
-        rs.PartitionedCatalog(tmp_path / "names")
+        rs.catalog.PartitionedCatalog(tmp_path / "names")
     (tmp_path / "names" / "hats.properties").symlink_to(tmp_path / "nowhere")  # its column names were not used
     with pytest.raises(rs.InputError, match=r"hats\.properties: the target of this link does not exist"):
-        rs.PartitionedCatalog(tmp_path / "names")
+        rs.catalog.PartitionedCatalog(tmp_path / "names")
     write(tmp_path / "nan" / "Norder=0" / "Npix=4.parquet", ra=[1.0, np.nan], dec=[1.0, 2.0])
     with pytest.warns(rs.RfpsurveyWarning), pytest.raises(rs.InputError, match="got 1 of 2 rows without finite"):
-        rs.plan_survey(rs.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
+        rs.plan_survey(rs.catalog.PartitionedCatalog(tmp_path / "nan"), small, SkyCoord([1] * u.deg, [1] * u.deg))
     (tmp_path / "broken" / "Norder=0").mkdir(parents=True)
     (tmp_path / "broken" / "Norder=0" / "Npix=0.parquet").write_bytes(b"PAR1")
     with pytest.raises(rs.InputError, match=r"Npix=0.parquet cannot be read"):
-        rs.PartitionedCatalog(tmp_path / "broken")
+        rs.catalog.PartitionedCatalog(tmp_path / "broken")
     with pytest.raises(rs.InputError, match="exists; give the name of a new folder"):
-        rs.partition_catalog(sky, folder)
+        rs.catalog.partition_catalog(sky, folder)
     with pytest.raises(rs.InputError, match="at least one target"):
-        rs.partition_catalog(sky[:0], tmp_path / "none")
+        rs.catalog.partition_catalog(sky[:0], tmp_path / "none")
     for order in (14, -1, True, 2.5):
         with pytest.raises(rs.InputError, match="order must be"):
-            rs.partition_catalog(sky, tmp_path / "none", order=order)
+            rs.catalog.partition_catalog(sky, tmp_path / "none", order=order)
     assert not any(name.startswith(".") for name in os.listdir(tmp_path))
 
 
@@ -361,8 +363,8 @@ def collection(tmp_path_factory):
     """Return the folder of a HATS collection with a margin and an index, and the targets of its main table."""
     root = tmp_path_factory.mktemp("collection")
     sky = rs.synthetic_catalog("uniform", SkyCoord("3h +20d"), 5 * u.deg, n_targets=3000, rng=1)
-    rs.partition_catalog(sky, root / "stars", order=4)
-    margin = rs.partition_catalog(sky[:754], root / "stars_margin", order=4)
+    rs.catalog.partition_catalog(sky, root / "stars", order=4)
+    margin = rs.catalog.partition_catalog(sky[:754], root / "stars_margin", order=4)
     (margin.folder / "hats.properties").write_text(
         "obs_collection=stars_margin\ndataproduct_type=margin\nhats_nrows=754\nhats_col_ra=ra\nhats_col_dec=dec\n"
         "hats_margin_threshold=600\nhats_primary_table_url=stars\n"
@@ -377,7 +379,7 @@ def collection(tmp_path_factory):
 def test_only_the_main_table_of_a_collection_is_read(collection, run):
     """The main table and its margin were read as one catalog: 3000 targets became 3754."""
     root, sky = collection
-    parts = rs.PartitionedCatalog(root)
+    parts = rs.catalog.PartitionedCatalog(root)
     assert len(parts) == len(parts.read()) == 3000
     assert sorted(parts.read().id.tolist()) == sorted(sky.id.tolist())
     about = "main table stars; not read: margin stars_margin, index stars_id_index"
@@ -392,21 +394,21 @@ def test_only_the_main_table_of_a_collection_is_read(collection, run):
 @pytest.mark.parametrize("place", ["stars_margin", "stars_margin/dataset"])
 def test_margins_are_refused(collection, place):
     with pytest.raises(rs.InputError, match="must be object, got margin.*; open the main table, stars"):
-        rs.PartitionedCatalog(collection[0] / place)
+        rs.catalog.PartitionedCatalog(collection[0] / place)
 
 
 def test_folders_of_several_catalogs_are_refused(collection, tmp_path):
     for name in ("one", "two"):
-        rs.partition_catalog(collection[1], tmp_path / name, order=0)
+        rs.catalog.partition_catalog(collection[1], tmp_path / name, order=0)
     with pytest.raises(rs.InputError, match="must contain one catalog, got partitions in .*one/dataset and .*two/data"):
-        rs.PartitionedCatalog(tmp_path)
+        rs.catalog.PartitionedCatalog(tmp_path)
 
 
 @pytest.mark.parametrize("url", ["", "nowhere", "https://data.lsdb.io/hats/gaia"])
 def test_main_tables_of_collections_must_exist(tmp_path, url):
     (tmp_path / "collection.properties").write_text(f"hats_primary_table_url={url}\n")
     with pytest.raises(rs.InputError, match=f"must be the folder of the main table, got '{url}'"):
-        rs.PartitionedCatalog(tmp_path)
+        rs.catalog.PartitionedCatalog(tmp_path)
 
 
 def test_properties_state_the_epoch_and_the_identifiers(tmp_path):
@@ -415,12 +417,12 @@ def test_properties_state_the_epoch_and_the_identifiers(tmp_path):
     path = tmp_path / "hats.properties"
     path.write_text("dataproduct_type=object\nhats_coordinate_epoch=J2016.0\nhats_cols_survey_id=key\n")
     for folder in (tmp_path, tmp_path / "dataset"):
-        parts = rs.PartitionedCatalog(folder)
+        parts = rs.catalog.PartitionedCatalog(folder)
         for catalog in (parts.read(), parts.parts.part(0)):
             assert catalog.id.tolist() == [7, 8]
             assert catalog.epoch.jyear == 2016
     path.write_text("hats_col_j2000_ra=ra\nhats_cols_survey_id=key other\n")
-    assert rs.PartitionedCatalog(tmp_path).read().id.tolist() == [0, 1]
+    assert rs.catalog.PartitionedCatalog(tmp_path).read().id.tolist() == [0, 1]
     for text, message in (
         ("hats_frame=galactic", "hats_frame must be equatorial"),
         ("hats_coordinate_epoch=long ago", "hats_coordinate_epoch must be a Time, a Julian year"),
@@ -428,7 +430,7 @@ def test_properties_state_the_epoch_and_the_identifiers(tmp_path):
     ):
         path.write_text(f"{text}\n")
         with pytest.raises(rs.InputError, match=message):
-            rs.PartitionedCatalog(tmp_path)
+            rs.catalog.PartitionedCatalog(tmp_path)
     path.write_text("dataproduct_type=source\n")
     with pytest.warns(rs.RfpsurveyWarning, match="each detection of an object is planned as a separate target"):
-        rs.PartitionedCatalog(tmp_path)
+        rs.catalog.PartitionedCatalog(tmp_path)

@@ -281,10 +281,10 @@ def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
     folder = tmp_path / "dataset" / "Norder=0" / "Dir=0"
     folder.mkdir(parents=True)
     whole = rs.Catalog.from_table(table, keep=[])
-    pixel = rs.partition_catalog(whole, tmp_path / "own", order=0).parts.files[0][1]
+    pixel = rs.catalog.partition_catalog(whole, tmp_path / "own", order=0).parts.files[0][1]
     columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
     parquet.write_table(pa.table(columns), folder / f"Npix={pixel}.parquet")
-    parts = rs.PartitionedCatalog(tmp_path / "dataset")
+    parts = rs.catalog.PartitionedCatalog(tmp_path / "dataset")
     for catalog in (parts.read(), parts.parts.part(0)):
         for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
             assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name

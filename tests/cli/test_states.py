@@ -247,6 +247,7 @@ def test_wrong_options_are_refused(run, always, tmp_path):
     )
 
 
+@pytest.mark.exhaustive
 def test_instruments_are_compared_with_another_arm_model(run, tmp_path):
     output = tmp_path / "table.ecsv"
     call = [

@@ -153,6 +153,7 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     assert lines == 2 * [["required", "targets", "observed", str(n), "of", str(len(required))]]
 
 
+@pytest.mark.exhaustive
 def test_instruments_are_compared_with_required_targets_and_circles(call, files, tmp_path):
     folder, sky, _ = files
     words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
@@ -211,7 +212,7 @@ def test_one_tile_has_the_same_words(call, files, tmp_path, command):
 
 def test_a_folder_of_partitions(call, files, tmp_path):
     folder, sky, _ = files
-    rs.partition_catalog(sky, tmp_path / "parts")
+    rs.catalog.partition_catalog(sky, tmp_path / "parts")
     out, _ = call("survey", tmp_path / "parts", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
     assert f"{sky.visits.sum():>12}" in out
     assert "--tiles must be given" in call("survey", tmp_path / "parts", code=2)[1]

@@ -64,7 +64,10 @@ def test_tips_of_units_that_take_none_do_not_matter(rng):
     tips[~plane.arrays.usable] += 500 * MM
     after = rs.find_collisions(plane, tips)
     np.testing.assert_array_equal(after.pairs, before.pairs)
-    counts = [rs.count_collisions(plane, t[None]) for t in (tips, np.where(plane.arrays.usable[:, None], tips, np.nan))]
+    counts = [
+        rs.collision.count_collisions(plane, t[None])
+        for t in (tips, np.where(plane.arrays.usable[:, None], tips, np.nan))
+    ]
     assert counts[0].n_pairs == counts[1].n_pairs == [len(before.pairs)]
     turned = rs.find_collisions(plane, theta=np.zeros(len(plane)) * u.rad, phi=np.zeros(len(plane)) * u.rad)
     np.testing.assert_array_equal(turned.assigned, plane.arrays.usable)

@@ -30,7 +30,7 @@ def test_counts_are_those_of_single_configurations(name, rng):
     tips = many_tips(plane, rng, 70)
     reports = [rs.find_collisions(plane, t, **options) for t in tips]
     assert sum(len(r.pairs) for r in reports) > 5
-    assert_same(rs.count_collisions(plane, tips, **options), reports)
+    assert_same(rs.collision.count_collisions(plane, tips, **options), reports)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
     xy = rng.uniform(-edge, edge, (4 * len(plane), 2))
     types = None if plane.fiber_types == ("",) else rng.choice(["A", "B", ""], len(xy))
     allocation = rs.allocate(plane, xy * MM, fiber_type=types, allocator="balanced")
-    counts = rs.count_collisions(plane, allocation, n_configurations=70, rng=5)
+    counts = rs.collision.count_collisions(plane, allocation, n_configurations=70, rng=5)
     if plane.positioner.handedness == "both":
         assert (allocation.handedness == "left").any()
     uniform = np.concatenate(
@@ -75,8 +75,8 @@ def test_an_executor_changes_nothing(pool, rng):
     allocation = rs.allocate(plane, rng.uniform(-70, 70, (150, 2)) * MM, allocator="balanced")
     with pool(2) as executor:
         for given, options in ((tips, {}), (allocation, {"n_configurations": 200, "rng": 3})):
-            here = rs.count_collisions(plane, given, **options)
-            there = rs.count_collisions(plane, given, executor=executor, **options)
+            here = rs.collision.count_collisions(plane, given, **options)
+            there = rs.collision.count_collisions(plane, given, executor=executor, **options)
             assert there.n_pairs.sum() > 0
             for field in here.__dataclass_fields__:
                 np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
@@ -90,7 +90,7 @@ def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
             rng.uniform(-70, 70, (12, 2)) * MM,
             allocator=rs.AllocationOptions("balanced", parked_obstacles=parked),
         )
-        counts = rs.count_collisions(plane, allocation, n_configurations=3)
+        counts = rs.collision.count_collisions(plane, allocation, n_configurations=3)
         assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
         assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]
 
@@ -102,12 +102,12 @@ def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
     with pytest.raises(
         rs.InputError, match="configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
     ):
-        rs.count_collisions(plane, tips)
+        rs.collision.count_collisions(plane, tips)
     limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
     tips = np.stack([plane.xy + 3 * MM] * 140)
     tips[130, 2] = limited.xy[2] + 0.1 * MM
     with pytest.raises(rs.InputError, match="configuration 130: 1 tips are beyond the joint limits"):
-        rs.count_collisions(limited, tips)
+        rs.collision.count_collisions(limited, tips)
 
 
 def test_joint_limits_hold_for_the_elbow_in_use():
@@ -118,7 +118,7 @@ def test_joint_limits_hold_for_the_elbow_in_use():
     assert len(rs.find_collisions(plane, tips).pairs) == 0
     for call in (
         lambda: rs.find_collisions(plane, tips, handedness="left"),
-        lambda: rs.count_collisions(plane, tips[None], handedness="left"),
+        lambda: rs.collision.count_collisions(plane, tips[None], handedness="left"),
     ):
         with pytest.raises(rs.InputError, match="2 tips are beyond the joint limits"):
             call()
@@ -126,14 +126,14 @@ def test_joint_limits_hold_for_the_elbow_in_use():
 
 def test_nothing_to_count():
     plane = lamost_like(1)
-    empty = rs.count_collisions(plane, np.empty((0, 7, 2)) * MM)
+    empty = rs.collision.count_collisions(plane, np.empty((0, 7, 2)) * MM)
     assert len(empty) == 0
     assert empty.per_positioner.tolist() == [0] * 7
-    idle = rs.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
+    idle = rs.collision.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
     assert np.isnan(idle.rate).all()
     assert idle.n_pairs.tolist() == [0, 0]
     apart = rs.FocalPlane.hexagonal(plane.positioner, rings=1, pitch=60 * MM)
-    assert rs.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
+    assert rs.collision.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
 
 
 @pytest.mark.parametrize(
@@ -156,36 +156,40 @@ def test_nothing_to_count():
 )
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(rs.InputError, match=message):
-        rs.count_collisions(lamost_like(1), **arguments)
+        rs.collision.count_collisions(lamost_like(1), **arguments)
 
 
 def test_bad_draws_are_named():
     plane = lamost_like(1)
     xy = plane.xy + 1 * MM
     with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
-        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
+        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
     with pytest.raises(
         rs.InputError,
         match="drawn only from an allocation with queues, such as those by 'balanced', got an allocation by 'lamost'",
     ):
-        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
+        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
     with pytest.raises(
         rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
     ):
-        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, method="cuda")
+        rs.collision.count_collisions(
+            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, method="cuda"
+        )
     with pytest.raises(rs.InputError, match="the allocation must be for the 19 positioners of the focal plane, got 7"):
-        rs.count_collisions(lamost_like(2), rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
+        rs.collision.count_collisions(lamost_like(2), rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
     elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
     with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
-        rs.count_collisions(elsewhere, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
+        rs.collision.count_collisions(elsewhere, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
     with pytest.raises(rs.InputError, match=r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"):
-        rs.count_collisions(
+        rs.collision.count_collisions(
             plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, rng=np.random.RandomState(1)
         )
     for wrong in ("lamost", rs.Instrument.preset("lamost")):
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
-            rs.count_collisions(wrong, xy)
+            rs.collision.count_collisions(wrong, xy)
         with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
             rs.find_collisions(wrong, xy)
     with pytest.raises(rs.InputError, match="handedness and fiber_type must be None for an Allocation"):
-        rs.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, handedness="left")
+        rs.collision.count_collisions(
+            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, handedness="left"
+        )

@@ -272,7 +272,7 @@ def test_borderline_pairs_are_counted_and_settled():
         report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
         assert len(report.pairs) == n
         assert report.n_borderline == (abs(gap - 4.5) < 1e-10)
-        counts = rs.count_collisions(plane, [[[8, 0], [8, gap]]] * MM)
+        counts = rs.collision.count_collisions(plane, [[[8, 0], [8, gap]]] * MM)
         assert (counts.n_pairs[0], counts.n_borderline[0]) == (n, report.n_borderline)
 
 

@@ -58,7 +58,7 @@ def test_arms_touch_polygons_as_in_shapely(name):
         assert [tuple(pair) for pair in report.obstacle_pairs[found].tolist()] == sorted(expected)
         distances = [expected[pair] for pair in sorted(expected)]
         np.testing.assert_allclose(report.obstacle_distances[found].to_value(u.mm), distances, atol=1e-9)
-        counts = rs.count_collisions(plane, plan.tips[None])
+        counts = rs.collision.count_collisions(plane, plan.tips[None])
         assert counts.n_obstacle_pairs.tolist() == [len(report.obstacle_pairs)]
         n_hits += len(expected)
     assert n_hits > 20

@@ -21,7 +21,7 @@ CAPSULE = rs.Positioner(
 def as_outline(unit: rs.Positioner, radius: float = 0.0) -> rs.Positioner:
     """Return the same capsule as an outline, of which a part of the clearance may be the radius."""
     vertices = [[0, 0], [unit.arm_length.to_value(u.mm), 0]] * u.mm
-    outline = rs.ArmOutline(eccentric=((vertices, radius * u.mm),))
+    outline = rs.positioner.ArmOutline(eccentric=((vertices, radius * u.mm),))
     clearance = unit.clearance - radius * u.mm
     return replace(unit, arm_model="outline", arm_length=None, outline=outline, clearance=clearance)
 
@@ -52,7 +52,9 @@ def test_capsule_as_outline_gives_the_same_collisions(radius):
         near = [nearest_distance(plane, arms) for plane, arms in zip((capsule, outline), poses, strict=True)]
         close = near[0] < 5
         np.testing.assert_allclose(near[1][close] + 2 * radius, np.maximum(near[0][close], 2 * radius), atol=1e-12)
-        counts = [rs.count_collisions(plane, plan, n_configurations=50, rng=seed) for plane in (capsule, outline)]
+        counts = [
+            rs.collision.count_collisions(plane, plan, n_configurations=50, rng=seed) for plane in (capsule, outline)
+        ]
         np.testing.assert_array_equal(counts[0].per_positioner, counts[1].per_positioner)
 
 
@@ -206,7 +208,7 @@ def test_outlines_touch_obstacles_as_in_shapely(rng):
         assert [tuple(pair) for pair in report.obstacle_pairs.tolist()] == sorted(expected)
         distances = [expected[pair] for pair in sorted(expected)]
         np.testing.assert_allclose(report.obstacle_distances.to_value(u.mm), distances, atol=1e-9)
-        counts = rs.count_collisions(plane, plan.tips[None])
+        counts = rs.collision.count_collisions(plane, plan.tips[None])
         assert counts.n_obstacle_pairs.tolist() == [len(expected)]
         n_hits += len(expected)
     assert n_hits > 12

@@ -33,7 +33,9 @@ def two(parts, *, separation=0.0, distance=10.0, turned=False, central=(), arm=3
 
     The elbows are at the origin and at the distance along x; the second arm can point back at the first one.
     """
-    shape = rs.ArmOutline([part * u.mm for part in np.array(parts, dtype=float)], [p * u.mm for p in central])
+    shape = rs.positioner.ArmOutline(
+        [part * u.mm for part in np.array(parts, dtype=float)], [p * u.mm for p in central]
+    )
     elbows = np.array([[0.0, 0.0], [distance, 0.0]])
     outline = make_outline(shape, elbows - [arm, 0.0], np.full(2, arm))
     length = shape.length.value * np.array([1.0, -1.0 if turned else 1.0])
@@ -74,7 +76,7 @@ def test_crossing_lines_without_a_radius_overlap():
     gap, collide = two(cross, distance=4.0, turned=True)  # the second line is the first one
     assert gap == pytest.approx(0, abs=1e-14)
     assert not collide
-    tilted = make_outline(rs.ArmOutline([cross[0] * u.mm]), np.zeros((2, 2)), np.ones(2))
+    tilted = make_outline(rs.positioner.ArmOutline([cross[0] * u.mm]), np.zeros((2, 2)), np.ones(2))
     first, second = [0.0, 0.0, 4.0, 0.0], [0.0, 0.0, 4 * np.cos(0.1), 4 * np.sin(0.1)]
     assert outlines_closer_exactly(tilted, 0, 1, first, second, 0.0)
     assert outlines.outlines_squared(tilted, tilted.offset, 0, 1, *first, *second) < tilted.offset**2

@@ -15,7 +15,7 @@ CIRCLE = rs.Region.parse("cap 95 23 0.01")
 
 
 @dataclass(frozen=True)
-class Faint(rs.Constraint):
+class Faint(rs.constraints.Constraint):
     limit: float
     column: str = "mag"
 
@@ -129,7 +129,7 @@ def test_a_constraint_states_how_methods_honor_it():
 def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monkeypatch):
     (tmp_path / "rules").mkdir()
     (tmp_path / "rules" / "one.py").write_text(
-        "import rfpsurvey as rs\nfrom rfpsurvey import KeepOut\nclass One(rs.Constraint):\n    name = 'one'\n"
+        "from rfpsurvey.constraints import Constraint, KeepOut\nclass One(Constraint):\n    name = 'one'\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert [*find_constraints("rules", tmp_path / "rules")] == ["one"]

@@ -137,7 +137,7 @@ def test_a_catalog_in_partitions_gives_the_same_survey(sky, small, tiles, tmp_pa
 
     magnitude = np.floor(np.asarray(sky.extra["mag"]))
     sky = rs.Catalog(sky.coord, 7 + np.arange(len(sky)), priority=magnitude, kind=sky.kind, visits=sky.visits)
-    parts = rs.partition_catalog(sky, tmp_path / "parts", order=6)
+    parts = rs.catalog.partition_catalog(sky, tmp_path / "parts", order=6)
     assert len(list((tmp_path / "parts").rglob("*.parquet"))) > 1 or len(parts) == len(sky)
     asked = rs.AllocationOptions("optimal", constraints=Bright(14.0, 0.05))
     whole, parted = (rs.plan_survey(one, small, tiles, allocator=asked) for one in (sky, parts))
@@ -219,7 +219,7 @@ def test_collision_probabilities_refuse_constraints(small):
 )
 def test_a_wrong_answer_names_the_constraint(sky, small, answer, words):
     @dataclass(frozen=True)
-    class Wrong(rs.Constraint):
+    class Wrong(rs.constraints.Constraint):
         name = "wrong"
 
         def excluded(self, field):
@@ -231,7 +231,7 @@ def test_a_wrong_answer_names_the_constraint(sky, small, answer, words):
 
 def test_a_constraint_that_no_allocator_honors_causes_one_warning(sky, small):
     @dataclass(frozen=True)
-    class Few(rs.Constraint):
+    class Few(rs.constraints.Constraint):
         most: int
         name = "few"
 

@@ -24,7 +24,7 @@ class InQuadrant(rs.Requirement):
 
 
 @dataclass(frozen=True)
-class SkyInQuadrants(rs.Constraint):
+class SkyInQuadrants(rs.constraints.Constraint):
     minimum: int
     maximum: int
 

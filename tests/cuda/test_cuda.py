@@ -35,7 +35,7 @@ def test_a_gpu_counts_as_the_processor(name, rng):
     assert len(plane) <= 50
     tips = many_tips(plane, rng, 9 if name == "both hands" else 3)
     tips[0, 3, 1] = np.nan * MM  # a tip with one missing coordinate is not a target
-    here, there = (rs.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
+    here, there = (rs.collision.count_collisions(plane, tips, method=m, **options) for m in ("exact", "cuda"))
     for field in here.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(here, field), getattr(there, field))
 
@@ -55,7 +55,9 @@ def test_borderline_pairs_are_settled_there_too():
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, rs.Positioner(4 * MM, 4 * MM, 2.25 * MM))
         report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM, method="cuda")
         assert (len(report.pairs), report.n_borderline) == (n, 1)
-        assert rs.count_collisions(plane, [[[8, 0], [8, gap]]] * MM, method="cuda").n_borderline.tolist() == [1]
+        assert rs.collision.count_collisions(plane, [[[8, 0], [8, gap]]] * MM, method="cuda").n_borderline.tolist() == [
+            1
+        ]
 
 
 def test_tips_out_of_reach_are_named():
@@ -63,10 +65,10 @@ def test_tips_out_of_reach_are_named():
     tips = np.stack([plane.xy + 3 * MM, plane.xy + 3 * MM])
     tips[1, 4] += 50 * MM
     with pytest.raises(rs.InputError, match="configuration 1: 1 tips .*; the first is the tip of positioner 4"):
-        rs.count_collisions(plane, tips, method="cuda")
+        rs.collision.count_collisions(plane, tips, method="cuda")
     unequal = rs.FocalPlane(plane.xy, rs.Positioner(7 * MM, 9 * MM, 2 * MM))
     with pytest.raises(rs.InputError, match="configuration 0: 7 tips are out of reach"):
-        rs.count_collisions(unequal, unequal.xy[None] + 1 * MM, method="cuda")
+        rs.collision.count_collisions(unequal, unequal.xy[None] + 1 * MM, method="cuda")
 
 
 COMPILE = """

@@ -166,7 +166,7 @@ def test_counts_and_methods_agree_with_the_same_instrument_without_columns():
     angle = rng.uniform(0, 2 * np.pi, (6, N))
     tips = plane.xy.value + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1)
     types = np.where(rng.random(N) < 0.5, plane.arrays.first_type, [row.split("+")[-1] for row in plane.fiber_type])
-    counts = [rs.count_collisions(p, tips * MM, fiber_type=types) for p in (plane, built)]
+    counts = [rs.collision.count_collisions(p, tips * MM, fiber_type=types) for p in (plane, built)]
     np.testing.assert_array_equal(counts[0].n_in_collision, counts[1].n_in_collision)
     for method in ("exact", "sampled", "scipy"):
         reports = [rs.find_collisions(p, tips[0] * MM, fiber_type=types, method=method) for p in (plane, built)]
@@ -343,14 +343,14 @@ def test_counts_of_configurations_with_other_fibers():
     plane, rng = random_plane(), np.random.default_rng(7)
     names = np.full(60, "B")
     tips = [plane.forward(rng.uniform(0, 360, 60) * DEG, rng.uniform(20, 160, 60) * DEG, "B") for _ in range(5)]
-    counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
+    counts = rs.collision.count_collisions(plane, u.Quantity(tips), fiber_type=names)
     assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
     assert counts.n_pairs.sum() > 20
     nowhere = np.full((60, 2), np.nan) * [[20.0, 80.0]]
     nowhere[::3] = [20, 80]
     plane = random_plane(stuck=nowhere * DEG)
     tips = [np.where(np.isnan(nowhere[:, :1]), t.value, np.nan) * MM for t in tips]
-    counts = rs.count_collisions(plane, u.Quantity(tips), fiber_type=names)
+    counts = rs.collision.count_collisions(plane, u.Quantity(tips), fiber_type=names)
     assert counts.n_pairs.tolist() == [len(rs.find_collisions(plane, t, fiber_type=names).pairs) for t in tips]
 
 
@@ -399,6 +399,6 @@ def test_limits_of_the_other_elbow():
     phi = plane.inverse(tips, handedness="left")[1]
     np.testing.assert_allclose(phi.value, -np.rad2deg(np.arccos((6**2 - 8**2 - 10**2) / 160)), atol=1e-9)
     assert rs.find_collisions(plane, tips, handedness="left").assigned.all()
-    assert rs.count_collisions(plane, tips[None], handedness="left").n_assigned.tolist() == [2]
+    assert rs.collision.count_collisions(plane, tips[None], handedness="left").n_assigned.tolist() == [2]
     with pytest.raises(rs.InputError, match="out of reach"):
         rs.find_collisions(plane, tips)

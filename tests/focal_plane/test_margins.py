@@ -203,7 +203,7 @@ def test_the_margin_of_arms_is_added_to_the_clearance(robot):
     for one in (wider, margined, plane):
         plan = rs.allocate(one, points * u.mm, allocator="optimal")
         reports = [rs.find_collisions(one, t * u.mm) for t in tips]
-        counts = rs.count_collisions(one, tips * u.mm)
+        counts = rs.collision.count_collisions(one, tips * u.mm)
         assert counts.n_pairs.tolist() == [len(r.pairs) for r in reports]
         assert counts.n_obstacle_pairs.tolist() == [len(r.obstacle_pairs) for r in reports]
         found.append([plan.target_of_positioner.tolist(), counts.n_pairs.tolist(), counts.n_obstacle_pairs.tolist()])
@@ -276,7 +276,7 @@ def test_margins_that_leave_no_patrol_area():
     with pytest.raises(rs.InputError, match="1 positioners have no area left"):
         rs.FocalPlane(xy, EQUAL, **columns)
     rs.FocalPlane(xy, EQUAL, **columns, disabled=[True, False])
-    with pytest.raises(rs.InputTypeError, match="margins must be Margins, got 0.2"):
+    with pytest.raises(rs.errors.InputTypeError, match="margins must be Margins, got 0.2"):
         rs.FocalPlane(xy, EQUAL, margins=0.2)
 
 

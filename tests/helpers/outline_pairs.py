@@ -229,7 +229,7 @@ def make_pairs(rng, shape, place, n):
     """Return n pairs of positioners with one outline: anywhere, on a grid, or far from the origin."""
     parts = SHAPES[shape](rng)
     given = [[(np.array(part, dtype=float) * u.mm, radius * u.mm) for part, radius in group] for group in parts]
-    outline = rs.ArmOutline(*given)
+    outline = rs.positioner.ArmOutline(*given)
     length, arm_length = outline.length.value, float(rng.integers(1, 6))
     if place == "grid":
         turns = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]], dtype=float)

@@ -15,7 +15,7 @@ DESI_LIKE = rs.Positioner(
     3 * u.mm,
     0.1 * u.mm,
     arm_model="outline",
-    outline=rs.ArmOutline(eccentric=(WEDGE, HEEL), central=(BODY, DISC)),
+    outline=rs.positioner.ArmOutline(eccentric=(WEDGE, HEEL), central=(BODY, DISC)),
 )
 
 

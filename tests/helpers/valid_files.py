@@ -44,7 +44,7 @@ def read_catalog(path: Path) -> int:
 
 
 def read_partitions(path: Path) -> int:
-    catalog = rs.PartitionedCatalog(path).read()
+    catalog = rs.catalog.PartitionedCatalog(path).read()
     return len(catalog) + catalog.n_dropped
 
 
@@ -103,7 +103,7 @@ def _parquet(folder, table) -> list[Sample]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table.write(folder / "a.parquet", format="parquet")
-    rs.partition_catalog(rs.Catalog.from_table(table), folder / "sky", order=5)
+    rs.catalog.partition_catalog(rs.Catalog.from_table(table), folder / "sky", order=5)
     parts = [str(path.relative_to(folder / "sky")) for path in sorted((folder / "sky").rglob("Npix=*.parquet"))]
     return [
         Sample("Parquet", folder / "a.parquet", read_catalog, count_all),

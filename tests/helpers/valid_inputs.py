@@ -128,7 +128,7 @@ def _read(path: Path) -> None:
 
 
 def _read_ray_trace(path: Path) -> None:
-    rs.DistortionMap.from_ray_trace(path, degree=3, harmonics=1)
+    rs.projection.DistortionMap.from_ray_trace(path, degree=3, harmonics=1)
 
 
 def _ray_trace(folder: Path) -> Path:

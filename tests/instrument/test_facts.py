@@ -83,6 +83,7 @@ def test_the_field_of_view_is_that_of_random_directions(presets, name, rng):
     )
 
 
+@pytest.mark.exhaustive
 def test_published_fields_of_view(presets):
     """The values are DESI: 8 deg2 within 1.6 deg; PFS: 1.25 deg2; MOONS: 500 arcmin2; LAMOST: diameter of 5 deg."""
     for name, area, tolerance in (

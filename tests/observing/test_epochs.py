@@ -115,7 +115,7 @@ def tiling():
 @pytest.mark.parametrize("partitioned", [False, True])
 def test_each_tile_of_a_survey_is_planned_at_its_time(table, catalog, presets, tiling, partitioned, tmp_path):
     """Regression: all tiles were planned at the epoch of the catalog."""
-    given = rs.partition_catalog(catalog, tmp_path / "parts", order=3) if partitioned else catalog
+    given = rs.catalog.partition_catalog(catalog, tmp_path / "parts", order=3) if partitioned else catalog
     options = rs.AllocationOptions("repair", requirements="sky=20", sky_separation=10 * u.arcsec)
     survey = rs.plan_survey(given, presets["sdss_apo"], tiling, visits=3, allocator=options)
     assert survey.summary["epoch"].startswith("the targets are moved to J2024.887 to J2026.137, the time")

@@ -36,7 +36,7 @@ def test_each_model_adds_one_effect(presets):
     plane = instrument.projection(CENTER, 20 * u.deg)
     instant, green = replace(conditions, exposure_time=0 * u.s), WAVES["BOSS"]
     expected = {
-        "tangent": rs.TangentPlane(CENTER, instrument.plate_scale, 20 * u.deg),
+        "tangent": rs.projection.TangentPlane(CENTER, instrument.plate_scale, 20 * u.deg),
         "radial": plane,
         "refraction": instrument.projection(CENTER, 20 * u.deg, replace(instant, wavelength=green)),
         "dispersion": instrument.projection(CENTER, 20 * u.deg, instant),
@@ -74,13 +74,13 @@ def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets,
     waves = WAVES if name.startswith("sdss") else 0.54 * u.um
     conditions = conditions_at(wavelength=waves, guide_wavelength=0.65 * u.um)
     instant = conditions.without_exposure
-    result = rs.compare_projections(instrument, CENTER, conditions)
+    result = rs.instrument.compare_projections(instrument, CENTER, conditions)
     full, start, end = (
         instrument.projection(CENTER, conditions=one)
         for one in (conditions, instant.shifted(-7.5 * u.min), instant.shifted(7.5 * u.min))
     )
     others = {
-        "tangent": rs.TangentPlane(CENTER, instrument.plate_scale),
+        "tangent": rs.projection.TangentPlane(CENTER, instrument.plate_scale),
         "radial": instrument.projection(CENTER),
         "refraction": instrument.projection(CENTER, conditions=instant.at_guide_wavelength),
         "dispersion": instrument.projection(CENTER, conditions=instant),
@@ -112,11 +112,11 @@ def test_the_radial_map_may_end_inside_the_patrol_areas(presets):
     limit = pfs.distortion.to_angle(220 * u.mm)
     instrument = replace(pfs, distortion=replace(pfs.distortion, max_angle=limit))
     conditions = conditions_at(wavelength=0.6 * u.um)
-    table = rs.compare_projections(instrument, CENTER, conditions).table
+    table = rs.instrument.compare_projections(instrument, CENTER, conditions).table
     turn = np.arange(360) * u.deg
     xy = 219.999 * np.column_stack([np.cos(turn), np.sin(turn)]) * u.mm
     coord = instrument.projection(CENTER, conditions=conditions).to_sky(xy)
-    moved = np.hypot(*(rs.TangentPlane(CENTER, pfs.plate_scale).to_focal_plane(coord) - xy).T)
+    moved = np.hypot(*(rs.projection.TangentPlane(CENTER, pfs.plate_scale).to_focal_plane(coord) - xy).T)
     assert abs(table["max"][0] / moved.max() - 1) < 0.01
 
 
@@ -126,7 +126,7 @@ def test_the_radial_map_may_end_inside_the_patrol_areas(presets):
 )
 def test_the_cheapest_model_within_the_tolerance_suffices(presets, tolerance, sufficient):
     conditions = conditions_at(tolerance=tolerance * u.mm)
-    result = rs.compare_projections(presets["sdss_apo"], CENTER, conditions)
+    result = rs.instrument.compare_projections(presets["sdss_apo"], CENTER, conditions)
     assert result.sufficient == sufficient
     assert result.table["max"][list(MODELS).index(sufficient)] <= tolerance * u.mm
     field, record = choose_projection(presets["sdss_apo"], presets["sdss_apo"].projection(CENTER), conditions, "auto")
@@ -137,24 +137,26 @@ def test_the_cheapest_model_within_the_tolerance_suffices(presets, tolerance, su
 
 def test_a_range_of_hour_angles_gives_the_largest_displacements(presets):
     hours = [-3.0, 0.0, 1.0]
-    both = rs.compare_projections(
+    both = rs.instrument.compare_projections(
         presets["lamost"], CENTER, conditions_at(wavelength=0.5 * u.um), hour_angles=hours * u.hour
     )
     single = [
-        rs.compare_projections(presets["lamost"], CENTER, conditions_at(hour, wavelength=0.5 * u.um)) for hour in hours
+        rs.instrument.compare_projections(presets["lamost"], CENTER, conditions_at(hour, wavelength=0.5 * u.um))
+        for hour in hours
     ]
     largest = np.max([one.table["max"].value for one in single], axis=0)
     np.testing.assert_allclose(both.table["max"].value[:-1], largest[:-1], rtol=0, atol=1e-9)
     assert both.drift.value == pytest.approx(max(one.drift.value for one in single))
 
 
+@pytest.mark.exhaustive
 def test_the_default_tolerance_is_a_tenth_of_the_fiber(presets):
     diameters = {"lamost": 320, "sdss_apo": 120, "sdss_lco": 120, "moons": 571, "desi": 107, "pfs": 99.2}
     for name, microns in diameters.items():
         conditions = conditions_at(wavelength=0.6 * u.um)
-        result = rs.compare_projections(presets[name], CENTER, conditions)
+        result = rs.instrument.compare_projections(presets[name], CENTER, conditions)
         assert result.tolerance.to_value(u.um) == pytest.approx(microns / 10)
-        given = rs.compare_projections(presets[name], CENTER, conditions, tolerance=9 * u.um)
+        given = rs.instrument.compare_projections(presets[name], CENTER, conditions, tolerance=9 * u.um)
         assert given.tolerance == 9 * u.um
 
 
@@ -261,9 +263,9 @@ def test_projections_that_are_not_valid_are_errors(presets, catalog, given, text
 def test_hour_angles_that_are_not_valid_are_errors(presets):
     for angles in ([] * u.deg, [[1]] * u.deg, 5 * u.mm):
         with pytest.raises(rs.InputError, match="hour_angles must"):
-            rs.compare_projections(presets["pfs"], CENTER, conditions_at(), hour_angles=angles)
+            rs.instrument.compare_projections(presets["pfs"], CENTER, conditions_at(), hour_angles=angles)
     with pytest.raises(rs.InputError, match="tolerance must"):
-        rs.compare_projections(presets["pfs"], CENTER, conditions_at(), tolerance=-1 * u.mm)
+        rs.instrument.compare_projections(presets["pfs"], CENTER, conditions_at(), tolerance=-1 * u.mm)
 
 
 TOML = """
@@ -377,7 +379,7 @@ def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):
 
 def test_the_sentence_states_the_drift_only_for_exposures(presets):
     for time, stated in ((0 * u.s, False), (15 * u.min, True)):
-        result = rs.compare_projections(
+        result = rs.instrument.compare_projections(
             presets["pfs"], CENTER, conditions_at(wavelength=0.6 * u.um, exposure_time=time)
         )
         assert ("during the exposure" in str(result)) == stated

@@ -37,7 +37,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True)
-class AwayFrom(rs.Constraint):
+class AwayFrom(rs.constraints.Constraint):
     """Exclude targets near the first targets, by the column ``first``, wherever these are and whoever observes them."""
 
     number: int

@@ -86,12 +86,12 @@ def test_counts_are_parts_of_the_configurations(small):
     tips = np.full((4, 37, 2), np.nan)
     # the first two arms collide in half of the configurations
     tips[:2, :2] = plane.xy.value[:2] + [[[12, 0], [-12, 0]]]
-    counts = rs.count_collisions(plane, tips * u.mm, parked_obstacles=False)
+    counts = rs.collision.count_collisions(plane, tips * u.mm, parked_obstacles=False)
     ax = rs.plot.plot_collision_map(counts, small)
     assert disks(ax)[0].get_array().tolist() == [0.5, 0.5] + [0] * 35
     assert ax.child_axes[0].get_ylabel() == "fraction of configurations in collision"
     with pytest.raises(rs.InputError, match="at least one configuration"):
-        rs.plot.plot_collision_map(rs.count_collisions(plane, tips[:0] * u.mm), small)
+        rs.plot.plot_collision_map(rs.collision.count_collisions(plane, tips[:0] * u.mm), small)
 
 
 def test_a_report_and_its_tile_give_the_same_map(small):

@@ -10,7 +10,7 @@ SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], dtype=float)
 
 
 def vertices(part, **options):
-    return rs.ArmOutline([part * u.mm], **options).parts[0][0]
+    return rs.positioner.ArmOutline([part * u.mm], **options).parts[0][0]
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 3, 0, 1], [0, 1, 2, 3, 0]])
@@ -38,7 +38,7 @@ def test_vertices_on_straight_edges_and_repeated_vertices_are_left_out():
 )
 def test_a_part_that_is_not_convex_is_refused(part):
     with pytest.raises(rs.InputError, match=r"central\[1\] must be a convex polygon.*divide_polygon divides other"):
-        rs.ArmOutline([SQUARE * u.mm], central=[SQUARE * u.mm, np.array(part) * u.mm])
+        rs.positioner.ArmOutline([SQUARE * u.mm], central=[SQUARE * u.mm, np.array(part) * u.mm])
 
 
 @pytest.mark.parametrize(
@@ -60,11 +60,11 @@ def test_a_part_that_is_not_convex_is_refused(part):
 )
 def test_wrong_parts_are_refused(arguments, message):
     with pytest.raises(rs.InputError, match=message):
-        rs.ArmOutline(*arguments)
+        rs.positioner.ArmOutline(*arguments)
 
 
 def test_units_and_radii():
-    outline = rs.ArmOutline([(SQUARE * u.cm, 100 * u.um)], [([[0, 0]] * u.mm, 1 * u.cm)])
+    outline = rs.positioner.ArmOutline([(SQUARE * u.cm, 100 * u.um)], [([[0, 0]] * u.mm, 1 * u.cm)])
     assert outline.parts[0][0].max() == 20
     assert [radius for _, radius in outline.parts] == pytest.approx([0.1, 10])
     assert outline.length == 20 * u.mm
@@ -74,6 +74,6 @@ def test_units_and_radii():
 def test_the_offset_contains_the_central_parts_for_all_lengths_of_the_central_arm():
     from rfpsurvey.positioner import make_outline
 
-    outline = rs.ArmOutline([[[0, -1], [4, 0], [0, 1]] * u.mm], central=[[[-1, 0], [0, 0]] * u.mm])
+    outline = rs.positioner.ArmOutline([[[0, -1], [4, 0], [0, 1]] * u.mm], central=[[[-1, 0], [0, 0]] * u.mm])
     made = make_outline(outline, np.zeros((2, 2)), np.array([3.0, 5.0]))
     assert made.offset == pytest.approx(1 + 6, rel=1e-9)

@@ -36,7 +36,7 @@ def test_neighbors_of_an_immovable_unit_differ(rng):
     alpha = rng.uniform(0, 2 * np.pi, (n, m))
     tips = plane.xy.value + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
     tips[:, 9] = np.nan
-    counts = rs.count_collisions(plane, tips * MM)
+    counts = rs.collision.count_collisions(plane, tips * MM)
     rates = counts.rate
     assert abs(got.value - rates.mean()) < 3 * rates.std() / np.sqrt(n) + 0.001
     assert np.isnan(got.per_positioner[9])
@@ -56,7 +56,7 @@ def test_who_never_counts_has_no_probability():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("n", [36, pytest.param(100, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n", [36, 100])
 def test_rare_collisions_do_not_stop_the_simulation_early(n):
     """A single collision does not show how much rates scatter."""
     plane = rs.FocalPlane.hexagonal(lamost_like(2).positioner, rings=2, pitch=35 * MM)
@@ -218,7 +218,7 @@ def test_a_plane_without_a_usable_unit_is_refused(method):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("n", [100, pytest.param(300, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n", [100, 300])
 def test_points_of_neighbors_are_shifted_independently(n):
     """With equal shifts, few points would repeat, and the product over neighbors would be biased."""
     plane = sdss_like(2)

@@ -43,7 +43,7 @@ def simulate(plane, rng, keep=lambda i, points: np.ones(len(points), bool), n=N)
             points = points[keep(i, points)][: n - found]
             tips[found : found + len(points), i] = points
             found += len(points)
-    return rs.count_collisions(plane, tips * MM, parked_obstacles=False)
+    return rs.collision.count_collisions(plane, tips * MM, parked_obstacles=False)
 
 
 def assert_same(estimate, counts, plane):

@@ -37,7 +37,7 @@ def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
     alpha = rng.uniform(0, 2 * np.pi, (n, m))
     r = np.maximum(r, 5.0 + 1e-9)
     tips = plane.xy.to_value("mm") + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
-    counts = rs.count_collisions(plane, tips * MM)
+    counts = rs.collision.count_collisions(plane, tips * MM)
     rate = counts.per_positioner[middle].mean() / n
     error = 2 * np.sqrt(
         rate * (1 - rate) / (n * middle.sum())

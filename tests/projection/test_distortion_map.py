@@ -49,7 +49,7 @@ def targets(n=200, radius=0.027):
 @pytest.mark.parametrize("strength", [-170, -33, 0, 40, 90])
 def test_the_map_is_that_of_the_ray_trace(traced, strength):
     """Positive strengths are not in the table; they follow from the symmetry."""
-    found = rs.DistortionMap.from_ray_trace(traced).at([strength, -strength] * u.deg)
+    found = rs.projection.DistortionMap.from_ray_trace(traced).at([strength, -strength] * u.deg)
     assert found.residuals["max"].max() < 1e-9 * u.mm
     assert len(found.residuals) == 10
     tangents = targets()
@@ -62,7 +62,7 @@ def test_the_map_is_that_of_the_ray_trace(traced, strength):
 
 
 def test_the_mean_angle_rotates_the_compensator(traced):
-    plain = replace(rs.DistortionMap.from_ray_trace(traced), mirrored=False)
+    plain = replace(rs.projection.DistortionMap.from_ray_trace(traced), mirrored=False)
     angle = np.deg2rad(25)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     tangents = targets()
@@ -73,7 +73,7 @@ def test_the_mean_angle_rotates_the_compensator(traced):
 
 @pytest.mark.parametrize("adc", [(0, 0), (-90, 90), (20, 75)])
 def test_the_round_trip_is_exact_and_the_outside_is_nan(traced, adc):
-    found = rs.DistortionMap.from_ray_trace(traced).at(adc * u.deg)
+    found = rs.projection.DistortionMap.from_ray_trace(traced).at(adc * u.deg)
     xy = found.project(targets())
     np.testing.assert_allclose(found.project(found.unproject(xy)), xy, rtol=0, atol=1e-9)
     assert np.isnan(found.project(np.array([[0.03, 0.0]]))).all()
@@ -89,14 +89,14 @@ def test_the_round_trip_is_exact_and_the_outside_is_nan(traced, adc):
 
 
 def test_the_inverse_needs_few_steps(traced, monkeypatch):
-    found, solve, calls = rs.DistortionMap.from_ray_trace(traced), np.linalg.solve, []
+    found, solve, calls = rs.projection.DistortionMap.from_ray_trace(traced), np.linalg.solve, []
     monkeypatch.setattr(np.linalg, "solve", lambda *arguments: calls.append(1) or solve(*arguments))
     found.unproject(found.project(targets()))
     assert 1 < len(calls) < 7
 
 
 def test_fields_are_projected_and_planned(traced, presets):
-    found = rs.DistortionMap.from_ray_trace(traced).at([-60, 60] * u.deg)
+    found = rs.projection.DistortionMap.from_ray_trace(traced).at([-60, 60] * u.deg)
     desi = replace(presets["desi"], plate_scale=None, distortion=found)
     conditions = rs.ObservingConditions("kitt peak", hour_angle=2 * u.hourangle)
     for given in (None, conditions):
@@ -104,7 +104,7 @@ def test_fields_are_projected_and_planned(traced, presets):
         coord = CENTER.directional_offset_by(np.arange(0, 360, 20) * u.deg, 1.4 * u.deg)
         xy = plane.to_focal_plane(coord)
         assert plane.to_sky(xy).separation(coord).max() < 1e-9 * u.deg
-    tangents = rs.TangentPlane(CENTER, 1 * u.mm / u.rad, 15 * u.deg).to_focal_plane(coord).value
+    tangents = rs.projection.TangentPlane(CENTER, 1 * u.mm / u.rad, 15 * u.deg).to_focal_plane(coord).value
     static = desi.projection(CENTER, 15 * u.deg).to_focal_plane(coord).value
     np.testing.assert_allclose(static, found.project(tangents), rtol=0, atol=1e-9)
     sky = rs.synthetic_catalog("poisson", CENTER, 1.6 * u.deg, density=700 / u.deg**2, rng=1)
@@ -118,7 +118,7 @@ def test_fields_are_projected_and_planned(traced, presets):
 
 def test_the_ray_trace_of_desi_is_reproduced(real_data, presets):
     path = real_data("desi") / "raytrace-tan2fp-4957-v18.csv.gz"
-    found = rs.DistortionMap.from_ray_trace(path)
+    found = rs.projection.DistortionMap.from_ray_trace(path)
     assert len(found.residuals) == 19
     assert found.residuals["max"].max() < 0.0015 * u.mm
     assert np.sqrt((found.residuals["rms"] ** 2).mean()) < 0.0003 * u.mm
@@ -146,7 +146,7 @@ def test_settings_that_are_not_in_the_ray_trace_of_desi_are_interpolated(real_da
     table = Table.read(real_data("desi") / "raytrace-tan2fp-4957-v18.csv.gz", format="ascii.csv")
     strength = np.asarray(table["ADC1"])
     table[strength % 20 == 0].write(tmp_path / "half.csv")
-    half = rs.DistortionMap.from_ray_trace(tmp_path / "half.csv")
+    half = rs.projection.DistortionMap.from_ray_trace(tmp_path / "half.csv")
     assert len(half.residuals) == 10
     left = {}
     for angle in np.unique(strength):
@@ -179,7 +179,7 @@ def test_settings_that_are_not_in_the_ray_trace_of_desi_are_interpolated(real_da
     ],
 )
 def test_values_that_are_not_valid_are_errors(traced, change, text):
-    found = rs.DistortionMap.from_ray_trace(traced, degree=5, harmonics=1)
+    found = rs.projection.DistortionMap.from_ray_trace(traced, degree=5, harmonics=1)
     with pytest.raises(rs.InputError, match=text):
         replace(found, **change)
 
@@ -199,9 +199,9 @@ def test_ray_traces_that_are_not_valid_are_errors(traced, tmp_path, change, text
     change(table)
     table.write(tmp_path / "trace.csv")
     with pytest.raises(rs.InputError, match=text):
-        rs.DistortionMap.from_ray_trace(tmp_path / "trace.csv")
+        rs.projection.DistortionMap.from_ray_trace(tmp_path / "trace.csv")
 
 
 def test_other_types_of_distortion_are_errors():
     with pytest.raises(rs.InputError, match="distortion must be a RadialMap, a DistortionMap, or a dict"):
-        rs.TangentPlane(CENTER, distortion="far")
+        rs.projection.TangentPlane(CENTER, distortion="far")

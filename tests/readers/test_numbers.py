@@ -78,8 +78,8 @@ def test_big_endian_columns_are_partitioned_and_planned_as_native_columns(tmp_pa
             for name, values in {**vars(catalog), **catalog.arrays.extra}.items():
                 assert not isinstance(values, np.ndarray) or values.dtype.isnative, (k, name)
             assert [catalog.arrays.extra[name].tolist() for name in KEEP] == [native[name].tolist() for name in KEEP]
-            parts = rs.partition_catalog(catalog, tmp_path / f"parts{k}")
-            again = rs.PartitionedCatalog(parts.folder, keep=KEEP).read()
+            parts = rs.catalog.partition_catalog(catalog, tmp_path / f"parts{k}")
+            again = rs.catalog.PartitionedCatalog(parts.folder, keep=KEEP).read()
             assert sorted(again.extra["note"].tolist()) == sorted(native["note"].tolist())
             plan = [rs.plan_tile(one, "moons", allocator="optimal", rng=1) for one in (catalog, expected)]
             assert plan[0].table["target_id"].tolist() == plan[1].table["target_id"].tolist()

@@ -30,7 +30,7 @@ def both(folder, columns):
     part = folder / "sky" / "Norder=0" / "Npix=0.parquet"
     part.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, part)
-    return read(one), rs.PartitionedCatalog(folder / "sky").read()
+    return read(one), rs.catalog.PartitionedCatalog(folder / "sky").read()
 
 
 TEXTS = ["a", "b", None, "c", "a", None]
@@ -131,10 +131,10 @@ def test_properties_of_partitions(tmp_path):
     both(tmp_path, {})
     (folder / "hats.properties").write_bytes(b"hats_col_ra=ra\nobs_title=M\xfcller\n")
     with pytest.raises(rs.InputError, match="hats.properties must be text in UTF-8, got the byte 0xfc"):
-        rs.PartitionedCatalog(folder)
+        rs.catalog.PartitionedCatalog(folder)
     (folder / "hats.properties").write_text("hats_nrows=7\n")
     with pytest.warns(rs.RfpsurveyWarning, match="must have the 7 rows that its properties file states, got 6"):
-        assert len(rs.PartitionedCatalog(folder)) == N
+        assert len(rs.catalog.PartitionedCatalog(folder)) == N
 
 
 def test_a_file_cannot_claim_many_rows(tmp_path):

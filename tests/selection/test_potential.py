@@ -65,7 +65,7 @@ def as_set(table):
 
 
 def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
-    found = rs.potential_assignments(points, instrument, tiles)
+    found = rs.selection.potential_assignments(points, instrument, tiles)
     expected = brute(points, instrument, tiles)
     assert len(expected) > 1000
     table = found.table
@@ -80,7 +80,7 @@ def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
     written = QTable.read(tmp_path / "pairs.fits")
     assert written.meta["NPOINTS"] == 3000
     assert as_set(written) == expected
-    other = rs.potential_assignments(points[:-1], instrument, tiles)
+    other = rs.selection.potential_assignments(points[:-1], instrument, tiles)
     other.write(tmp_path / "other.fits")
     requests = [read_table(tmp_path / f"{name}.fits").meta["request"] for name in ("pairs", "other")]
     assert {name for name in requests[0] if requests[0][name] != requests[1][name]} == {"catalog", "visits"}
@@ -89,7 +89,7 @@ def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
 def test_one_pass_and_workers(points, instrument, tiles):
     expected = {row for row in brute(points, instrument, tiles) if row[0] in "ab"}
     with ThreadPoolExecutor(2) as executor:
-        found = rs.potential_assignments(points, instrument, tiles, passes=[1], executor=executor)
+        found = rs.selection.potential_assignments(points, instrument, tiles, passes=[1], executor=executor)
         assert as_set(found.table) == expected
         assert found.n_tiles().max() == 2
     assert repr(found) == "<PotentialAssignments of 3000 points in 2 tiles>"
@@ -101,7 +101,7 @@ def test_positioners_that_collide_in_a_survey_reach_no_point(points, instrument,
     survey = rs.plan_survey(targets, instrument, tiles, allocator="lamost")
     lost = {(str(row["tile"]), int(row["positioner"])) for row in survey.targets if row["in_collision"]}
     assert len(lost) > 3
-    found = rs.potential_assignments(points, instrument, tiles, survey=survey)
+    found = rs.selection.potential_assignments(points, instrument, tiles, survey=survey)
     expected = {row for row in brute(points, instrument, tiles) if row[:2] not in lost}
     assert as_set(found.table) == expected
     counts = np.zeros(len(points), dtype=int)
@@ -113,11 +113,11 @@ def test_positioners_that_collide_in_a_survey_reach_no_point(points, instrument,
 def test_refusals(points, instrument, tiles):
     survey = rs.plan_survey(points[:20], instrument, tiles, passes=[1])
     with pytest.raises(rs.InputError, match="survey must contain all tiles, but it has no tile c"):
-        rs.potential_assignments(points, instrument, tiles, survey=survey)
+        rs.selection.potential_assignments(points, instrument, tiles, survey=survey)
     with pytest.raises(rs.InputError, match="survey must be a plan for moons, got one for toy"):
-        rs.potential_assignments(points, "moons", tiles, passes=[1], survey=survey)
+        rs.selection.potential_assignments(points, "moons", tiles, passes=[1], survey=survey)
     with pytest.raises(TypeError, match="survey must be a Survey, got 'plan'"):
-        rs.potential_assignments(points, instrument, tiles, survey="plan")
+        rs.selection.potential_assignments(points, instrument, tiles, survey="plan")
 
 
 def test_a_survey_of_other_places_is_refused(points, instrument, tiles):
@@ -127,7 +127,7 @@ def test_a_survey_of_other_places_is_refused(points, instrument, tiles):
         table = tiles.table.copy()
         table[name] = table[name] + [0, 1, 0, 0] * change
         with pytest.raises(rs.InputError, match="same centers and position angles as the tiles, got .* for tile b"):
-            rs.potential_assignments(points, instrument, rs.Tiling(table), survey=survey)
+            rs.selection.potential_assignments(points, instrument, rs.Tiling(table), survey=survey)
     turned = tiles.table.copy()
     turned["position_angle"] = turned["position_angle"] + 360 * u.deg
-    rs.potential_assignments(points[:50], instrument, rs.Tiling(turned), survey=survey)
+    rs.selection.potential_assignments(points[:50], instrument, rs.Tiling(turned), survey=survey)

@@ -117,11 +117,11 @@ def test_outlines_of_arms():
 
 def test_catalogs_in_partitions(small, tmp_path):
     sky, tiles = sky_of(1.2, 1500), tiles_of(0.5)
-    parts = rs.partition_catalog(sky, tmp_path / "sky", order=6)
+    parts = rs.catalog.partition_catalog(sky, tmp_path / "sky", order=6)
     found = rs.selection_probabilities(parts, small, tiles, 3, executor=None)
     expected = rs.selection_probabilities(sky, small, tiles, 3)
     row_of = np.argsort(expected.target_id)[np.searchsorted(np.sort(expected.target_id), found.target_id)]
     for name in ("target_id", "requested", "n_tiles", "bits"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[row_of], err_msg=name)
-    points = rs.potential_assignments(parts, small, tiles).n_tiles()
+    points = rs.selection.potential_assignments(parts, small, tiles).n_tiles()
     np.testing.assert_array_equal(points, found.n_tiles)

@@ -84,7 +84,7 @@ def test_counts_are_consistent(case):
     np.testing.assert_array_equal(asked, (sky.visits > 0) & (sky.kind == "science"))
     assert not found.bits[~asked].any()
     assert found.never_observed[found.unreachable].all()
-    np.testing.assert_array_equal(found.n_tiles, rs.potential_assignments(*case).n_tiles())
+    np.testing.assert_array_equal(found.n_tiles, rs.selection.potential_assignments(*case).n_tiles())
     s = found.summary
     parts = [s[f"n_{name}_observed"] for name in ("never", "sometimes", "always")]
     assert sum(parts) == s["n_targets"] == asked.sum()

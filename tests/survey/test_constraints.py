@@ -171,8 +171,8 @@ def test_threads_processes_and_partitions_give_the_same(sky, small, tiles, circl
         survey = flat.plan_survey(sky, small, tiles, **options, executor=pool, folder=tmp_path / "two")
     assert survey.summary == expected.summary
     assert {p.relative_to(tmp_path / "two"): p.read_bytes() for p in (tmp_path / "two").rglob("*.fits")} == files
-    rs.partition_catalog(sky, tmp_path / "parts")
-    parts = rs.PartitionedCatalog(tmp_path / "parts")
+    rs.catalog.partition_catalog(sky, tmp_path / "parts")
+    parts = rs.catalog.PartitionedCatalog(tmp_path / "parts")
     survey = flat.plan_survey(parts, small, tiles, **options)
     whole = flat.plan_survey(parts.read(), small, tiles, **options)
     assert survey.targets["target_id"].tolist() == whole.targets["target_id"].tolist()

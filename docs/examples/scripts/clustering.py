@@ -170,7 +170,7 @@ def nearest_neighbor_weights(vectors, observed, rows):
 def measure(catalog, in_slice, tiles, random, found, observed):
     """Yield the name of each method, the correlation function of the slice, and the jackknife covariance."""
     able = ~found.unreachable
-    r = Points(random, np.flatnonzero(rs.potential_assignments(random, "desi", tiles).n_tiles() > 0))
+    r = Points(random, np.flatnonzero(rs.selection.potential_assignments(random, "desi", tiles).n_tiles() > 0))
     rr = count(r, r) / totals(r, r, same=True)[:, None]
 
     def simple(rows, weight=None):

@@ -12,7 +12,7 @@ from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
-from rfpsurvey.survey._work import Job, Model, plan_of, projection_of
+from rfpsurvey.survey._work import Job, plan_of, projection_of
 
 
 class TilePlan(NamedTuple):
@@ -51,7 +51,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
         jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
         for tile, job, (target, side) in zip(
-            tiles.tolist(), jobs, map_in_order(executor, _plan, [_bare(job) for job in jobs]), strict=True
+            tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
             slot = np.append(job.field.slot, -1)[target]
             left[slot[slot >= 0]] -= 1
@@ -72,7 +72,7 @@ def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tu
             continue
         keep = _rows(job.field.slot, plans[tile].slot)
         options = replace(request.options, allocator=ListCandidates(keep))
-        jobs.append(_bare(job)._replace(model=_model(request, options)))
+        jobs.append(job.bare()._replace(model=replace(request.model, options=options)))
     lists = map_in_order(executor, _list, jobs)
     nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(lists) for k in range(n)]
@@ -122,12 +122,7 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
     """Return a copy of the job whose allocator returns the given plan."""
     allocator = GivenPlan(_rows(job.field.slot, plan.slot), plan.side)
-    return job._replace(model=_model(request, replace(request.options, allocator=allocator)))
-
-
-def _model(request, options) -> Model:
-    old = request.model
-    return Model(old.instrument, options, old.blank, old.lost_in_collision, old.units)
+    return job._replace(model=replace(request.model, options=replace(request.options, allocator=allocator)))
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -135,8 +130,3 @@ def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
     return np.where(wanted >= 0, index, -1)
-
-
-def _bare(job: Job) -> Job:
-    """Return the job without the slots of targets, which workers do not require."""
-    return job._replace(field=job.field._replace(slot=None))

@@ -8,7 +8,7 @@ import rfpsurvey as rs
 
 
 @dataclass(frozen=True)
-class AwayFromBright(rs.Constraint):
+class AwayFromBright(rs.constraints.Constraint):
     """Exclude targets that are close to a star whose column ``mag`` is smaller than a limit."""
 
     limit: float
