@@ -88,7 +88,7 @@ class Centers:
         """Position angle, in degrees, of tiles for which no position angle is listed."""
         return 0.0 if self.position_angle is None else float(self.position_angle.to_value(u.deg))
 
-    @property
+    @cached_property
     def vectors(self) -> np.ndarray | None:
         """The distinct centers of the list as unit vectors, or None if no list was given."""
         if self.tiling is None:

@@ -240,13 +240,11 @@ def place_tiles(
             number,
             serve,
             reach,
-            allowed=where.vectors,
+            where=where,
             passes=passes,
             n_tiles=n_tiles,
             completeness=completeness,
-            limits=where.limits,
             n_beyond=n_beyond,
-            tiles=where.tiling,
             level=_levels(builder.source.by_slot("priority"), wanted),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
@@ -335,7 +333,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     depth = SkyIndex(state.table["center"]).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
         "n_targets": int(np.count_nonzero(wanted)) + n_away,
-        **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),
+        **({} if problem.where.limits.anywhere else {"n_beyond_declination": n_away}),
         "n_on_tiles": int(np.count_nonzero(depth)),
         "n_requested": int(wanted.sum()) + problem.n_beyond,
         "n_observed": int(made.sum()),
