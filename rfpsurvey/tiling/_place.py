@@ -211,12 +211,7 @@ def place_tiles(
     n_tiles = None if n_tiles is None else check_whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
-    if fibers.number is None and model is None:
-        raise InputError("an instrument or the number of fibers of a tile must be given")
-    usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
-    if usable == 0:
-        raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    number = usable if fibers.number is None else int(fibers.number)
+    number = _number_of_fibers(fibers, model)
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
@@ -299,6 +294,16 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
         sentences.append("no tile observes any target")
     for sentence in sentences:
         warn(sentence)
+
+
+def _number_of_fibers(fibers: Fibers, model: Instrument | None) -> int:
+    """Return the given number of fibers of a tile or, by default, the number of usable positioners."""
+    if fibers.number is None and model is None:
+        raise InputError("an instrument or the number of fibers of a tile must be given")
+    usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
+    if usable == 0:
+        raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
+    return usable if fibers.number is None else int(fibers.number)
 
 
 def _wanted(builder: FieldBuilder, exclude) -> np.ndarray:
