@@ -7,8 +7,8 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.design._axes import AXES
-from rfpsurvey.design._explore import explore_designs
+from rfpsurvey.design._axes import AXES, to_axes
+from rfpsurvey.design._explore import explore_designs, scan
 from rfpsurvey.design._rows import set_formats
 from rfpsurvey.design._start import start_of
 from rfpsurvey.errors import InputError, check_choice, check_whole
@@ -81,8 +81,8 @@ def explore_around(
     factors = _factors(spread, n_nodes, n_designs)
     values = {name: own[name] * (factors if name in VARIED else 1.0) for name in AXES}
     values = {name: value if name == "ratio" else value * u.mm for name, value in values.items()}
-    values |= {"step": start.step * u.rad, **others}
-    return explore_designs(**values, n_designs=n_designs, instrument=start)
+    values |= {name: others.pop(name) for name in AXES if name in others}
+    return scan(to_axes(**values), start, n_designs=n_designs, **{"step": start.step * u.rad, **others})
 
 
 def design_improvements(table: QTable) -> QTable:

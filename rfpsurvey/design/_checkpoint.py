@@ -1,7 +1,7 @@
 """Checkpoint of a scan on disk, which contains the finished designs and the arguments of the scan."""
 
 import json
-from contextlib import nullcontext
+from contextlib import ExitStack
 from time import monotonic
 
 import numpy as np
@@ -45,16 +45,12 @@ class Checkpoint:
             raise InputError("resume requires the path of the file with the unfinished scan")
 
     def __enter__(self):
-        self._lock = nullcontext()
-        if self._path is not None:
-            check_output(self._path, WRITABLE, overwrite=True)
-            self._lock = locked(self._path)
-        self._lock.__enter__()
-        try:
+        with ExitStack() as stack:
+            if self._path is not None:
+                check_output(self._path, WRITABLE, overwrite=True)
+                stack.enter_context(locked(self._path))
             self._open()
-        except BaseException:
-            self._lock.__exit__(None, None, None)
-            raise
+            self._lock = stack.pop_all()  # the file remains locked until the end of the scan
         return self
 
     def __exit__(self, kind, *_):
@@ -63,7 +59,7 @@ class Checkpoint:
             if kind is not None and self.done:
                 self.write(self.table())
         finally:
-            self._lock.__exit__(None, None, None)
+            self._lock.close()
 
     def _open(self):
         if self._path is not None and self._path.exists():

@@ -15,10 +15,9 @@ from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
 from rfpsurvey.design._rows import FIGURES
-from rfpsurvey.design._start import Start, start_of
+from rfpsurvey.design._start import Start
 from rfpsurvey.design._work import Task
 from rfpsurvey.errors import check_keywords, warn
-from rfpsurvey.instrument import Instrument, as_instrument
 
 CHUNK = 8
 """Number of designs that a process computes per task. Results do not depend on this number."""
@@ -32,7 +31,6 @@ def explore_designs(
     pitch: u.Quantity,
     clearance: u.Quantity,
     n_designs: int | None = None,
-    instrument: Instrument | str | None = None,
     step: u.Quantity = 0 * u.deg,
     loss: LossOptions | str = "independent",
     objectives: dict[str, str] | None = None,
@@ -74,8 +72,6 @@ def explore_designs(
         Number of designs between limits, instead of a grid. Each parameter is then one value or a pair of limits (low,
         high). The designs are scrambled Sobol points; for the same seed, the first n designs do not depend on
         ``n_designs``.
-    instrument : Instrument or str, optional
-        Instrument whose design is added to the scan, unless the scan includes this design (see `explore_around`).
     step : Quantity, optional
         Angle of one motor step, on which the minimum separation depends; see `~rfpsurvey.Positioner`.
     loss : LossOptions or {"independent", "allocated", "collision_free"}, optional
@@ -153,7 +149,41 @@ def explore_designs(
     [True, False, False]
     """
     axes = to_axes(central_arm, ratio, pitch, clearance)
-    start = instrument if isinstance(instrument, Start | None) else start_of(as_instrument(instrument))
+    return scan(
+        axes,
+        n_designs=n_designs,
+        step=step,
+        loss=loss,
+        objectives=objectives,
+        rng=rng,
+        executor=executor,
+        progress=progress,
+        path=path,
+        resume=resume,
+        overwrite=overwrite,
+    )
+
+
+def scan(
+    axes: dict[str, np.ndarray],
+    start: Start | None = None,
+    *,
+    n_designs: int | None = None,
+    step: u.Quantity = 0 * u.deg,
+    loss: LossOptions | str = "independent",
+    objectives: dict[str, str] | None = None,
+    rng: int | np.random.Generator | None = 0,
+    executor: Executor | None = None,
+    progress: bool = False,
+    path: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> QTable:
+    """Compute all designs of a scan and return their table.
+
+    ``axes`` contains the values or the limits of each parameter, with lengths in mm. If ``start`` is given, the table
+    also contains the design of this instrument.
+    """
     objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)

@@ -37,7 +37,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, automatic, check_usable
-from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets, as_precision
+from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES
 from rfpsurvey.probability._question import ProbabilityQuestion
@@ -175,7 +175,7 @@ def collision_probability(
     if plane.arrays.any_hidden:  # circles without targets do not affect collisions
         plane = replace(plane, hidden=None, margins=replace(plane.margins, broken_factor=0.0, hidden_factor=1.0))
     instrument = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
-    options, precision = as_options(allocator), as_precision(precision)
+    options, precision = as_options(allocator), precision if isinstance(precision, Precision) else Precision(precision)
     if estimand is not None:
         check_choice(estimand, ESTIMANDS, "estimand")
     chosen = None if method == "auto" else find_method(method)

@@ -28,7 +28,7 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
         kinds += [columns.inner_radius, columns.outer_radius]
         if not columns.joints_free:
             kinds += [*columns.joints.limits, columns.joints.theta_zero, columns.joints.phi_zero]
-    kinds = np.column_stack([_codes(values) for values in kinds])
+    kinds = np.column_stack([np.unique(values, return_inverse=True)[1].reshape(-1) for values in kinds])
     kinds = np.unique(kinds, axis=0, return_inverse=True)[1].reshape(-1)
     # each positioner that does not move is a separate kind; since its pose does not rotate with its surroundings, the
     # hash below uses a different kind for each rotation
@@ -51,10 +51,6 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     keys = np.array([_hash(n, i, away, what + still * (k * 1_000_000_007), k * np.pi / 3) for k in rotations])
     _, first, number = np.unique(keys.min(axis=0), return_index=True, return_inverse=True)
     return first, number.reshape(-1)
-
-
-def _codes(values):
-    return np.unique(values, return_inverse=True)[1].reshape(-1)
 
 
 def _hash(n, i, away, what, angle):

@@ -172,6 +172,6 @@ def automatic(estimand: str, options: AllocationOptions, source: Source | None) 
         averages_queues, why = True, "the cheapest method with an error estimate if positioners have queues of targets"
     else:
         why = "since this allocator makes no queues"
-    able = (one for one in METHODS.values() if one.estimand == estimand and one.most_iterations is not None)
-    chosen = next(one for one in able if one.averages_queues == averages_queues)
+    able = (method for method in METHODS.values() if method.estimand == estimand and method.most_iterations is not None)
+    chosen = next(method for method in able if method.averages_queues == averages_queues)
     return chosen, f"{chosen.name}, {why}"

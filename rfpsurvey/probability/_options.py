@@ -174,11 +174,6 @@ class Precision:
         return replace(self, max_iterations=most)
 
 
-def as_precision(given: object) -> Precision:
-    """Return ``given`` (a `Precision`, a standard error, or None) as a `Precision`."""
-    return given if isinstance(given, Precision) else Precision(given)
-
-
 def _short(options: object, *lead: str) -> str:
     """Return the ``repr`` of an object with options.
 

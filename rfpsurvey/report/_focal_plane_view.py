@@ -87,8 +87,9 @@ def _plan(name, tile):
     centers = np.array([table["x"].to_value(u.mm), table["y"].to_value(u.mm)])
     columns = {
         "status": pack(table["status"]),
-        "target_id": pack_texts(_target_texts(table["target_id"])),
-        "colliding_with": pack_texts([text_of(text) for text in table["colliding_with"].tolist()]),
+        # the identifier is empty for positioners without a target
+        "target_id": pack(np.ma.filled(np.ma.asarray(table["target_id"]).astype(str), "")),
+        "colliding_with": pack(table["colliding_with"]),
     }
     for key, decimals in PLAN_COLUMNS.items():
         if key in table.colnames:
@@ -98,11 +99,6 @@ def _plan(name, tile):
         if not np.array_equal(table[f"arm_{axis}"].value, table[f"tip_{axis}"].value, equal_nan=True):
             columns[f"arm_{axis}"] = pack(table[f"arm_{axis}"].to_value(u.mm), MM)
     return {"name": text_of(name), "columns": columns, **_idle(tile)}
-
-
-def _target_texts(column):
-    """Return the identifier of each positioner's target as text, which is empty for positioners without a target."""
-    return [text_of(name) for name in np.ma.filled(np.ma.asarray(column).astype(str), "").tolist()]
 
 
 def _idle(tile):

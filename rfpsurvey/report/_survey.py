@@ -34,9 +34,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", [sky_view(survey.tiles, survey.provenance["parameters"]["radius_deg"], pictures[:1])]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
-        Section(
-            "Tiles", [Rows("The table lists the tiles of the survey in the order of the tiling.", survey.tiles, where)]
-        ),
+        Section("Tiles", [Rows("The tiles of the survey in the order of the tiling.", survey.tiles, where)]),
     ]
     if s.get("unmet"):
         sections.insert(1, Section("Constraints", [Text(list(s["unmet"]))]))
@@ -50,9 +48,7 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
     summary, table = tiling.summary, tiling.table
     highlights = {"tiles": len(tiling)}
     highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
-    rows = Rows(
-        "The table lists the tiles in the order in which they are to be observed.", table, where or "Tiling.table"
-    )
+    rows = Rows("The tiles in the order in which they are to be observed.", table, where or "Tiling.table")
     figure = draw_tiling(tiling)
     picture = Picture("The tiles on the sky.", figure, _about_passes(table, len(figure.axes)))
     sections = [

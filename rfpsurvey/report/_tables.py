@@ -70,8 +70,8 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
         sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
     if unmet:
         sections.append(Section("Constraints that are not met", [Text(unmet)]))
-    provenance = {k: v for k, v in without_private(meta).items() if k != "unmet"}
-    return Page("Comparison", f"Allocators on a field of {meta['instrument']}", words, {}, sections, provenance)
+    title = f"Allocators on a field of {meta['instrument']}"
+    return Page("Comparison", title, words, {}, sections, without_private(meta, "unmet"))
 
 
 def page_of_instruments(table: Table, where: str) -> Page:
@@ -93,10 +93,9 @@ def page_of_instruments(table: Table, where: str) -> Page:
         Text(meta["comparable"]),
     ]
     title = f"Comparison of {len(names)} instruments"
-    provenance = {k: v for k, v in without_private(meta).items() if k != "comparable"}
-    return Page("Comparison", title, lead, {}, [Section("Comparison", blocks)], provenance)
+    return Page("Comparison", title, lead, {}, [Section("Comparison", blocks)], without_private(meta, "comparable"))
 
 
-def without_private(meta: Mapping) -> dict:
-    """Return the ``meta`` of a table without the folder, and without the entries that readers of files add."""
-    return {k: v for k, v in meta.items() if not str(k).startswith("__") and k != "folder"}
+def without_private(meta: Mapping, *others: str) -> dict:
+    """Return the ``meta`` of a table without the folder, the entries that readers of files add, and ``others``."""
+    return {k: v for k, v in meta.items() if not str(k).startswith("__") and k not in ("folder", *others)}

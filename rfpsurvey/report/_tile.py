@@ -53,17 +53,8 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     }
     if "n_in_field" in summary:
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
-    sections = [
-        Section(
-            "Request and result",
-            [
-                Facts("Request", _asked(tile)),
-                Facts("Result", tile_facts(tile)),
-                *_objectives(tile),
-                Facts("Computing times in seconds", summary["seconds"]),
-            ],
-        ),
-    ]
+    result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
+    sections = [Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])])]
     if summary.get("unmet") or recorded_constraints(parameters):
         unmet = summary.get("unmet") or ["All constraints are met."]
         sections.append(Section("Constraints", [Text(list(unmet))]))

@@ -116,6 +116,8 @@ def write_report(
         check_whole(max_rows, "max_rows")
     if not (title is None or isinstance(title, str)):
         raise refusal("title must be text", title, str)
+    if not (plans is None or isinstance(plans, Mapping)):
+        raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
     if title is not None:

@@ -88,7 +88,7 @@ class Centers:
         """Position angle, in degrees, of tiles for which no position angle is listed."""
         return 0.0 if self.position_angle is None else float(self.position_angle.to_value(u.deg))
 
-    @property
+    @cached_property
     def vectors(self) -> np.ndarray | None:
         """The distinct centers of the list as unit vectors, or None if no list was given."""
         if self.tiling is None:
@@ -137,11 +137,6 @@ class Declinations:
         Directions outside the limits are moved onto the limits.
         """
         return vectors if self.anywhere else self.move_inside(vectors[self.distance(vectors) < radius])
-
-
-def as_centers(given: object) -> Centers:
-    """Return `Centers` from a list of directions or None; return given `Centers` unchanged."""
-    return given if isinstance(given, Centers) else Centers(given)
 
 
 def given_tiles(where: Centers) -> Tiling:

@@ -26,12 +26,12 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
     while number < problem.passes if whole else not state.done:
         centers = make(center, reach, problem.radius, number)
         points = problem.index.vectors[problem.wanted > 0 if whole else state.left > 0]
-        if problem.allowed is not None:
-            centers = snap(centers, problem.allowed, points, problem.radius)
-        elif not problem.limits.anywhere:
+        if problem.where.vectors is not None:
+            centers = snap(centers, problem.where.vectors, points, problem.radius)
+        elif not problem.where.limits.anywhere:
             # centers outside the limits of declination are moved onto the limits if they then cover further targets
-            outside = problem.limits.distance(centers) > 0
-            moved = problem.limits.fit(centers[outside], problem.radius)
+            outside = problem.where.limits.distance(centers) > 0
+            moved = problem.where.limits.fit(centers[outside], problem.radius)
             inner = np.arange(np.count_nonzero(~outside))
             centers = _add_needed(inner, np.vstack([centers[~outside], moved]), points, problem.radius)
         number += 1

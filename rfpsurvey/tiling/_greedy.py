@@ -29,12 +29,12 @@ def max_density(problem: TilingProblem) -> TilingState:
     long as its sum increases.
     """
     state = TilingState(problem)
-    places = _grid(problem) if problem.allowed is None else problem.allowed
+    places = _grid(problem) if problem.where.vectors is None else problem.where.vectors
     candidates = _Candidates(state, places, problem.radius)
 
     def seek():
         center = candidates.best()
-        return center if center is None or problem.allowed is not None else _climb_sum(state, center)
+        return center if center is None or problem.where.vectors is not None else _climb_sum(state, center)
 
     return _run(state, [candidates], seek)
 
@@ -53,13 +53,13 @@ def _follow(problem: TilingProblem, move: Callable) -> TilingState:
     """Place tiles one after the other; each tile starts where targets are densest, and ``move`` returns its center."""
     state = TilingState(problem)
     seeds = _Candidates(state, _grid(problem), SEED * problem.radius)
-    allowed = [] if problem.allowed is None else [_Candidates(state, problem.allowed, problem.radius)]
+    allowed = [] if problem.where.vectors is None else [_Candidates(state, problem.where.vectors, problem.radius)]
 
     def seek():
         seed = seeds.best()
         if seed is None:
             return None
-        center = problem.limits.move_inside(move(state, seed))
+        center = problem.where.limits.move_inside(move(state, seed))
         if allowed:
             return allowed[0].about(center)
         # if the maximum of the smoothed density lies between targets, a tile there may contain no target
@@ -75,9 +75,10 @@ def _run(state: TilingState, candidates: list["_Candidates"], seek: Callable) ->
         if center is None:
             break
         tries = [center]
-        if state.problem.allowed is None:  # a small shift of the tile can bring targets within reach of a positioner
+        # a small shift of the tile can bring targets within reach of a positioner
+        if state.problem.where.vectors is None:
             beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
-            tries += list(state.problem.limits.move_inside(beside))
+            tries += list(state.problem.where.limits.move_inside(beside))
         if not any(len(state.observe(one)) for one in tries):
             state.give_up(center)
         changed = max(state.problem.reach, state.problem.radius) + max(BESIDE) * state.problem.radius
@@ -131,7 +132,7 @@ def _grid(problem: TilingProblem) -> np.ndarray:
     near = np.flatnonzero(problem.visits_near(coarse_centers, _healpix.pixel_radius(coarse)) > 0)
     children = (fine // coarse) ** 2
     centers = _healpix.centers(fine, (near[:, None] * children + np.arange(children)).ravel())
-    centers = problem.limits.fit(centers, problem.radius)
+    centers = problem.where.limits.fit(centers, problem.radius)
     return centers[problem.visits_near(centers) > 0]
 
 
@@ -154,7 +155,7 @@ def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
     step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
     while step > 5 * STILL * radius:
-        around = state.problem.limits.move_inside(ring(center, step))
+        around = state.problem.where.limits.move_inside(ring(center, step))
         total = index.sum_near(around, radius, weight)
         k = int(np.argmax(total))
         if total[k] > best:

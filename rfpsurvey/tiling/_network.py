@@ -80,7 +80,7 @@ def _covering_number(problem: TilingProblem) -> int:
     center, reach = problem.circle()
     pitch = np.sqrt(3) * problem.radius
     centers = lattice(center, reach + 2 * problem.radius, pitch, np.zeros(2))
-    return np.count_nonzero(problem.visits_near(problem.limits.fit(centers, problem.radius)))
+    return np.count_nonzero(problem.visits_near(problem.where.limits.fit(centers, problem.radius)))
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
@@ -89,7 +89,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
 
     def make(pitch):
         centers = lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2))
-        centers = problem.limits.fit(centers, problem.radius)
+        centers = problem.where.limits.fit(centers, problem.radius)
         return centers[problem.visits_near(centers) > 0]
 
     low, high = 0.0, 3 * (reach + problem.radius)
@@ -108,7 +108,7 @@ def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
         guess = pitch * np.sqrt(max(len(centers), 0.5) / n)
         pitch = guess if low < guess < high and guess != pitch else (low + high) / 2
     if not low:
-        enough = np.vstack([centers, problem.limits.move_inside(problem.index.vectors[problem.wanted > 0][:1])])
+        enough = np.vstack([centers, problem.where.limits.move_inside(problem.index.vectors[problem.wanted > 0][:1])])
     keep = np.sort(np.argsort(-problem.visits_near(enough), kind="stable")[:n])
     enough = enough[keep]
     # if there are fewer than n centers with targets, the best centers occur several times
@@ -160,7 +160,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
                 gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
                 centers[k] = cells.vectors[np.argmax(gain)]
                 left[cells.index.order[cells.index.near(centers[k], radius)]] = 0.0
-        centers = problem.limits.move_inside(centers)
+        centers = problem.where.limits.move_inside(centers)
     return centers
 
 
@@ -220,8 +220,8 @@ def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, ra
 
 def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:
     """Return the allowed center that is nearest to each center; by default, all centers are allowed."""
-    if problem.allowed is None:
+    if problem.where.vectors is None:
         return centers
     from scipy.spatial import cKDTree
 
-    return problem.allowed[cKDTree(problem.allowed).query(centers)[1]]
+    return problem.where.vectors[cKDTree(problem.where.vectors).query(centers)[1]]

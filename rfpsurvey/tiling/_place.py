@@ -29,7 +29,7 @@ from rfpsurvey.errors import (
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
-from rfpsurvey.tiling._centers import Centers, Declinations, as_centers, given_tiles
+from rfpsurvey.tiling._centers import Centers, Declinations, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
@@ -168,7 +168,7 @@ def place_tiles(
     warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
     if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
-    where, exclude = as_centers(centers), _regions(exclude)
+    where, exclude = centers if isinstance(centers, Centers) else Centers(centers), _regions(exclude)
     progress = progress if callable(progress) else check_switch(progress, "progress")
     if chosen.needs_tiles and where.tiling is None:
         raise InputError(f"the method {method!r} needs a list of tiles as centers, got none")
@@ -211,12 +211,7 @@ def place_tiles(
     n_tiles = None if n_tiles is None else check_whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
-    if fibers.number is None and model is None:
-        raise InputError("an instrument or the number of fibers of a tile must be given")
-    usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
-    if usable == 0:
-        raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
-    number = usable if fibers.number is None else int(fibers.number)
+    number = _number_of_fibers(fibers, model)
     neighbors = None
     if fibers.min_separation is not None:
         if allocator is not None:
@@ -240,13 +235,11 @@ def place_tiles(
             number,
             serve,
             reach,
-            allowed=where.vectors,
+            where=where,
             passes=passes,
             n_tiles=n_tiles,
             completeness=completeness,
-            limits=where.limits,
             n_beyond=n_beyond,
-            tiles=where.tiling,
             level=_levels(builder.source.by_slot("priority"), wanted),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
@@ -303,6 +296,16 @@ def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
         warn(sentence)
 
 
+def _number_of_fibers(fibers: Fibers, model: Instrument | None) -> int:
+    """Return the given number of fibers of a tile or, by default, the number of usable positioners."""
+    if fibers.number is None and model is None:
+        raise InputError("an instrument or the number of fibers of a tile must be given")
+    usable = None if model is None else int(np.count_nonzero(model.focal_plane.arrays.usable))
+    if usable == 0:
+        raise InputError(f"{model.name} must have at least one positioner that is not disabled or stuck, got none")
+    return usable if fibers.number is None else int(fibers.number)
+
+
 def _wanted(builder: FieldBuilder, exclude) -> np.ndarray:
     """Return the requested visits of each target outside of the excluded regions, in the order of the spatial index."""
     wanted = builder.wanted.astype(np.int64)
@@ -335,7 +338,7 @@ def _account(state: TilingState, neighbors, n_away: int) -> dict:
     depth = SkyIndex(state.table["center"]).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
     account = {
         "n_targets": int(np.count_nonzero(wanted)) + n_away,
-        **({} if problem.limits.anywhere else {"n_beyond_declination": n_away}),
+        **({} if problem.where.limits.anywhere else {"n_beyond_declination": n_away}),
         "n_on_tiles": int(np.count_nonzero(depth)),
         "n_requested": int(wanted.sum()) + problem.n_beyond,
         "n_observed": int(made.sum()),

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling._centers import Declinations
-from rfpsurvey.tiling._tiling import Tiling, place_of, to_ra_dec
+from rfpsurvey.tiling._centers import Centers
+from rfpsurvey.tiling._tiling import place_of, to_ra_dec
 
 ROW = np.dtype(
     [("center", float, 3), ("pass", np.int64), ("n_targets", np.int64), ("n_new", np.int64), ("completeness", float)]
@@ -31,17 +31,13 @@ class TilingProblem:
     """Function serve(center, positions, state) that returns the positions of the targets that a tile observes."""
     reach: float
     """Largest distance from the center of a tile at which the tile observes targets."""
-    allowed: np.ndarray | None = None
-    """The allowed centers of tiles; None if all centers are allowed."""
+    where: Centers = field(default_factory=Centers)
+    """Constraints on the centers of tiles."""
     passes: int = 1
     n_tiles: int | None = None
     completeness: float | None = None
-    limits: Declinations = field(default_factory=Declinations)
-    """Limits of the declinations of the centers of tiles."""
     n_beyond: int = 0
     """Number of requested visits that no tile within the limits can make; ``wanted`` does not include these visits."""
-    tiles: Tiling | None = None
-    """The tiles of an existing tiling, for the method ``given``."""
     level: np.ndarray | None = None
     """Priority class of each target, 0 for the highest priority; None if all targets have the same priority."""
     tell: Callable | None = None

@@ -41,7 +41,7 @@ def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, ev
 def visit_given(problem: TilingProblem) -> TilingState:
     """Observe the tiles in ``centers`` in their order until the goal is reached; without a goal, observe all tiles."""
     state = TilingState(problem)
-    for center, number in zip(problem.tiles.vectors, problem.tiles.table["pass"].tolist(), strict=True):
+    for center, number in zip(problem.where.tiling.vectors, problem.where.tiling.table["pass"].tolist(), strict=True):
         if state.done and not problem.open_ended:
             break
         state.observe(center, number, every=True)

@@ -235,7 +235,7 @@ def test_a_table_is_not_called_table_thrice(tmp_path):
 
 def test_a_survey_has_its_own_numbers(survey, plain_page):
     page = Reader(plain_page("survey"))
-    heads, rows = page.table("The table lists the tiles of the survey")
+    heads, rows = page.table("The tiles of the survey in the order of the tiling")
     assert len(rows) == len(survey)
     for name in ("n_observed", "collision_rate", "completeness"):
         values = [full(row[heads.index(name.replace("_", " "))]) for row in rows]
