@@ -181,11 +181,6 @@ def test_commands(run, tmp_path, crowded):
     )
     assert code == 0
     assert "gap to the best plan                  0.0000" in said
-    code, said, err = run(
-        "plan", path, "--instrument", "lamost", "--set", "options.requirements=instrument", "--constraint", "sky=2"
-    )
-    assert code == 2
-    assert "must be the only option --require" in err
     code, said, err = run("plan", path, "--instrument", "moons", "--constraint", "skies")
     assert code == 2
     assert "a requirement must have a form such as" in err
