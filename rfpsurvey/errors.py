@@ -50,6 +50,7 @@ MOST_WHOLE = 2**53
 RENAMED = (
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
+    ("seed", "rng", "rng=..."),
     ("n_targets", "targets", "targets=RandomTargets(number=...)"),
     ("target_radius", "targets", "targets=RandomTargets(radius=...)"),
     ("min_separation", "targets", "targets=RandomTargets(min_separation=...)"),
@@ -61,7 +62,18 @@ RENAMED = (
     ),
     *(
         (name, parameter, f"{parameter}=AllocationOptions({name}=...)")
-        for name in ("requirements", "sky_separation", "objective", "time_limit", "start", "parked_obstacles")
+        for name in (
+            "constraints",
+            "keep_out",
+            "objective",
+            "parked_obstacles",
+            "required",
+            "requirements",
+            "sky_separation",
+            "start",
+            "subpriority",
+            "time_limit",
+        )
         for parameter in ("allocator", "options")
     ),
 )

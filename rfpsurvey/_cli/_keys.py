@@ -20,7 +20,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, short
+from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, listed, short
 from rfpsurvey.region import Region
 
 __all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
@@ -166,6 +166,9 @@ def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
             return key, rest
         more, _, rest = rest.partition(".")
         head = f"{head}.{more}"
+    inside = [one.removeprefix(f"{name}.") for one in keys if one.startswith(f"{name}.")]
+    if inside:
+        raise InputError(f"{name!r} is a table; its keys are {listed(sorted(inside))}, such as {name}.{inside[0]}")
     last = {one.rpartition(".")[2]: one for one in reversed(keys)}
     known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
     hint = close_to(last.get(name.rpartition(".")[2], name), known)

@@ -171,6 +171,12 @@ def _print_gain(state: dict) -> None:
     print(text, file=sys.stderr)
 
 
+def _record(folder: Path | None, given) -> None:
+    """Write the plan file of a survey that was begun into its folder."""
+    if folder is not None and (folder / "survey.json").is_file():
+        write_bytes(folder / PLAN, given.to_toml(folder).encode())
+
+
 def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options: dict, output, given) -> None:
     """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
@@ -183,9 +189,12 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     tell_if_interrupted(kept)
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
-    finally:
-        if output.folder is not None and (output.folder / "survey.json").is_file():
-            write_bytes(output.folder / PLAN, given.to_toml(output.folder).encode())
+    except rs.InputError:  # the folder may contain another survey with its own plan file
+        raise
+    except BaseException:
+        _record(output.folder, given)
+        raise
+    _record(output.folder, given)
     seconds = perf_counter() - begin
     survey.provenance["plan_file"] = given.to_toml(Path())
     with files(

@@ -69,7 +69,10 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
         "objective": "count",
         "constraints": ["keep_out 95.0 23.0 0.02"],
     }
-    assert tomllib.loads((tmp_path / "first" / "plan.toml").read_text()) == expected
+    record = (tmp_path / "first" / "plan.toml").read_text()
+    assert tomllib.loads(record) == expected
+    assert "first holds a survey" in sentence(*run("survey", "files/plan.toml", "--rng", 7)[::2])
+    assert (tmp_path / "first" / "plan.toml").read_text() == record  # a refused survey does not change the record
 
 
 def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
@@ -203,6 +206,7 @@ def test_wrong_files_are_refused_in_one_sentence(run, tmp_path, text, message):
     ("words", "message"),
     [
         (["--set", "rng"], "--set must have the form KEY=VALUE, such as joint.time_limit=600, got 'rng'"),
+        (["--set", "instrument=moons"], "'instrument' is a table; its keys are arm_model, "),
         (["--set", "=1"], "--set must have the form KEY=VALUE"),
         (["--set", "options.time_limit=soon"], "options.time_limit must be a number (s) or text with a unit"),
         (["--set", "options.time_limit=5 km"], "options.time_limit must have a unit convertible to s, got km"),
