@@ -34,7 +34,7 @@ KINDS: dict[Any, tuple] = {
     Path: ("a path", (str,)),
     os.PathLike: ("a path", (str,)),
     Region: ("a region", (str,)),
-    Time: ("a time", (date, datetime, str)),
+    Time: ("a date and time (UTC) such as 2026-07-01T06:30:00", (date, datetime, str)),
     str: ("text", (str,)),
     list: ("a list", (list,)),
     dict: ("a table", (dict,)),

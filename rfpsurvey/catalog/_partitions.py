@@ -29,8 +29,8 @@ MOST_ORDER = 13
 class PartitionedCatalog:
     """A catalog in a folder with the HATS layout, which has a Parquet file for each HEALPix pixel (nested, ICRS).
 
-    A survey reads only the partitions (files) around its fields, and only the columns that a `Catalog` uses. This class
-    requires pyarrow (``rfpsurvey[parquet]``).
+    A survey reads only the partitions (files) around its fields, and only the columns that a `~rfpsurvey.Catalog` uses.
+    This class requires pyarrow (``rfpsurvey[parquet]``).
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ class PartitionedCatalog:
         Folder with files such as ``dataset/Norder=5/Dir=0/Npix=77.parquet``, or the folder of a HATS collection, of
         which only the main table is read. ``meta["collection"]`` lists the other tables.
     columns, units : dict, optional
-        Names and units of columns, as in `Catalog.from_table`. Positions without a unit are assumed to be in degrees;
-        no warning is issued.
+        Names and units of columns, as in `~rfpsurvey.Catalog.from_table`. Positions without a unit are assumed to be in
+        degrees; no warning is issued.
     frame : str, optional
-        Frame of the coordinates, as in `Catalog.from_table`.
+        Frame of the coordinates, as in `~rfpsurvey.Catalog.from_table`.
     fill : dict, optional
-        Values that replace missing values, as in `Catalog.from_table`.
+        Values that replace missing values, as in `~rfpsurvey.Catalog.from_table`.
     keep : list of str, optional
-        Names of further columns that results include, as in `Catalog.from_table`.
+        Names of further columns that results include, as in `~rfpsurvey.Catalog.from_table`.
     kept_rows : int, optional
         Largest number of rows of recently read partitions that a survey keeps in memory; a row uses about 60 bytes.
 
@@ -143,7 +143,7 @@ class PartitionedCatalog:
         Raises
         ------
         InputError
-            If a file cannot be read, or contains values that are not valid in a `Catalog`.
+            If a file cannot be read, or contains values that are not valid in a `~rfpsurvey.Catalog`.
         """
         tables = [self.parts.table(k, self.parts.names) for k in range(len(self.parts.files))]
         try:

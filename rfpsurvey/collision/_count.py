@@ -89,8 +89,9 @@ def count_collisions(
 ) -> CollisionCounts:
     """Count the collisions of many configurations of one focal plane.
 
-    The counts are the same as the counts of `find_collisions`, but compiled code processes all configurations in one
-    call. In addition to the input and the counts, the function uses memory for a few configurations only.
+    The counts are the same as the counts of `~rfpsurvey.find_collisions`, but compiled code processes all
+    configurations in one call. In addition to the input and the counts, the function uses memory for a few
+    configurations only.
 
     Parameters
     ----------
@@ -105,9 +106,9 @@ def count_collisions(
     handedness : {"right", "left"} or array_like of str, shape (n,), optional
         Handedness of each arm in all configurations; by default, the handedness of the positioner.
     fiber_type : array_like of str, shape (n,), optional
-        Fiber type that each positioner uses in all configurations, as in `find_collisions`.
+        Fiber type that each positioner uses in all configurations, as in `~rfpsurvey.find_collisions`.
     parked_obstacles : bool, optional
-        Whether parked positioners count as obstacles, as in `find_collisions`.
+        Whether parked positioners count as obstacles, as in `~rfpsurvey.find_collisions`.
     method : {"exact", "cuda"}, optional
         ``exact`` runs on the CPU, and ``cuda`` on a GPU (requires ``rfpsurvey[cuda]``).
     executor : concurrent.futures.Executor, optional
@@ -130,7 +131,7 @@ def count_collisions(
 
     See Also
     --------
-    find_collisions : Find the colliding pairs of one configuration, with their distances.
+    rfpsurvey.find_collisions : Find the colliding pairs of one configuration, with their distances.
 
     Examples
     --------

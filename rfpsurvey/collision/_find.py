@@ -87,7 +87,7 @@ def find_collisions(
 
     See Also
     --------
-    count_collisions : Count the collisions of many configurations.
+    rfpsurvey.collision.count_collisions : Count the collisions of many configurations.
 
     References
     ----------

@@ -154,7 +154,7 @@ class ConstraintField:
 
 
 class Constraint:
-    """A rule for the plans of fields; `KeepOut`, `Required` and `Requirement` are built in.
+    """A rule for the plans of fields, such as `~rfpsurvey.KeepOut`, `~rfpsurvey.Required` and `~rfpsurvey.Requirement`.
 
     A subclass is a frozen dataclass whose fields are the arguments of the constraint. It overrides only what it
     requires: ``excluded``, ``obstacles``, ``required_ids``, ``counts`` or ``check``. rfpsurvey calls these methods for
@@ -180,7 +180,7 @@ class Constraint:
     required_ids: tuple = ()
     """Identifiers of targets that take precedence over all other targets."""
     counts: tuple = ()
-    """The requirements (`Requirement`) on numbers of targets that the constraint consists of."""
+    """The requirements (`~rfpsurvey.Requirement`) on numbers of targets that the constraint consists of."""
     uses_targets: ClassVar[bool] = True
     """Whether the methods of the constraint use the positions of targets on the focal plane, or targets around the
     field; if not, these are not computed."""
@@ -240,7 +240,7 @@ class Constraint:
         Parameters
         ----------
         instrument : Instrument or None
-            The instrument; None if only positions on the focal plane are known, as in `allocate`.
+            The instrument; None if only positions on the focal plane are known, as in `~rfpsurvey.allocate`.
 
         Returns
         -------

@@ -130,8 +130,8 @@ class TangentPlane:
         Parameters
         ----------
         coord : SkyCoord or Catalog
-            Directions, shape (n,) or scalar. A `Catalog` stores its unit vectors, so that it can be projected rapidly
-            for many fields.
+            Directions, shape (n,) or scalar. A `~rfpsurvey.Catalog` stores its unit vectors, so that it can be
+            projected rapidly for many fields.
         fiber_type : str or array_like of str, optional
             Fiber type of each direction, if fiber types have different maps; ``""`` and None denote the first fiber
             type in ``distortion``.

@@ -64,7 +64,7 @@ def potential_assignments(
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Table or SkyCoord
-        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
+        Tiles or field centers, see `~rfpsurvey.place_tiles` and `~rfpsurvey.Tiling.from_table`.
     passes : list of int, optional
         Passes of the tiling to use; by default all passes.
     epoch : Time, str or float, optional
@@ -92,7 +92,7 @@ def potential_assignments(
 
     See Also
     --------
-    selection_probabilities : Compute the probabilities with which targets are observed.
+    rfpsurvey.selection_probabilities : Compute the probabilities with which targets are observed.
 
     Examples
     --------

@@ -112,7 +112,7 @@ def selection_probabilities(
     See Also
     --------
     plan_survey : Plan the survey once.
-    potential_assignments : Find the points of a random catalog that positioners reach.
+    rfpsurvey.selection.potential_assignments : Find the points of a random catalog that positioners reach.
 
     References
     ----------

@@ -124,7 +124,7 @@ def test_a_file_of_conditions_holds_a_date_of_toml_or_text(tmp_path, value):
 def test_the_option_time_names_itself(run, value):
     code, _, err = run("plan", "--set", "conditions.site=xinglong", "--set", f"conditions.time={value}")
     assert code == 2
-    assert err.startswith(f"rfpsurvey: --time {FORM}")
+    assert err.startswith(f"rfpsurvey: conditions.time {FORM}")
     assert len(err.strip().splitlines()) == 1
 
 

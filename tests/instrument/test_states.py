@@ -222,7 +222,9 @@ def test_overlapping_rows_must_agree(small):
 
 
 def test_dates_require_a_time(small, file):
-    with pytest.raises(rs.InputError, match=r"broken\.csv: the time of the observation must be given.*--state-time"):
+    with pytest.raises(
+        rs.InputError, match=r"broken\.csv: the time of the observation must be given.*--set instrument.state_time"
+    ):
         small.with_states(file)
     with pytest.raises(rs.InputError, match="time must be a Time"):
         small.with_states(file, time="soon")

@@ -19,7 +19,7 @@ CENTER = SkyCoord(95, 23, unit="deg")
 @pytest.fixture(scope="module")
 def tile(presets):
     sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
-    return rs.plan_tile(sky, presets["sdss_apo"], CENTER)
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator="lamost")
 
 
 def artists(ax, kind, color):

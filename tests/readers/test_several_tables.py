@@ -25,7 +25,7 @@ def test_a_table_of_a_file_is_chosen_by_its_number_or_name(tmp_path):
         for read in (rs.Catalog.read, rs.Tiling.read):
             assert len(read(path, hdu=hdu)) == n
     with pytest.warns(
-        rs.RfpsurveyWarning, match=r"2 \(TARGETS\), 3 \(SKY\), 4 .*, 6; to read another .* or --tiles-hdu$"
+        rs.RfpsurveyWarning, match=r"2 \(TARGETS\), 3 \(SKY\), 4 .*, 6; to read another .* or --set tiles.hdu=NAME$"
     ):
         rs.Tiling.read(path)
     assert rs.Catalog.read(path, hdu="sky").meta["hdu"] == "sky"

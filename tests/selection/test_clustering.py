@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import quad
 
 import rfpsurvey as rs
-from rfpsurvey.selection._bits import pack_bits
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "examples" / "scripts" / "clustering.py"
 
@@ -71,7 +70,9 @@ class Enumerated:
         subsets = [np.isin(np.arange(n), chosen) for chosen in combinations(range(n), n // 2)]
         self.subsets = np.array(subsets)
         self.seen = np.tile(self.subsets.T, repeats)
-        self.bits, self.n_realizations = pack_bits(self.seen), self.seen.shape[1]
+        self.n_realizations = self.seen.shape[1]
+        padded = np.pad(self.seen, ((0, 0), (0, -self.n_realizations % 64)))
+        self.bits = np.packbits(padded, axis=1, bitorder="little").view("<u8")
 
     def observed_in(self, r):
         return self.seen[:, r]
