@@ -181,10 +181,13 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
         else "no tiles were stored, because --folder was not given"
     )
     tell_if_interrupted(kept)
+    record = None if output.folder is None else output.folder / "survey.json"
+    keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
+        keeps_plan = False
     finally:
-        if output.folder is not None and (output.folder / "survey.json").is_file():
+        if record is not None and record.is_file() and not keeps_plan:
             write_bytes(output.folder / PLAN, given.to_toml(output.folder).encode())
     seconds = perf_counter() - begin
     survey.provenance["plan_file"] = given.to_toml(Path())

@@ -72,6 +72,15 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
     assert tomllib.loads((tmp_path / "first" / "plan.toml").read_text()) == expected
 
 
+def test_a_refused_survey_does_not_replace_the_plan_file_of_another_survey(run, tmp_path):
+    words = ["survey", "--instrument", "moons", "--allocator", "lamost", "--passes", 2, "--folder", tmp_path / "first"]
+    assert run(*words)[0] == 0
+    before = (tmp_path / "first" / "plan.toml").read_text()
+    for more in ([], ["--resume", "--set", "options.parked_obstacles=false"]):
+        assert "first holds " in sentence(*run(*words, "--epoch", "2030", *more)[::2])
+        assert (tmp_path / "first" / "plan.toml").read_text() == before
+
+
 def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     output = "tile.fits"
@@ -176,7 +185,7 @@ def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
         ('[catlog]\npath = "a"', "unknown key 'catlog'; did you mean 'catalog'?"),
         ("time_limit = 1", "unknown key 'time_limit'; did you mean 'options.time_limit'?"),
         ("qqqq = 1", "unknown key 'qqqq'; --help-keys lists all keys"),
-        ("catalog = 3", "catalog"),
+        ("catalog = 3", "catalog must be a table, whose keys are set one by one, such as catalog.path"),
         ("rng = 1.5", "rng must be a whole number, got 1.5"),
         ("rng = true", "rng must be a whole number, got True"),
         ('lost_in_collision = "no"', "lost_in_collision must be true or false, got 'no'"),
@@ -209,6 +218,8 @@ def test_wrong_files_are_refused_in_one_sentence(run, tmp_path, text, message):
         (["--set", "rng=-1"], "rng must be a whole number of at least 0, got -1"),
         (["--workers", "0"], "--workers must be a whole number of at least 1, got 0"),
         (["--rng", "two"], "--rng must be a whole number, got 'two'"),
+        (["--set", "catalog=stars.fits"], "catalog must be a table, whose keys are set one by one"),
+        (["--constraint", ""], "--constraint must have a value, got ''"),
         (["--column", "ra"], "--column must have the form NAME=VALUE, got 'ra'"),
         (["nothing.toml"], "nothing.toml: there is no such file"),
         (["--write-plan", "plan.txt"], "plan.txt: the name of this output file must end in .toml"),
