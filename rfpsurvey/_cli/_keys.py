@@ -166,6 +166,9 @@ def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
             return key, rest
         more, _, rest = rest.partition(".")
         head = f"{head}.{more}"
+    inside = next((one for one in keys if one.startswith(f"{name}.")), None)
+    if inside is not None:
+        raise InputError(f"{name} must be a table, whose keys are set one by one, such as {inside}")
     last = {one.rpartition(".")[2]: one for one in reversed(keys)}
     known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
     hint = close_to(last.get(name.rpartition(".")[2], name), known)
