@@ -201,6 +201,8 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
         if isinstance(value, kind) and (inside := key.inside(kind)):
             for one in value.values() if kind is dict else value:
                 _check(key, one, inside)
+    if key.is_path and value == "":
+        raise InputError(f"{key.name} must be {key.words}, got ''")
     if key.is_path and isinstance(value, str) and base is not None:
         value = located(value, base, always=Located not in key.extra)
     entries = values.get(key.name)
@@ -258,10 +260,10 @@ def _to_quantity(key: Key, value: object) -> object:
     """Convert numbers in the unit of a key, or text with a unit, to quantities; a list or a table contains several."""
     if isinstance(value, dict):
         return {name: _to_quantity(key, one) for name, one in value.items()}
-    if isinstance(value, list):
-        return u.Quantity([_to_quantity(key, one) for one in value])
     try:
-        found = u.Quantity(value)
+        found = u.Quantity([_to_quantity(key, one) for one in value] if isinstance(value, list) else value)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
+    if isinstance(value, list):
+        return found
     return found.value * key.unit if found.unit == u.dimensionless_unscaled else found
