@@ -126,6 +126,8 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
             value = _pairs(value, option)
         for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
             if isinstance(one, str):
+                if not one.strip():
+                    raise InputError(f"{option} must have a value, got {one!r}")
                 _plan_file.add_text(keys, values, f"{name}={one}", earlier)
             else:
                 add(keys, values, name, one)

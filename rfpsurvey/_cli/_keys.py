@@ -20,7 +20,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, listed, short
+from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, short
 from rfpsurvey.region import Region
 
 __all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
@@ -166,9 +166,9 @@ def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
             return key, rest
         more, _, rest = rest.partition(".")
         head = f"{head}.{more}"
-    inside = [one.removeprefix(f"{name}.") for one in keys if one.startswith(f"{name}.")]
-    if inside:
-        raise InputError(f"{name!r} is a table; its keys are {listed(sorted(inside))}, such as {name}.{inside[0]}")
+    inside = next((one for one in keys if one.startswith(f"{name}.")), None)
+    if inside is not None:
+        raise InputError(f"{name} must be a table, whose keys are set one by one, such as {inside}")
     last = {one.rpartition(".")[2]: one for one in reversed(keys)}
     known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
     hint = close_to(last.get(name.rpartition(".")[2], name), known)
@@ -201,6 +201,8 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
         if isinstance(value, kind) and (inside := key.inside(kind)):
             for one in value.values() if kind is dict else value:
                 _check(key, one, inside)
+    if key.is_path and value == "":
+        raise InputError(f"{key.name} must be {key.words}, got ''")
     if key.is_path and isinstance(value, str) and base is not None:
         value = located(value, base, always=Located not in key.extra)
     entries = values.get(key.name)
@@ -258,10 +260,10 @@ def _to_quantity(key: Key, value: object) -> object:
     """Convert numbers in the unit of a key, or text with a unit, to quantities; a list or a table contains several."""
     if isinstance(value, dict):
         return {name: _to_quantity(key, one) for name, one in value.items()}
-    if isinstance(value, list):
-        return u.Quantity([_to_quantity(key, one) for one in value])
     try:
-        found = u.Quantity(value)
+        found = u.Quantity([_to_quantity(key, one) for one in value] if isinstance(value, list) else value)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
+    if isinstance(value, list):
+        return found
     return found.value * key.unit if found.unit == u.dimensionless_unscaled else found

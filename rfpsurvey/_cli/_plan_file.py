@@ -12,7 +12,7 @@ import astropy.units as u
 
 from rfpsurvey._cli._keys import Key, Located, Part, add, find, located
 from rfpsurvey._readers import read_toml
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 
 __all__ = ["add_file", "add_text", "default_text", "is_plan_file", "to_toml"]
 
@@ -125,7 +125,10 @@ def _text(value: object) -> str:
         return json.dumps(value)
     if isinstance(value, float):
         return str(value)
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+    text = str(value).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    if text != str(value):
+        warn(f"a plan file can contain only text in UTF-8; \ufffd replaces other bytes of {text}")
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _name(name: str) -> str:

@@ -171,12 +171,6 @@ def _print_gain(state: dict) -> None:
     print(text, file=sys.stderr)
 
 
-def _record(folder: Path | None, given) -> None:
-    """Write the plan file of a survey that was begun into its folder."""
-    if folder is not None and (folder / "survey.json").is_file():
-        write_bytes(folder / PLAN, given.to_toml(folder).encode())
-
-
 def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options: dict, output, given) -> None:
     """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
@@ -187,14 +181,14 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
         else "no tiles were stored, because --folder was not given"
     )
     tell_if_interrupted(kept)
+    record = None if output.folder is None else output.folder / "survey.json"
+    keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
-    except rs.InputError:  # the folder may contain another survey with its own plan file
-        raise
-    except BaseException:
-        _record(output.folder, given)
-        raise
-    _record(output.folder, given)
+        keeps_plan = False
+    finally:
+        if record is not None and record.is_file() and not keeps_plan:
+            write_bytes(output.folder / PLAN, given.to_toml(output.folder).encode())
     seconds = perf_counter() - begin
     survey.provenance["plan_file"] = given.to_toml(Path())
     with files(

@@ -49,11 +49,12 @@ def _warn_of_only_checked(options: Sequence, known: list) -> None:
     methods, first = [one.method for one in options], options[0]
     if any(method.options is None for method in methods):  # allocators without a record may honor every constraint
         return
+    own = {id(one) for one in first.constraints}  # comparing constraints could compare arrays
     for one in first.all_constraints:
-        is_checked = "obstacles" in one.parts or one in first.constraints
+        is_checked = "obstacles" in one.parts or id(one) in own
         if is_checked and all(one.honored(abilities_of(method)) == ONLY_CHECKED for method in methods):
             users = [method.name for method in known if one.honored(abilities_of(method)) != ONLY_CHECKED]
-            name = f"'{one}'" if one in first.constraints else one.name
+            name = f"'{one}'" if id(one) in own else one.name
             chosen = f"{'s' if len(methods) > 1 else ''} {' and '.join(repr(method.name) for method in methods)}"
             who = f"{listed(users)} can honor it" if users else "no allocator honors it"
             warn_no_effect(name, f"with the allocator{chosen}, except that plans are checked; {who}")

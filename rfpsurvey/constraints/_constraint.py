@@ -3,6 +3,7 @@
 import shlex
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from hashlib import sha256
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -232,7 +233,7 @@ class Constraint:
         return f"the constraint must have the form '{' '.join(words)}'"
 
     def __str__(self):
-        return " ".join([self.name, *(shlex.quote(str(getattr(self, one.name))) for one in fields(self))])
+        return " ".join([self.name, *(shlex.quote(_text_of(getattr(self, one.name))) for one in fields(self))])
 
     def for_instrument(self, instrument: "Instrument | None") -> "Constraint":
         """Return the constraint for an instrument; raise an error if it cannot be used.
@@ -345,6 +346,16 @@ class Constraint:
             ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
         """
         return max((getattr(abilities, part, EXACTLY) for part in self.parts), key=LEVELS.index, default=ONLY_CHECKED)
+
+
+def _text_of(value: object) -> str:
+    """Return the text of an argument; different arrays have different texts, although the text is short."""
+    if not isinstance(value, np.ndarray):
+        return str(value)
+    text = str(value.tolist())
+    return (
+        text if value.size <= MOST_LISTED else f"{value.size} values, digest {sha256(text.encode()).hexdigest()[:16]}"
+    )
 
 
 METHODS = {"exclusion": "excluded", "obstacles": "obstacles"}

@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 from collections.abc import Iterable
+from dataclasses import is_dataclass
 from pathlib import Path
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
@@ -62,6 +63,8 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
 
 def _as_constraint(one: object) -> Constraint:
     if isinstance(one, Constraint):
+        if not is_dataclass(one) and type(one).__str__ is Constraint.__str__:  # the text consists of the fields
+            raise InputTypeError(f"a constraint must be a frozen dataclass, got the class {type(one).__name__}")
         return one
     if not isinstance(one, str):
         text = "a constraint must be a Constraint or text such as 'sky=20/spectrograph'"

@@ -11,7 +11,7 @@ from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import CollisionReport
 from rfpsurvey.constraints import Constraint, ConstraintField
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._project import project_field
@@ -55,7 +55,7 @@ class Applied:
         maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
         n_covering = [len(np.unique(own[maker == k])) for k in range(len(self.constraints))]
         return {
-            str(one): answer(one, partial(one.check, field, has_fiber, n))
+            str(one): sentences_of(one, field, has_fiber, n)
             for one, n in zip(self.constraints, n_covering, strict=True)
         }
 
@@ -75,7 +75,7 @@ def apply_constraints(
     field = constraint_field(instrument, projection, targets, xy) if constraints else None
     circles, excluded = [np.empty((0, 3))], None
     for one in constraints:
-        circles.append(answer(one, partial(one.obstacles, field)) if "obstacles" in one.parts else circles[0])
+        circles.append(circles_of(one, field) if "obstacles" in one.parts else circles[0])
         wrong = excluded_by(one, field)
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
     sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)
@@ -123,6 +123,27 @@ def constraint_field(
     extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
     columns = {name: np.concatenate(values) for name, values in found.items()}
     return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete)
+
+
+def circles_of(constraint: Constraint, field: ConstraintField) -> np.ndarray:
+    """Return the obstacles of a constraint; raise an error if the constraint returns anything else."""
+    found = answer(constraint, partial(constraint.obstacles, field))
+    circles = np.asarray(found)
+    shaped = circles.ndim == 2 and circles.shape[1] == 3 and circles.dtype.kind in "iuf"
+    if not (shaped and np.isfinite(circles).all() and (circles[:, 2] >= 0).all()):
+        text = f"the constraint '{constraint}' must return circles as finite numbers x, y and radius (mm), shape (k, 3)"
+        raise refusal(text, found, np.ndarray, list)
+    return circles
+
+
+def sentences_of(constraint: Constraint, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
+    """Return the sentences of the check of a constraint; raise an error if the constraint returns anything else."""
+    found = answer(constraint, partial(constraint.check, field, has_fiber, n_covering))
+    if not (isinstance(found, list | tuple) and all(isinstance(one, str) for one in found)):
+        raise InputTypeError(
+            f"the check of the constraint '{constraint}' must return a list of text, got {short(found)}"
+        )
+    return list(found)
 
 
 def excluded_by(constraint: Constraint, field: ConstraintField) -> np.ndarray | None:

@@ -1,5 +1,6 @@
 """Plan files, the option --set, and the keys of commands."""
 
+import sys
 import tomllib
 from dataclasses import fields
 
@@ -73,6 +74,24 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
     assert tomllib.loads(record) == expected
     assert "first holds a survey" in sentence(*run("survey", "files/plan.toml", "--rng", 7)[::2])
     assert (tmp_path / "first" / "plan.toml").read_text() == record  # a refused survey does not change the record
+
+
+def test_a_refused_survey_does_not_replace_the_plan_file_of_another_survey(run, tmp_path):
+    words = ["survey", "--instrument", "moons", "--allocator", "lamost", "--passes", 2, "--folder", tmp_path / "first"]
+    assert run(*words)[0] == 0
+    before = (tmp_path / "first" / "plan.toml").read_text()
+    for more in ([], ["--resume", "--set", "options.parked_obstacles=false"]):
+        assert "first holds " in sentence(*run(*words, "--epoch", "2030", *more)[::2])
+        assert (tmp_path / "first" / "plan.toml").read_text() == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names of other systems are text")
+def test_the_record_of_a_file_name_that_is_no_utf8_has_a_replacement(run, tmp_path):
+    path = tmp_path / "plan.toml"
+    code, _, err = run("plan", "bad\udcff.csv", "--write-plan", path)
+    assert code == 0
+    assert "a plan file can contain only text in UTF-8" in err
+    assert tomllib.loads(path.read_text())["catalog"]["path"].endswith("bad\ufffd.csv")
 
 
 def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
@@ -179,7 +198,7 @@ def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
         ('[catlog]\npath = "a"', "unknown key 'catlog'; did you mean 'catalog'?"),
         ("time_limit = 1", "unknown key 'time_limit'; did you mean 'options.time_limit'?"),
         ("qqqq = 1", "unknown key 'qqqq'; --help-keys lists all keys"),
-        ("catalog = 3", "catalog"),
+        ("catalog = 3", "catalog must be a table, whose keys are set one by one, such as catalog.path"),
         ("rng = 1.5", "rng must be a whole number, got 1.5"),
         ("rng = true", "rng must be a whole number, got True"),
         ('lost_in_collision = "no"', "lost_in_collision must be true or false, got 'no'"),
@@ -188,6 +207,7 @@ def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
         ("[catalog]\nunits = { ra = 1 }", "catalog.units must be a table, got 1"),
         ("[options]\ntime_limit = [1]", ""),
         ("[conditions]\nexposure_time = true", "conditions.exposure_time must be a number (s) or text with a unit"),
+        ("[catalog]\npath = ''", "catalog.path must be a path, got ''"),
         ("options = 3", "options must be a table, got 3"),
         ("[instrument]\nmargins = 3", "instrument.margins must be a table or text, got 3"),
         ("[instrument]\nmargins = 'wide'", "margins must be off, instrument, or NAME=VALUE"),
@@ -206,13 +226,20 @@ def test_wrong_files_are_refused_in_one_sentence(run, tmp_path, text, message):
     ("words", "message"),
     [
         (["--set", "rng"], "--set must have the form KEY=VALUE, such as joint.time_limit=600, got 'rng'"),
-        (["--set", "instrument=moons"], "'instrument' is a table; its keys are arm_model, "),
+        (
+            ["--set", "instrument=moons"],
+            "instrument must be a table, whose keys are set one by one, such as instrument.",
+        ),
         (["--set", "=1"], "--set must have the form KEY=VALUE"),
         (["--set", "options.time_limit=soon"], "options.time_limit must be a number (s) or text with a unit"),
         (["--set", "options.time_limit=5 km"], "options.time_limit must have a unit convertible to s, got km"),
         (["--set", "rng=-1"], "rng must be a whole number of at least 0, got -1"),
         (["--workers", "0"], "--workers must be a whole number of at least 1, got 0"),
+        (["--set", "options.time_limit=[{}]"], "options.time_limit must be a number (s) or text with a unit"),
+        (["--set", "options.time_limit=['1 s', '2 m']"], "options.time_limit must be a number (s) or text with a unit"),
         (["--rng", "two"], "--rng must be a whole number, got 'two'"),
+        (["--set", "catalog=stars.fits"], "catalog must be a table, whose keys are set one by one"),
+        (["--constraint", ""], "--constraint must have a value, got ''"),
         (["--column", "ra"], "--column must have the form NAME=VALUE, got 'ra'"),
         (["nothing.toml"], "nothing.toml: there is no such file"),
         (["--write-plan", "plan.txt"], "plan.txt: the name of this output file must end in .toml"),

@@ -229,6 +229,60 @@ def test_a_wrong_answer_names_the_constraint(sky, small, answer, words):
         rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions(constraints=Wrong()))
 
 
+@pytest.mark.parametrize("circles", [None, "x", [0, 0, 5.0], [[0, 0, np.nan]], [[0, 0, -1.0]], [[0, 0]]])
+def test_obstacles_that_are_no_circles_are_refused(sky, small, circles):
+    @dataclass(frozen=True)
+    class Wrong(rs.constraints.Constraint):
+        name = "wrong"
+
+        def obstacles(self, field):
+            return circles
+
+    words = "the constraint 'wrong' must return circles as finite numbers x, y and radius"
+    with pytest.raises(rs.InputError, match=words):
+        rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions(constraints=Wrong()))
+
+
+@pytest.mark.filterwarnings("ignore:.*has no effect")
+@pytest.mark.parametrize("found", [None, "text", [1]])
+def test_a_check_that_returns_no_list_of_text_is_refused(sky, small, found):
+    @dataclass(frozen=True)
+    class Wrong(rs.constraints.Constraint):
+        name = "wrong"
+
+        def check(self, field, has_fiber, n_covering):
+            return found
+
+    with pytest.raises(rs.InputError, match="the check of the constraint 'wrong' must return a list of text, got"):
+        rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions("nearest", constraints=Wrong()))
+
+
+def test_a_constraint_that_is_no_dataclass_is_refused_before_planning():
+    class Plain(rs.constraints.Constraint):
+        name = "plain"
+
+    with pytest.raises(rs.InputError, match="a constraint must be a frozen dataclass, got the class Plain"):
+        rs.AllocationOptions(constraints=Plain())
+
+
+@pytest.mark.filterwarnings("ignore:.*has no effect")
+def test_two_constraints_with_arrays_are_different_constraints(sky, small):
+    @dataclass(frozen=True)
+    class Zones(rs.constraints.Constraint):
+        circles: np.ndarray
+        name = "zones"
+
+        def obstacles(self, field):
+            return self.circles
+
+    far = np.full((2000, 3), 1.0) + [1e5, 0, 0]
+    moved = far.copy()
+    moved[1000] += 1
+    assert str(Zones(far)) != str(Zones(moved))
+    pair = rs.AllocationOptions("nearest", constraints=[Zones(far), Zones(moved)])
+    assert len(rs.plan_tile(sky, small, CENTER, allocator=pair).table) > 0
+
+
 def test_a_constraint_that_no_allocator_honors_causes_one_warning(sky, small):
     @dataclass(frozen=True)
     class Few(rs.constraints.Constraint):
