@@ -49,7 +49,7 @@ def survey():
     sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=100 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     tiles = QTable({"ra": [94.7, 95.3, 94.7, 95.3] * u.deg, "dec": [23, 23, 23.3, 23.3] * u.deg, "pass": [1, 1, 2, 2]})
-    return rs.plan_survey(sky, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg), tiles)
+    return rs.plan_survey(sky, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg), tiles, allocator="lamost")
 
 
 @kept
