@@ -47,7 +47,8 @@ def add_text(keys: dict, values: dict, text: str, earlier: set[str]) -> None:
     key, rest = find(keys, name)
     found = _value(value)
     if isinstance(key, Key):
-        if key.texts_only(entry=bool(rest)) and not isinstance(found, str | list):
+        is_table = isinstance(found, dict) and dict in key.kinds and not rest
+        if key.texts_only(entry=bool(rest)) and not (is_table or isinstance(found, str | list)):
             found = value
         if list in key.kinds and key.name in earlier:
             before, new = (one if isinstance(one, list) else [one] for one in (values[key.name], found))

@@ -174,6 +174,12 @@ def test_repeated_values_of_lists_are_added_and_others_replaced():
     assert values == {"catalog.keep": ["b"]}
 
 
+def test_set_accepts_whole_tables_of_entries():
+    text = 'catalog.columns={ id = "star", ra = "x" }'
+    assert after_set(text, "catalog.columns.ra=y") == {"catalog.columns": {"id": "star", "ra": "y"}}
+    assert after_set('catalog.units={ ra = "deg" }') == {"catalog.units": {"ra": "deg"}}
+
+
 def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
     seen = {}
 
