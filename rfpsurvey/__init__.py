@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from rfpsurvey.collision import find_collisions
     from rfpsurvey.compare import compare_allocators, compare_instruments
     from rfpsurvey.constraints import KeepOut, Required, Requirement
-    from rfpsurvey.errors import InputError, RfpsurveyWarning
+    from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, RfpsurveyWarning
     from rfpsurvey.focal_plane import FocalPlane, Margins
     from rfpsurvey.instrument import Instrument, available_instruments
     from rfpsurvey.observing import ObservingConditions
@@ -62,6 +62,8 @@ __all__ = [
     "Catalog",
     "FocalPlane",
     "InputError",
+    "InputTypeError",
+    "InputUnitsError",
     "Instrument",
     "JointOptions",
     "KeepOut",
@@ -101,7 +103,7 @@ _IMPORTED_ON_USE = {
     "compare": ("compare_allocators", "compare_instruments"),
     "constraints": ("KeepOut", "Required", "Requirement"),
     "design": (),
-    "errors": ("InputError", "RfpsurveyWarning"),
+    "errors": ("InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"),
     "focal_plane": ("FocalPlane", "Margins"),
     "instrument": ("Instrument", "available_instruments"),
     "observing": ("ObservingConditions",),
@@ -123,7 +125,6 @@ _MOVED = {
     "catalog": ("PartitionedCatalog", "partition_catalog"),
     "collision": ("CollisionCounts", "CollisionReport", "count_collisions"),
     "constraints": ("Constraint",),
-    "errors": ("InputTypeError", "InputUnitsError"),
     "instrument": ("ProjectionComparison", "compare_projections"),
     "positioner": ("ArmOutline", "divide_polygon"),
     "probability": ("Estimate",),

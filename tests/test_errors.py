@@ -73,9 +73,9 @@ def test_former_names_of_parameters_are_accepted_with_a_warning():
     assert caught[0].filename == __file__
     with pytest.warns(rs.RfpsurveyWarning, match="Survey.visits is now called Survey.tile"):
         assert len(survey.visits(0)) == len(survey.tile(0))
-    with pytest.raises(rs.errors.InputTypeError, match="plan_survey has no parameter 'tiling'"):
+    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
         rs.plan_survey(stars, "moons", tiles=stars, tiling=stars)
-    with pytest.raises(rs.errors.InputTypeError, match="plan_tile has no parameter 'tiling'"):
+    with pytest.raises(rs.InputTypeError, match="plan_tile has no parameter 'tiling'"):
         rs.plan_tile(stars, "moons", tiling=stars)
     with pytest.warns(rs.RfpsurveyWarning, match="rfpsurvey.RadialMap is now called rfpsurvey.projection.RadialMap"):
         assert rs.RadialMap is rs.projection.RadialMap

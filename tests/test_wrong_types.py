@@ -141,7 +141,7 @@ def cases():
 @pytest.mark.parametrize(("call", "given", "name"), list(cases()))
 def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, given, name):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(rs.errors.InputTypeError) as told:
+    with pytest.raises(rs.InputTypeError) as told:
         call(**{**given, name: Strange()})
     assert len(str(told.value)) < 400
 

@@ -8,66 +8,13 @@ from numbers import Number
 import numpy as np
 
 from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._group import Group
 from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
 FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")
 MOST = 10**9
-
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph.
-
-    Parameters
-    ----------
-    requirement : Requirement
-        The requirement.
-    spectrograph : int or None
-        Only fibers of this spectrograph count; None if the fibers of all spectrographs count.
-    targets : ndarray of bool, shape (n_targets,)
-        Whether each target counts toward the requirement.
-    fibers : ndarray of bool, shape (n_positioners,), optional
-        Whether the fiber of each positioner counts; by default, all fibers count.
-    place : str, optional
-        Name of the part of the focal plane that ``fibers`` marks, for messages.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import rfpsurvey as rs
-    >>> group = rs.constraints.Group(rs.Requirement("sky", 1), None, np.array([True, False]))
-    >>> group.holds(np.array([0, 1, -1]), np.array([1, 1, 1]), np.array([0, 1, 2]))
-    array([ True, False, False])
-    """
-
-    requirement: "Requirement"
-    spectrograph: int | None
-    targets: np.ndarray
-    fibers: np.ndarray | None = None
-    place: str = ""
-
-    def holds(self, target: np.ndarray, spectrograph: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return whether assignments count toward the requirement.
-
-        Parameters
-        ----------
-        target : ndarray of int
-            Row of the target of each assignment, or -1 for no target.
-        spectrograph : ndarray of int
-            Spectrograph that receives the light of each target.
-        own : ndarray of int
-            Row of the positioner of each assignment.
-
-        Returns
-        -------
-        ndarray of bool
-            One value per assignment.
-        """
-        inside = np.append(self.targets, False)[target]
-        inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
-        return inside if self.fibers is None else inside & self.fibers[own]
 
 
 @check_keywords

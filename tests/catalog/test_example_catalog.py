@@ -36,7 +36,7 @@ def test_an_unknown_name_lists_the_examples():
         with pytest.raises(rs.InputError) as error:
             call()
         assert str(error.value) == message
-    with pytest.raises(rs.errors.InputTypeError, match="choose one of: anticenter"):
+    with pytest.raises(rs.InputTypeError, match="choose one of: anticenter"):
         rs.example_catalog(3)
 
 

@@ -59,7 +59,7 @@ def test_lists_of_choices():
     assert listed("abcd", 2) == "a, b and 2 more"
     with pytest.raises(rs.InputError, match="unknown method 'x'; choose one of: none\\."):
         check_choice("x", [], "method")
-    with pytest.raises(rs.errors.InputTypeError, match="unknown fiber 3; choose one of: A\\."):
+    with pytest.raises(rs.InputTypeError, match="unknown fiber 3; choose one of: A\\."):
         check_choice(3, ["", "A"], "fiber")
     with pytest.raises(rs.InputError, match=r"'R5'; choose one of: R10, .*, R\d+ and 440 more\. Did you mean 'R.5'"):
         check_choice("R5", [f"R{k}" for k in range(10, 510)], "robot")

@@ -276,7 +276,7 @@ def test_margins_that_leave_no_patrol_area():
     with pytest.raises(rs.InputError, match="1 positioners have no area left"):
         rs.FocalPlane(xy, EQUAL, **columns)
     rs.FocalPlane(xy, EQUAL, **columns, disabled=[True, False])
-    with pytest.raises(rs.errors.InputTypeError, match="margins must be Margins, got 0.2"):
+    with pytest.raises(rs.InputTypeError, match="margins must be Margins, got 0.2"):
         rs.FocalPlane(xy, EQUAL, margins=0.2)
 
 

@@ -58,11 +58,11 @@ def test_a_view_runs_in_its_frame_and_cannot_leave_it(visit, views, tmp_path, na
 
 
 def test_what_cannot_be_shown_is_refused(tile):
-    with pytest.raises(rs.errors.InputTypeError, match="result must be a Tile, a Survey or a Tiling, got int"):
+    with pytest.raises(rs.InputTypeError, match="result must be a Tile, a Survey or a Tiling, got int"):
         rs.report.notebook_view(3)
     with pytest.raises(rs.InputError, match="height"):
         tile.show(height=0)
-    with pytest.raises(rs.errors.InputTypeError, match="plans must be a dict of names to tiles"):
+    with pytest.raises(rs.InputTypeError, match="plans must be a dict of names to tiles"):
         tile.show(plans=[tile])
 
 
