@@ -267,7 +267,7 @@ def _checked(function, title):
     def checked(*args, **kwargs):
         for name in kwargs.keys() - parameters.keys():
             new = FORMER_NAMES.get(name)
-            if new not in parameters or new in kwargs:
+            if new not in parameters or new in kwargs or new in [*parameters][: len(args)]:
                 raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
             warn_of_former_name(f"the parameter {name} of {title}", new)
             kwargs[new] = kwargs.pop(name)

@@ -75,6 +75,8 @@ def test_former_names_of_parameters_are_accepted_with_a_warning():
         assert len(survey.visits(0)) == len(survey.tile(0))
     with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
         rs.plan_survey(stars, "moons", tiles=stars, tiling=stars)
+    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
+        rs.plan_survey(stars, "moons", stars, tiling=stars)
     with pytest.raises(rs.InputTypeError, match="plan_tile has no parameter 'tiling'"):
         rs.plan_tile(stars, "moons", tiling=stars)
     with pytest.warns(rs.RfpsurveyWarning, match="rfpsurvey.RadialMap is now called rfpsurvey.projection.RadialMap"):

@@ -18,7 +18,7 @@ __all__ = ["add_file", "add_text", "default_text", "is_plan_file", "to_toml"]
 
 WIDTH = 100
 # Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
-OF_ONE_RUN = ("output.resume",)
+OF_ONE_RUN = ("output.resume", "output.overwrite")
 
 
 def is_plan_file(path: object) -> bool:

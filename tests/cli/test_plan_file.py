@@ -264,7 +264,7 @@ def test_existing_plan_files_are_kept(run, tmp_path):
     assert "exists; to replace it, use --overwrite" in sentence(*run("plan", "--write-plan", path)[::2])
     assert path.read_text() == "mine"
     assert run("plan", "--write-plan", path, "--overwrite")[0] == 0
-    assert tomllib.loads(path.read_text())["output"] == {"overwrite": True}
+    assert "overwrite" not in tomllib.loads(path.read_text()).get("output", {})  # each run states it
 
 
 @pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "score", "probability"])
