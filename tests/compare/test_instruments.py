@@ -347,7 +347,7 @@ def test_command(run, tmp_path):
         "pfs",
         "--n-realizations",
         1,
-        "--targets",
+        "--targets-per-positioner",
         0.5,
         "--output",
         output,
