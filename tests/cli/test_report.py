@@ -16,7 +16,7 @@ from pages import Reader
         "design --ratio 1,1.5 --pitch 24,26",
         "probability sdss_apo --method closed_form",
         "tile --region sky --method spiral --instrument lamost --output t.ecsv",
-        "compare sdss_apo moons --allocator lamost --realizations 1",
+        "compare sdss_apo moons --allocator lamost --n-realizations 1",
         "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
     ],
 )
