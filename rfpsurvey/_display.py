@@ -55,24 +55,24 @@ def show(result: object, **options: object) -> object:
     return import_module("rfpsurvey.report").notebook_view(result, **options)
 
 
-def plot(result: object, **options: object) -> object:
-    """Draw a result with the function of the subpackage ``plot`` for its type, which this function imports.
+def plot(function: str, result: object, **options: object) -> object:
+    """Draw a result with a function of the subpackage ``plot``, which is imported only when it is needed.
 
     Parameters
     ----------
-    result : Tile or Survey or Tiling
-        The result.
+    function : str
+        Name of the function, such as ``plot_tiling``.
+    result : object
+        The result, such as a tile or a survey.
     **options
-        Passed to the function of ``rfpsurvey.plot``.
+        Passed to the function.
 
     Returns
     -------
     matplotlib.axes.Axes
         The axes.
     """
-    module = import_module("rfpsurvey.plot")
-    draw = module.plot_focal_plane if type(result).__name__ == "Tile" else module.plot_tiling
-    return draw(result, **options)
+    return getattr(import_module("rfpsurvey.plot"), function)(result, **options)
 
 
 def rounded(table: object) -> object:

@@ -268,7 +268,7 @@ def check_unique(values: np.ndarray, name: str) -> None:
     found, counts = np.unique(values, return_counts=True)
     if (counts > 1).any():
         twice = found[counts > 1].tolist()[0]
-        text = f"{twice:g}" if isinstance(twice, float) else twice
+        text = f"{twice:g}" if isinstance(twice, float) else repr(twice)
         raise InputError(f"{name} must be unique, but {text} occurs more than once")
 
 

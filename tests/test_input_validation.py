@@ -67,7 +67,7 @@ CALLS = {
     "fiber_type must have at most 62 types, got 63": lambda: rs.FocalPlane(
         np.arange(126.0).reshape(63, 2) * 50 * MM, ROBOT, fiber_type=[f"t{k}" for k in range(63)]
     ),
-    "id must be unique, but a occurs more than once": lambda: replace(PLANE, id=["a", "b", "a"]),
+    "id must be unique, but 'a' occurs more than once": lambda: replace(PLANE, id=["a", "b", "a"]),
     "n_points must be so large that at least one point is in the footprint, got 1": lambda: rs.FocalPlane(
         [[0, 0], [100, 0], [0, 100], [1, 1]] * MM, ROBOT
     ).coverage(n_points=1, rng=1),

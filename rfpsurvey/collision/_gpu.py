@@ -1,4 +1,4 @@
-"""Run `find_collisions` and `~rfpsurvey.collision.count_collisions` on a GPU."""
+"""Run `find_collisions` and `count_collisions` on a GPU."""
 
 import numpy as np
 

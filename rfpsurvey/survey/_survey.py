@@ -195,7 +195,7 @@ class Survey:
         matplotlib.axes.Axes
             The axes.
         """
-        return plot(self, **options)
+        return plot("plot_tiling", self, **options)
 
     def show(self, *, height: int = 1000) -> object:
         """Return an interactive map of the tiles for display in a notebook; reports contain the same map.

@@ -301,7 +301,7 @@ class Tile:
         matplotlib.axes.Axes
             The axes.
         """
-        return plot(self, **options)
+        return plot("plot_focal_plane", self, **options)
 
     def show(self, plans: dict | None = None, *, height: int = 1100) -> object:
         """Return, for a notebook, the interactive view of the focal plane that a report on the tile contains.

@@ -252,7 +252,7 @@ BAD = {
     "twice": (
         "positionerTable",
         lambda rows: [*rows, rows[0]],
-        "'holeID' must be unique, but R\\+2C13 occurs more than once",
+        "'holeID' must be unique, but 'R\\+2C13' occurs more than once",
     ),
     "no hole": ("wokCoords", changed("R0C13", holeID="R9C9"), "must have all holes of .*, but R0C13 is missing"),
     "empty hole": ("wokCoords", changed("R0C13", holeID=""), "must have a value in each row"),
