@@ -28,6 +28,7 @@ __all__ = [
     "listed",
     "number_of",
     "one_line",
+    "present_name",
     "refusal",
     "short",
     "used_elsewhere",
@@ -81,6 +82,8 @@ RENAMED = (
 
 # Former names of parameters, which functions still accept with a warning if they have a parameter with the new name.
 FORMER_NAMES = {"tiling": "tiles", "points": "catalog", "field": "catalog", "focal_plane": "instrument"}
+# Former names of methods, which are still accepted with a warning.
+FORMER_METHODS = {"lamost": "lamost_rule", "sdss": "network_flow"}
 
 
 class InputError(ValueError):
@@ -279,6 +282,18 @@ def _checked(function, title):
 def warn_of_former_name(what: str, new: str) -> None:
     """Issue a warning that something has a new name, and that its former name will be removed."""
     warn(f"{what} is now called {new}; the former name will be removed in version 0.4")
+
+
+def present_name(name: object, methods: Collection[str], what: str) -> object:
+    """Return the present name of one of ``methods``, with a warning if ``name`` is its former name.
+
+    Anything else is returned as it is; ``what`` is a noun for the method, such as "allocator".
+    """
+    new = FORMER_METHODS.get(name) if isinstance(name, str) else None
+    if new not in methods:
+        return name
+    warn_of_former_name(f"the {what} {name}", new)
+    return new
 
 
 def _instead_of(name, parameters):

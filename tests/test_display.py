@@ -18,8 +18,8 @@ def results():
     xy = np.random.default_rng(1).uniform(-100, 100, (50, 2)) * u.mm
     plan = rs.allocate(moons.focal_plane, xy, allocator="balanced")
     return {
-        "tile": rs.plan_tile(sky, moons, CENTER, allocator="lamost"),
-        "survey": rs.plan_survey(sky, moons, CENTER.reshape(1), allocator="lamost"),
+        "tile": rs.plan_tile(sky, moons, CENTER, allocator="lamost_rule"),
+        "survey": rs.plan_survey(sky, moons, CENTER.reshape(1), allocator="lamost_rule"),
         "tiling": rs.place_tiles(sky, moons),
         "allocation": plan,
         "report": rs.find_collisions(moons.focal_plane, plan),

@@ -62,7 +62,7 @@ def test_moons_gains_by_the_overlap(script):
     values, printed = script("plot_3_moons")
     surveys = values["surveys"]
     assert values["reaching"][2:].sum() > 0.9 * values["reaching"].sum()
-    rule, optimum = (surveys[name].summary for name in ("lamost", "optimal"))
+    rule, optimum = (surveys[name].summary for name in ("lamost_rule", "optimal"))
     assert (rule["n_colliding"] > 1000, optimum["n_colliding"]) == (True, 0)
     assert optimum["n_visits_observed"] > 1.2 * rule["n_visits_observed"]
     assert f"optimal: {surveys['optimal']}, 0 arms in collision\n" in printed

@@ -140,7 +140,7 @@ CALLS = {
     ),
     "fiber_type of 'sky' must be a name, got 3": lambda: rs.Requirement("sky", 1, fiber_type=3),
     "the allocators to compare must be given as allocators=, got the argument allocator": lambda: rs.compare_allocators(
-        rs.Catalog(TWO), "moons", CENTER, allocator="lamost"
+        rs.Catalog(TWO), "moons", CENTER, allocator="lamost_rule"
     ),
     "axes must be two Axes, got 1": lambda: rs.plot.plot_speed_accuracy(
         QTable(

@@ -24,7 +24,7 @@ EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "plugin"
 def test_nothing_is_looked_up_before_it_is_needed(install, monkeypatch):
     calls, look = [], _plugins.entry_points
     monkeypatch.setattr(_plugins, "entry_points", lambda **given: calls.append(given) or look(**given))
-    rs.allocate(PAIR, FOUR, allocator="lamost")
+    rs.allocate(PAIR, FOUR, allocator="lamost_rule")
     rs.allocate(PAIR, FOUR, allocator=always([0, 2]))
     rs.Instrument.preset("moons")
     rs.collision_probability(PAIR, method="overlap_ratio")
@@ -42,11 +42,11 @@ def test_names_that_are_ours_stay_ours(install, presets):
     install(
         "thief",
         "def steal(*_):\n    raise SystemExit",
-        allocators={"lamost": "steal"},
+        allocators={"lamost_rule": "steal"},
         instruments={"lamost": "steal"},
         probability_methods={"close_pair": "steal"},
     )
-    assert rs.allocate(PAIR, FOUR, allocator="lamost").n_assigned == 2
+    assert rs.allocate(PAIR, FOUR, allocator="lamost_rule").n_assigned == 2
     assert len(rs.Instrument.preset("lamost").focal_plane) == 4000
     assert rs.collision_probability(PAIR, method="close_pair").value > 0
     assert rs.available_instruments().count("lamost") == 1
@@ -125,7 +125,7 @@ def test_what_is_no_name_is_refused(name):
 def test_surveys_know_them_by_name(small, install, tmp_path):
     sky, tiles = sky_of(small), SkyCoord([95, 95.05, 95.2] * u.deg, [23, 23, 23.1] * u.deg)
     install("hers", HERS, allocators={"begin": "begin"})
-    usual = rs.plan_survey(sky, small, tiles, allocator="lamost")
+    usual = rs.plan_survey(sky, small, tiles, allocator="lamost_rule")
     mine = rs.plan_survey(sky, small, tiles, allocator="begin", folder=tmp_path / "survey")
     assert mine.summary == usual.summary
     assert mine.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}
@@ -156,8 +156,8 @@ def begin_optimal(problem):
 
 
 def test_comparisons_take_both(small, hers):
-    table = rs.compare_allocators(sky_of(small), small, CENTER, allocators=["lamost", "begin", begin_optimal])
-    assert table["allocator"].tolist() == ["lamost", "begin", f"{__name__}.begin_optimal"]
+    table = rs.compare_allocators(sky_of(small), small, CENTER, allocators=["lamost_rule", "begin", begin_optimal])
+    assert table["allocator"].tolist() == ["lamost_rule", "begin", f"{__name__}.begin_optimal"]
     assert table["science"][0] == table["science"][1]
     assert table["colliding"][2] == 0
     assert table.meta["software"]["hers"] == "1.0"

@@ -159,7 +159,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
 def test_what_rules_lose_to_collisions_in_crowded_fields_is_won_back(real_data, file, name, center, least):
     catalog = rs.Catalog.read(real_data(file))
     center = catalog.mean_direction if center is None else SkyCoord(*center, unit="deg")
-    table = rs.compare_allocators(catalog, name, center, allocators=["lamost", "repair", "optimal"])
+    table = rs.compare_allocators(catalog, name, center, allocators=["lamost_rule", "repair", "optimal"])
     rule, repaired, best = table
     assert best["gap"] == 0
     assert best["colliding"] == repaired["colliding"] == 0

@@ -26,7 +26,7 @@ def test_scoring_a_written_tile_counts_idle_positioners_as_idle(small, tmp_path,
 
     Unsigned integers could not be read.
     """
-    tile = rs.plan_tile(few(id=ids), small, CENTER, allocator="lamost")
+    tile = rs.plan_tile(few(id=ids), small, CENTER, allocator="lamost_rule")
     path = tmp_path / f"tile{suffix}"
     tile.write(path)
     assert rs.Tile.read(path) == tile
@@ -297,15 +297,15 @@ def test_a_plan_out_of_reach_and_arguments_without_effect_are_warnings(small):
         rs.score_tile(plan, small, center=CENTER, epoch="J2020")
     assert [str(one.message).split()[0] for one in told] == ["center", "epoch"]
     with pytest.warns(rs.RfpsurveyWarning, match="the epoch has no effect, because the targets have no proper motions"):
-        rs.plan_tile(few(), small, CENTER, epoch=2030, allocator="lamost")
+        rs.plan_tile(few(), small, CENTER, epoch=2030, allocator="lamost_rule")
     with pytest.warns(rs.RfpsurveyWarning, match="the field has 1 target with the same id as another target"):
-        rs.plan_tile(few(2, id=[7, 7]), small, CENTER, allocator="lamost")
+        rs.plan_tile(few(2, id=[7, 7]), small, CENTER, allocator="lamost_rule")
 
 
 def test_collisions_with_obstacles_are_named(small):
     """The column that names the other objects of a collision was empty."""
     plane = replace(small.focal_plane, obstacles=[[200, 0, 3], [8, 0, 3]] * MM)
-    tile = rs.plan_tile(few(), replace(small, focal_plane=plane), CENTER, allocator="lamost")
+    tile = rs.plan_tile(few(), replace(small, focal_plane=plane), CENTER, allocator="lamost_rule")
     assert "obstacle-1" in " ".join(tile.table["colliding_with"]).split()
     assert tile.summary["n_obstacle_collisions"] > 0
 

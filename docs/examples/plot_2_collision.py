@@ -15,7 +15,7 @@ import rfpsurvey as rs
 
 center = SkyCoord("06h20m00s +23d00m00s")
 stars = rs.synthetic_catalog("poisson", center, 1.5 * u.deg, density=300 / u.deg**2, rng=1)
-rule, best = (rs.plan_tile(stars, "sdss_apo", center, allocator=name) for name in ("lamost", "optimal"))
+rule, best = (rs.plan_tile(stars, "sdss_apo", center, allocator=name) for name in ("lamost_rule", "optimal"))
 
 worst = rule.table[np.nanargmin(rule.table["clearance"])]
 depth = -worst["clearance"]

@@ -20,8 +20,8 @@ table = rs.compare_allocators(galaxies, "moons", center)
 table["allocator", "science", "colliding", "usable", "loss", "gap"].pprint()
 
 # %%
-# ``sdss`` assigns the most targets, but a quarter of these targets are lost to collisions. Plans of ``optimal`` and
-# ``repair`` have no collisions.
+# ``network_flow`` assigns the most targets, but a quarter of these targets are lost to collisions. Plans of ``optimal``
+# and ``repair`` have no collisions.
 
 fig, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
 rs.plot.plot_allocators(table, ax=ax).set_title("Usable fibers of six allocators on a field of MOONS")

@@ -19,7 +19,7 @@ moons = rs.Instrument.preset("moons")
 center = SkyCoord("10h00m00s +02d12m00s")
 galaxies = rs.synthetic_catalog("uniform", center, moons.field_radius, n_targets=1001, rng=1)
 clearances = np.array([0.25, 1.0, 1.5, 2.0, 2.5, 3.0]) * u.mm
-usable = {"sdss": [], "lamost": [], "optimal": []}
+usable = {"network_flow": [], "lamost_rule": [], "optimal": []}
 for clearance in clearances:
     unit = replace(moons.focal_plane.positioner, clearance=clearance)
     other = replace(moons, focal_plane=replace(moons.focal_plane, positioner=unit))
@@ -30,8 +30,8 @@ for clearance in clearances:
         usable[name].append(number)
 
 # %%
-# ``sdss`` assigns as many targets as possible, as if arms could pass through each other, and then loses the targets
-# whose arms collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators
+# ``network_flow`` assigns as many targets as possible, as if arms could pass through each other, and then loses the
+# targets whose arms collide. ``optimal`` has more usable targets at a clearance of 3 mm than the other two allocators
 # have at a clearance of 0.25 mm.
 
 fig, ax = plt.subplots(figsize=(6.5, 4.2), layout="constrained")

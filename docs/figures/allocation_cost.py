@@ -11,7 +11,7 @@ import rfpsurvey as rs
 NUMBERS = (1000, 4000, 16_000, 64_000)
 plane = rs.Instrument.preset("lamost").focal_plane
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-for method in ("balanced", "nearest", "lamost", "sdss", "optimal", "repair"):
+for method in ("balanced", "nearest", "lamost_rule", "network_flow", "optimal", "repair"):
     seconds = []
     for n in NUMBERS:
         rng = np.random.default_rng(n)

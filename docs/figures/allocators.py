@@ -13,7 +13,9 @@ galaxies = rs.synthetic_catalog(
 )
 xy = rs.Instrument.preset("moons").projection(center).to_focal_plane(galaxies)
 figure, axes = plt.subplots(2, 3, figsize=(10.5, 7.6), layout="constrained", sharex=True, sharey=True)
-for ax, allocator in zip(axes.flat, ("balanced", "nearest", "lamost", "sdss", "repair", "optimal"), strict=True):
+for ax, allocator in zip(
+    axes.flat, ("balanced", "nearest", "lamost_rule", "network_flow", "repair", "optimal"), strict=True
+):
     tile = rs.plan_tile(galaxies, "moons", center, allocator=allocator)
     rs.plot.plot_focal_plane(tile, ax=ax, region=[[-30, -30], [90, 90]] * u.mm)
     ax.plot(*xy.value.T, ".", color="#009E73", markersize=3, zorder=0)

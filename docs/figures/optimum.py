@@ -25,17 +25,17 @@ PLANS = {
     "SDSS-V, 1 target per positioner": (
         (6857, 6857, 6910, 7187, 7207, 7207, 7207),
         (7545, 7324, 7251, 7236, 7211, 7211, 7211),
-        [("lamost", 0.05, 4427), ("repair", 0.06, 6774)],
+        [("lamost_rule", 0.05, 4427), ("repair", 0.06, 6774)],
     ),
     "SDSS-V, 2 targets per positioner": (
         (9609, 9609, 9609, 9647, 9736, 9797, 9797),
         (9858, 9858, 9834, 9810, 9803, 9798, 9798),
-        [("lamost", 0.04, 6105), ("repair", 0.06, 9556)],
+        [("lamost_rule", 0.04, 6105), ("repair", 0.06, 9556)],
     ),
     "reach of 2.5 pitches, 1 target per positioner": (
         (4363, 4378, 4378, 5112, 5112, 5112, 5452),
         (8843, 8843, 8843, 8843, 8843, 8843, 8786),
-        [("lamost", 0.11, 348), ("repair", 2.34, 5553)],
+        [("lamost_rule", 0.11, 348), ("repair", 2.34, 5553)],
     ),
 }
 COLORS = ("#0072B2", "#D55E00", "#009E73")
@@ -52,11 +52,11 @@ for color, (name, (plans, bounds, rules)) in zip(COLORS, PLANS.items(), strict=T
     right.plot(LIMITS, plans, "o-", color=color, ms=4, label=name)
     for (_, when, value), marker in zip(rules, "x+", strict=True):
         right.plot(when, value, marker, color=color)
-for marker, name in zip("x+", ("lamost, targets not in collision", "repair"), strict=True):
+for marker, name in zip("x+", ("lamost_rule, targets not in collision", "repair"), strict=True):
     right.plot([], [], marker, color="0.4", label=name)
 right.set(
     xscale="log",
-    xlabel="time limit of optimal, or time of lamost and repair (s)",
+    xlabel="time limit of optimal, or time of lamost_rule and repair (s)",
     ylabel="targets (shaded: range up to the upper bound)",
     ylim=(0, 11_000),
 )

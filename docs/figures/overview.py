@@ -13,7 +13,7 @@ from PIL import Image
 
 import rfpsurvey as rs
 
-TITLES = {"lamost": "LAMOST's rule, which ignores collisions", "optimal": "optimal plan without collisions"}
+TITLES = {"lamost_rule": "LAMOST's rule, which ignores collisions", "optimal": "optimal plan without collisions"}
 stars, center = rs.example_catalog("anticenter"), "06h20m00s +23d00m00s"
 figure, axes = plt.subplots(1, 2, figsize=(12, 6.7), layout="constrained", sharey=True)
 for ax, (allocator, title) in zip(axes, TITLES.items(), strict=True):

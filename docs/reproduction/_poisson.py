@@ -150,7 +150,7 @@ def drops_by_ratio(table: QTable, discs: dict[str, float]) -> QTable:
     QTable
         A row for each separation: the drop of the mean over designs (``of_means``), the mean of the drops of the
         designs (``of_designs``), this mean for ranges of the ratio of the arms (``ratio_1.00_1.25``, ...), and the drop
-        of LAMOST's design (``lamost``), each with a standard error.
+        of LAMOST's design (``lamost_rule``), each with a standard error.
     """
     rows = []
     for name, separation in discs.items():

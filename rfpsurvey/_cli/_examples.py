@@ -18,7 +18,7 @@ COMPARE_ALLOCATORS_EXAMPLES = """\b
 Examples:
   rfpsurvey compare-allocators
   rfpsurvey compare-allocators stars.fits --instrument moons --plot allocators.png --report allocators.html
-  rfpsurvey compare-allocators stars.fits --constraint sky=20 --allocator sdss --allocator optimal
+  rfpsurvey compare-allocators stars.fits --constraint sky=20 --allocator network_flow --allocator optimal
 """
 
 COMPARE_EXAMPLES = """\b
@@ -49,7 +49,7 @@ TILE_EXAMPLES = """\b
 Examples:
   rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv --report tiles.html
   rfpsurvey tile --region sky --method spiral --instrument desi
-  rfpsurvey tile stars.fits --method sdss --completeness 0.95 --allocator repair
+  rfpsurvey tile stars.fits --method network_flow --completeness 0.95 --allocator repair
   rfpsurvey tile stars.fits --method given --centers tiles.ecsv
   rfpsurvey tile stars.fits --region "cap 95 23 5" --set tiles.declination="[-10, 60]"
   rfpsurvey tile stars.fits --set radius=1.5 --set fibers=400
@@ -71,7 +71,7 @@ Examples:
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --report plan.html
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --workers 2 --folder plan --resume
   rfpsurvey survey stars.fits --allocator repair --constraint "required 4711" --constraint "keep_out 95.0 23.1 0.01"
-  rfpsurvey survey stars.fits --allocator optimal --order joint --set joint.time_limit=600 --folder plan
+  rfpsurvey survey stars.fits --allocator joint --set joint.time_limit=600 --folder plan
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --folder plan --write-plan plan.toml
   rfpsurvey survey plan.toml --workers 2
   rfpsurvey survey hats_catalog --tiles tiles.ecsv --set scheduler=tcp://10.0.0.1:8786 --folder plan

@@ -14,7 +14,6 @@ from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, listed
 
 AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
-JOINTLY = listed(name for name, one in METHODS.items() if one.plans_jointly)
 Text = str | int | float
 Moment = str | float | Time | None
 
@@ -205,6 +204,15 @@ class ConstraintKeys:
 
 
 @dataclass(frozen=True)
+class SurveyConstraintKeys(ConstraintKeys):
+    """Keys of allocators of surveys."""
+
+    allocator: Annotated[
+        str, f"Allocator: {help_of(METHODS)}, joint (all tiles together), or an allocator of an installed package."
+    ] = rs.AllocationOptions.allocator
+
+
+@dataclass(frozen=True)
 class ConditionsKeys:
     """Further keys of observing conditions.
 
@@ -221,6 +229,7 @@ class ConditionsKeys:
 
 
 Options = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys)]
+SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyConstraintKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", 0]
@@ -256,8 +265,7 @@ Lost = Annotated[
 Order = Annotated[
     str,
     "Order in which tiles are planned. color: one pass after the other; tiles of a pass that do not overlap are "
-    "planned in parallel. given: the order of the table. joint: all tiles together, with the allocator "
-    + f"{JOINTLY}.",
+    "planned in parallel. given: the order of the table.",
 ]
 
 

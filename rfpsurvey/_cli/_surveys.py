@@ -16,9 +16,10 @@ from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import warn_no_effect
 from rfpsurvey.report import survey_facts
+from rfpsurvey.survey import JOINT
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["order_of", "read_tiles", "run", "targets_of", "tiles_of", "workers"]
+__all__ = ["allocator_of", "read_tiles", "run", "targets_of", "tiles_of", "workers"]
 
 MANY = 0.05  # the collision rate above which a hint is printed
 
@@ -67,13 +68,15 @@ def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs
     return rs.place_tiles(targets, model, passes=2)
 
 
-def order_of(order: str, joint: dict) -> "str | rs.JointOptions":
-    """Return the parameter ``order`` of `plan_survey` for the keys of a joint plan."""
-    if order == "joint":
-        return rs.JointOptions(**joint, inform=_print_gain)
+def allocator_of(options: dict, joint: dict, order: str) -> "rs.AllocationOptions | rs.JointOptions":
+    """Return the parameter ``allocator`` of `plan_survey` for the keys of the allocator and of a joint plan."""
+    if JOINT in (options.get("allocator"), order):  # in version 0.2, a joint plan was an order
+        name = options.get("allocator", rs.AllocationOptions.allocator)
+        first = rs.AllocationOptions(**{**options, "allocator": rs.JointOptions.allocator if name == JOINT else name})
+        return rs.JointOptions(**joint, allocator=first, inform=_print_gain)
     for name in joint:
-        warn_no_effect(f"joint.{name}", "without --order joint")
-    return order
+        warn_no_effect(f"joint.{name}", "without --allocator joint")
+    return rs.AllocationOptions(**options)
 
 
 @contextmanager
@@ -174,7 +177,8 @@ def _print_gain(state: dict) -> None:
 def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options: dict, output, given) -> None:
     """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
-    stored = "finished tiles" if isinstance(options["order"], str) else "state of the search and the finished tiles"
+    is_joint = isinstance(options["allocator"], rs.JointOptions)
+    stored = "state of the search and the finished tiles" if is_joint else "finished tiles"
     kept = (
         f"the {stored} are stored in the folder; continue with --resume"
         if output.folder

@@ -40,8 +40,8 @@ class SurveyKeys(_groups.WorkerKeys):
     catalog: _groups.SurveyCatalogKeys
     instrument: _groups.InstrumentKeys
     tiles: _groups.TilesKeys
-    options: _groups.Options
-    joint: Annotated[dict, Part(rs.JointOptions)]
+    options: _groups.SurveyOptions
+    joint: Annotated[dict, Part(rs.JointOptions, omit=("allocator",))]
     conditions: _groups.Conditions
     output: SurveyOutputKeys
     order: _groups.Order = "color"
@@ -65,12 +65,12 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
     targets = _surveys.targets_of(keys.catalog, model, keys.rng)
     options = {
-        "allocator": rs.AllocationOptions(**keys.options),
+        "allocator": _surveys.allocator_of(keys.options, keys.joint, keys.order),
         "visits": keys.catalog.visits,
         "passes": keys.tiles.passes,
         "epoch": keys.epoch,
         "lost_in_collision": keys.lost_in_collision,
-        "order": _surveys.order_of(keys.order, keys.joint),
+        "order": keys.order,
         "folder": keys.output.folder,
         "resume": keys.output.resume,
         "rng": keys.rng,

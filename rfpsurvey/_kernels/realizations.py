@@ -223,7 +223,7 @@ def pair_of(indptr, owner, t, i):
 
 
 @kernel
-def lamost(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen):
+def lamost_rule(indptr, owner, r2, rank, n_ranks, number, seeds, left, start, chosen):
     """Assign targets by nominations; each positioner nominates its target with the largest subpriority.
 
     ``start`` contains the index at which the list of targets of each positioner begins. The list of a positioner may be

@@ -54,8 +54,8 @@ def allocate(
     """Assign targets to positioners: at most one target per positioner, and at most one positioner per target.
 
     The purpose of an allocation is to observe science targets. Standards and sky positions are assigned to meet
-    requirements; ``sdss``, ``optimal`` and ``repair`` also assign standards and sky positions to positioners that would
-    otherwise be idle. Only ``optimal`` and ``repair`` avoid collisions.
+    requirements; ``network_flow``, ``optimal`` and ``repair`` also assign standards and sky positions to positioners
+    that would otherwise be idle. Only ``optimal`` and ``repair`` avoid collisions.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def allocate(
     >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
     >>> targets = [[12, 0], [14, 0], [20, 10], [99, 0]] * u.mm
-    >>> rs.allocate(plane, targets, allocator="lamost").target_of_positioner
+    >>> rs.allocate(plane, targets, allocator="lamost_rule").target_of_positioner
     array([0, 2])
     >>> best = rs.allocate(plane, targets, allocator="optimal")
     >>> best.n_assigned, best.gap

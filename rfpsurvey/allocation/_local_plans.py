@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
 from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
-from rfpsurvey.allocation._methods import lamost
+from rfpsurvey.allocation._methods import lamost_rule
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import Reach
 
@@ -49,7 +49,7 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: boo
     If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
     """
     given, row = _as_given(problem), problem.row
-    before = lamost(given).target_of_positioner
+    before = lamost_rule(given).target_of_positioner
     candidates, deadline = None, np.inf if whole else max(problem.deadline, now() + AT_LEAST)
     if whole and everything.preselection.n_left_out:
         try:

@@ -85,7 +85,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
     return AllocationAnswer(with_watched(problem, target_of))
 
 
-def lamost(problem: AllocationProblem) -> AllocationAnswer:
+def lamost_rule(problem: AllocationProblem) -> AllocationAnswer:
     """Assign the targets of one class after the other; in each round, every free positioner nominates one target.
 
     In each class, every free positioner nominates its nearest unassigned target, until no nominations are possible. If
@@ -105,7 +105,7 @@ def lamost(problem: AllocationProblem) -> AllocationAnswer:
     return AllocationAnswer(target_of)
 
 
-def sdss(problem: AllocationProblem) -> AllocationAnswer:
+def network_flow(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
 
     The distances are those from the centers of the positioners; arms may collide. If subpriorities are given, the last
@@ -148,8 +148,8 @@ METHODS = table_of(
         "balanced", balanced, ("subpriority", "rng"), "ignores priorities", makes_queues=True, uses_priorities=False
     ),
     Allocator("nearest", nearest, ("required", "subpriority")),
-    Allocator("lamost", lamost, _COMMON, "the rule of LAMOST", counts="goal"),
-    Allocator("sdss", sdss, _SEARCH, "network flow", searches=True, counts="exactly"),
+    Allocator("lamost_rule", lamost_rule, _COMMON, "the rule of LAMOST", counts="goal"),
+    Allocator("network_flow", network_flow, _SEARCH, "network flow", searches=True, counts="exactly"),
     Allocator(
         "optimal",
         optimal,
@@ -165,7 +165,7 @@ METHODS = table_of(
         "repair",
         repair,
         (*_COMMON, "start"),
-        "lamost, followed by local moves that remove collisions",
+        "lamost_rule, followed by local moves that remove collisions",
         avoids_collisions=True,
         counts="goal",
     ),

@@ -34,6 +34,7 @@ from rfpsurvey.errors import (
     check_choice,
     check_keywords,
     check_switch,
+    present_name,
     refusal,
     short,
     warn_no_effect,
@@ -80,22 +81,22 @@ class AllocationOptions:
         this far from all targets.
     objective : {"priority", "count"}, optional
         ``priority``: maximize the number of targets, one class after the other. ``count``: first maximize the number of
-        all science targets, then the number of targets of one class after the other. Only ``sdss`` and ``optimal`` use
-        this option.
+        all science targets, then the number of targets of one class after the other. Only ``network_flow`` and
+        ``optimal`` use this option.
     time_limit : Quantity, optional
-        Time after which ``sdss`` and ``optimal`` return the best plan that they have found, with its gap; 60 s by
-        default. The limit also applies if ``start`` is ``sdss`` or ``optimal``.
+        Time after which ``network_flow`` and ``optimal`` return the best plan that they have found, with its gap; 60 s
+        by default. The limit also applies if ``start`` is ``network_flow`` or ``optimal``.
     start : Allocation or str, optional
         Plan from which ``repair`` starts, or the name of the allocator that makes this plan (any allocator except
         ``repair``). Allocators of other packages can also use this plan.
     parked_obstacles : bool, optional
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     required : array_like of int or str, optional
-        Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and ``lamost``
-        assign required targets as a class before all other classes; ``sdss`` and ``optimal`` assign as many of them as
-        possible; ``repair`` assigns the required targets for which its local moves find a positioner; ``balanced``
-        does not use this option. Required targets without a fiber are reported. `allocate` has a parameter of the same
-        name, with rows in place of identifiers.
+        Identifiers of targets, of any kind, that take precedence over all other targets. ``nearest`` and
+        ``lamost_rule`` assign required targets as a class before all other classes; ``network_flow`` and ``optimal``
+        assign as many of them as possible; ``repair`` assigns the required targets for which its local moves find a
+        positioner; ``balanced`` does not use this option. Required targets without a fiber are reported. `allocate` has
+        a parameter of the same name, with rows in place of identifiers.
     keep_out : Region or list of Region, optional
         Circles on the sky, made by `Region.cap`, that no arm may cover, such as circles around bright stars. In each
         field, the circles that an arm can touch are obstacles. ``optimal`` and ``repair`` avoid them; with other
@@ -106,14 +107,14 @@ class AllocationOptions:
         seed of random subpriorities, which depend only on the identifiers of targets
         (`~rfpsurvey.allocation.subpriorities`). Text is the name of an additional column of the catalog, such as
         ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns the targets of a class in this order, each to its
-        closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost``,
-        every positioner nominates its unassigned target with the largest subpriority. ``sdss`` and ``optimal`` maximize
-        the sum of the subpriorities after all other objectives (``sdss`` then does not minimize squared distances).
-        Differences between subpriorities are ignored if they are below one millionth of the range of the subpriorities.
-        In large fields, or if the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum.
-        ``repair`` tests the targets in the order of subpriority. With subpriorities and unique identifiers, the plan
-        does not depend on the order of targets in the catalog. Without subpriorities, ``optimal`` sorts targets by a
-        hash of their identifiers or, if there are none, of their positions.
+        closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost_rule``,
+        every positioner nominates its unassigned target with the largest subpriority. ``network_flow`` and ``optimal``
+        maximize the sum of the subpriorities after all other objectives (``network_flow`` then does not minimize
+        squared distances). Differences between subpriorities are ignored if they are below one millionth of the range
+        of the subpriorities. In large fields, or if the time limit ends the search, ``optimal`` finds only an
+        approximate maximum of the sum. ``repair`` tests the targets in the order of subpriority. With subpriorities and
+        unique identifiers, the plan does not depend on the order of targets in the catalog. Without subpriorities,
+        ``optimal`` sorts targets by a hash of their identifiers or, if there are none, of their positions.
     constraints : list of Constraint or str, optional
         Constraints of any kind, as objects or as text: `KeepOut` or ``keep_out RA DEC RADIUS`` (deg), `Required` or
         ``required ID ...``, `Requirement` or text such as ``sky=20/spectrograph``, and constraints of users and of
@@ -150,7 +151,7 @@ class AllocationOptions:
     sky_separation: u.Quantity[u.arcsec] | None = None
     objective: str = "priority"
     time_limit: u.Quantity[u.s] = field(default=60 * u.s)
-    start: object = "lamost"
+    start: object = "lamost_rule"
     parked_obstacles: bool = True
     required: np.ndarray | list | tuple | int | str | None = ()
     keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
@@ -158,6 +159,8 @@ class AllocationOptions:
     constraints: tuple[Constraint, ...] | list | Constraint | str | None = ()
 
     def __post_init__(self):
+        for name in ("allocator", "start"):
+            object.__setattr__(self, name, present_name(getattr(self, name), METHODS, "allocator"))
         find_allocator(self.allocator)
         if not hasattr(self.start, "target_of_positioner"):
             if not isinstance(self.start, str):

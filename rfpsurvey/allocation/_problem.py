@@ -67,7 +67,8 @@ class AllocationProblem:
     rng : numpy.random.Generator, optional
         Random number generator. Plans are reproducible only if allocators use no other generator.
     start : callable, optional
-        ``problem.start()`` returns the plan that the option ``start`` specifies: by default, the plan of ``lamost``.
+        ``problem.start()`` returns the plan that the option ``start`` specifies: by default, the plan of
+        ``lamost_rule``.
     watched : ndarray of int, shape (n_positioners,), optional
         Row of the sky position that each stuck positioner observes; -1 if the positioner is not stuck, or if its fiber
         observes no sky position.

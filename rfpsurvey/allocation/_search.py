@@ -24,7 +24,7 @@ from rfpsurvey.allocation._local_plans import (
     values_of,
 )
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
-from rfpsurvey.allocation._methods import lamost, with_cost
+from rfpsurvey.allocation._methods import lamost_rule, with_cost
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._objectives import (
     conditional_bounds,
@@ -52,8 +52,8 @@ FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
 # time limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search
 # does not prove an optimum.
 LATE, LONG = 0.1, 12
-# A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost`` misses them
-# by less than the fraction NEARLY.
+# A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost_rule`` misses
+# them by less than the fraction NEARLY.
 FOR_FREE, NEARLY = 0.5, 0.1
 # Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
 FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
@@ -154,7 +154,7 @@ def _without_requirements(problem, **options):
         options=problem.options.without_counts(),
         deadline=share(problem.deadline, FOR_FREE),
     )
-    if not problem.meets_requirements(lamost(free).target_of_positioner, NEARLY):
+    if not problem.meets_requirements(lamost_rule(free).target_of_positioner, NEARLY):
         return None
     answer = decide(free, collide=True, **options)
     if not problem.meets_requirements(answer.target_of_positioner):

@@ -87,7 +87,7 @@ def compare_allocators(
     >>> import rfpsurvey as rs
     >>> center = SkyCoord("6h20m +23d")
     >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=2000, rng=1)
-    >>> table = rs.compare_allocators(sky, "moons", center, allocators=["lamost", "optimal"])
+    >>> table = rs.compare_allocators(sky, "moons", center, allocators=["lamost_rule", "optimal"])
     >>> table["colliding"][1]
     np.int64(0)
     """

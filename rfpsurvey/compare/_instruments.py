@@ -19,7 +19,7 @@ from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
 
-COMPARED = ("lamost", "optimal")
+COMPARED = ("lamost_rule", "optimal")
 SYNTHETIC = ("poisson", "uniform")
 CONFIDENCE = 0.95
 COMPARABLE = {
@@ -178,10 +178,10 @@ def compare_instruments(
     >>> table = rs.compare_instruments("poisson", ["sdss_apo", "moons"], n_realizations=2)
     >>> table["instrument", "type", "allocator"].pprint(align="<")
     instrument type allocator
-    ---------- ---- ---------
-    sdss_apo   3    lamost
+    ---------- ---- -----------
+    sdss_apo   3    lamost_rule
     sdss_apo   3    optimal
-    moons      3    lamost
+    moons      3    lamost_rule
     moons      3    optimal
     """
     models = _models(instruments)

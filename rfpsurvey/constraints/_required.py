@@ -16,9 +16,9 @@ from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords
 class Required(Constraint):
     """Targets, of any kind, that take precedence over all other targets.
 
-    ``nearest`` and ``lamost`` assign required targets as a class before all other classes; ``sdss`` and ``optimal``
-    assign as many of them as possible; ``repair`` assigns the required targets for which its local moves find a
-    positioner; ``balanced`` does not use this constraint. Required targets without a fiber are reported.
+    ``nearest`` and ``lamost_rule`` assign required targets as a class before all other classes; ``network_flow`` and
+    ``optimal`` assign as many of them as possible; ``repair`` assigns the required targets for which its local moves
+    find a positioner; ``balanced`` does not use this constraint. Required targets without a fiber are reported.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ MOST = 10**9
 class Requirement(Constraint):
     """A minimum and a maximum number of observed targets of one kind or category.
 
-    The minimum takes precedence over science targets and is met as far as possible. ``sdss``, ``optimal`` and
+    The minimum takes precedence over science targets and is met as far as possible. ``network_flow``, ``optimal`` and
     ``repair`` do not exceed the maximum. The other allocators ignore the maximum; results report each maximum that is
     exceeded.
 

@@ -42,9 +42,9 @@ def plot_allocators(table: QTable, *, ax: Axes | None = None, **kwargs: object) 
     >>> import rfpsurvey as rs
     >>> center = SkyCoord("6h20m +23d")
     >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=2000, rng=1)
-    >>> ax = rs.plot.plot_allocators(rs.compare_allocators(sky, "moons", center, allocators=["lamost", "repair"]))
+    >>> ax = rs.plot.plot_allocators(rs.compare_allocators(sky, "moons", center, allocators=["lamost_rule", "repair"]))
     >>> [text.get_text() for text in ax.get_yticklabels()]
-    ['lamost', 'repair']
+    ['lamost_rule', 'repair']
     """
     needed = {"allocator", "science", "usable", "missing", "seconds"}
     check_columns(table, needed, "compare_allocators")

@@ -95,7 +95,7 @@ def collision_probability(
     center : SkyCoord, optional
         Field center for a Catalog; by default the mean direction of all targets in the Catalog.
     allocator : str, callable or AllocationOptions, optional
-        Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost``, gives one
+        Rule that assigns targets, see `allocate`. A rule that makes no queues, such as ``lamost_rule``, gives one
         configuration for each realization. The option ``parked_obstacles`` of AllocationOptions states whether
         unassigned positioners with arms of equal lengths are obstacles and are counted (by default, they are). The
         options must not contain requirements, a sky separation, required targets or keep-out regions.

@@ -60,7 +60,7 @@ def balanced(problem: BlockProblem, chosen: np.ndarray) -> None:
     kernels.balanced(pairs.indptr, pairs.owner, pairs.r2, problem.number, problem.seeds, problem.left, uniform, chosen)
 
 
-def lamost(problem: BlockProblem, chosen: np.ndarray) -> None:
+def lamost_rule(problem: BlockProblem, chosen: np.ndarray) -> None:
     """Assign the targets, class by class, by nominations.
 
     Each free positioner nominates its target with the largest subpriority. If several positioners nominate a target,
@@ -70,7 +70,7 @@ def lamost(problem: BlockProblem, chosen: np.ndarray) -> None:
     in_reach = np.bincount(pairs.owner, minlength=pairs.n_positioners)
     # If k other positioners reach targets of a positioner, at least one of its first k + 1 targets is always free.
     start = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.n_sharing + 1))])
-    kernels.lamost(
+    kernels.lamost_rule(
         pairs.indptr,
         pairs.owner,
         pairs.r2,
@@ -92,5 +92,5 @@ def nearest(problem: BlockProblem, chosen: np.ndarray) -> None:
     kernels.nearest(pairs.indptr, pairs.owner, order, problem.rank, problem.number, problem.seeds, problem.left, chosen)
 
 
-RULES = {"balanced": balanced, "lamost": lamost, "nearest": nearest}
+RULES = {"balanced": balanced, "lamost_rule": lamost_rule, "nearest": nearest}
 """The rule of each allocator, by the name of the allocator."""

@@ -45,9 +45,9 @@ def selection_probabilities(
 
     Realization r is the survey that `plan_survey` plans with ``rng=seed`` and with the option ``subpriority=seed`` of
     `AllocationOptions`, where ``seed`` is the r-th seed of the table ``realizations``. The seeds are drawn from
-    ``rng``; if ``n_realizations`` is increased, the first seeds remain the same. For the allocators
-    ``nearest``, ``lamost`` and ``balanced``, the targets of a field, their positions on the focal plane, the pairs in
-    reach and the poses of arms are computed once for 32 realizations. With all other allocators, and with ``lamost`` if
+    ``rng``; if ``n_realizations`` is increased, the first seeds remain the same. For the allocators ``nearest``,
+    ``lamost_rule`` and ``balanced``, the targets of a field, their positions on the focal plane, the pairs in reach and
+    the poses of arms are computed once for 32 realizations. With all other allocators, and with ``lamost_rule`` if
     there are requirements, each realization takes as long as a complete survey.
 
     Parameters

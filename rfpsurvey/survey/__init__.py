@@ -1,6 +1,6 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
-from rfpsurvey.survey._joint import JointOptions
+from rfpsurvey.survey._joint import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import in_order
@@ -8,6 +8,7 @@ from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
 __all__ = [
+    "JOINT",
     "Job",
     "JointOptions",
     "Request",

@@ -11,11 +11,11 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, as_options, hint_of_name, warn_of_unused_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, hint_of_name, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.survey._joint import JointOptions, as_joint, check_joint
+from rfpsurvey.survey._joint import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
@@ -32,12 +32,12 @@ def plan_survey(
     instrument: Instrument | str,
     tiles: Tiling | Table | SkyCoord,
     *,
-    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
+    allocator: AllocationOptions | JointOptions | str | Callable = DEFAULT_ALLOCATOR,
     visits: int | np.ndarray | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
-    order: str | JointOptions = "color",
+    order: str = "color",
     folder: object = None,
     resume: bool = False,
     executor: Executor | None = None,
@@ -62,8 +62,9 @@ def plan_survey(
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
-    allocator : AllocationOptions or str or callable, optional
-        The allocator of every tile, or options that include the allocator; see `AllocationOptions`. If worker
+    allocator : AllocationOptions or JointOptions or str or callable, optional
+        The allocator of every tile, or options that include the allocator; see `AllocationOptions`. With ``joint`` or
+        `JointOptions`, all tiles are planned together, which increases the number of visits. If worker
         processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
         the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int or array_like of int, shape (n_targets,), optional
@@ -79,13 +80,10 @@ def plan_survey(
         has conditions with times; otherwise, the targets are not moved. ``summary["epoch"]`` states the epoch.
     lost_in_collision : bool, optional
         Whether a target counts as not observed if the arm at this target collides, so that other tiles can observe it.
-    order : {"color", "given", "joint"} or JointOptions, optional
+    order : {"color", "given"}, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the tile that is earlier in the
-        list is planned first, even if it belongs to a later pass. ``joint`` or `JointOptions`: the tiles are first
-        planned one after the other in the order ``color``, and then together, such that the number of visits
-        increases. A joint plan requires the allocator ``optimal``. It supports neither requirements nor required
-        targets.
+        list is planned first, even if it belongs to a later pass. The order of a joint plan is ``color``.
     folder : str or path-like, optional
         Folder to which the visits of each tile are written as a FITS file. Identifiers and other text must then be
         ASCII, because FITS allows no other characters. Without a folder, the visits of all tiles are kept in memory.
@@ -183,7 +181,7 @@ def prepare_request(
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
-    asked = as_options(allocator)
+    asked, joint, order = as_joint(allocator, order)
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
@@ -191,7 +189,7 @@ def prepare_request(
             f"{asked.allocator!r}"
         )
     instrument = as_instrument(instrument)
-    tiling, joint = as_tiling(tiles), as_joint(order)
+    tiling = as_tiling(tiles)
     warn_of_unused_options([asked], instrument.focal_plane, rng if joint is None else 0)  # a joint search uses rng
     warn_of_programs(tiling)
     times = times_of_tiles(tiling) if len(tiling) else None
@@ -203,7 +201,6 @@ def prepare_request(
         used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if joint is not None:
-        check_joint(asked)
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
         if first.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a joint plan")
@@ -217,7 +214,7 @@ def prepare_request(
         visits=visits,
         passes=passes,
         seed=to_seed(rng),
-        order="color" if joint is not None else check_choice(order, (*ORDERS, "joint"), "order"),
+        order=check_choice(order, ORDERS, "order"),
         epoch=None if epoch is None else str(epoch),
         moved=moved,
         reference=used if epoch is None else None,

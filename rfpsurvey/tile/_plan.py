@@ -86,8 +86,8 @@ def plan_tile(
         Model of the projection, as in `~rfpsurvey.instrument.compare_projections`; ``auto`` is the fastest model that
         is accurate enough. By default, the model is ``full`` if conditions are given, and ``radial`` otherwise.
     progress : bool or callable, optional
-        Show the progress of the search by the allocator ``sdss`` or ``optimal`` on the standard error, or call a
-        function with two numbers: the finished fraction of the search, and 1.
+        Show the progress of the search by the allocator ``network_flow`` or ``optimal`` on the standard error, or call
+        a function with two numbers: the finished fraction of the search, and 1.
     rng : int, Generator or None, optional
         Seed or random number generator for allocators that use random numbers. With the default seed, all calls give
         the same tile.

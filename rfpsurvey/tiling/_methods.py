@@ -7,7 +7,7 @@ from rfpsurvey.errors import InputError, listed, warn_no_effect, warn_of_unused
 from rfpsurvey.tiling._cover import cover_targets
 from rfpsurvey.tiling._covering import hexagonal, spiral
 from rfpsurvey.tiling._greedy import density_gradient, max_density, mean_shift
-from rfpsurvey.tiling._network import sdss
+from rfpsurvey.tiling._network import network_flow
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
 from rfpsurvey.tiling._visit import visit_given
 
@@ -32,7 +32,7 @@ METHODS = table_of(
     TilingMethod("max_density", max_density, summary="tile after tile, where most visits remain"),
     TilingMethod("density_gradient", density_gradient, summary="tile after tile, at maxima of the density"),
     TilingMethod("mean_shift", mean_shift, summary="tile after tile, at the mean of its targets"),
-    TilingMethod("sdss", sdss, summary="network flow"),
+    TilingMethod("network_flow", network_flow, summary="network flow"),
     TilingMethod("given", visit_given, summary="a list of tiles", needs_tiles=True),
 )
 """Methods that place tiles, by name. A function takes a `TilingProblem`, or makes the centers of a covering."""

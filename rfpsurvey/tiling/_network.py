@@ -25,7 +25,7 @@ MOST_ROUNDS = 20
 GAIN = 2e-3
 
 
-def sdss(problem: TilingProblem) -> TilingState:
+def network_flow(problem: TilingProblem) -> TilingState:
     """Place tiles together by network flow: a given number, or the smallest number that reaches a given completeness.
 
     By default, the number of tiles is that of a hexagonal lattice that covers the targets.

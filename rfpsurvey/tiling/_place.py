@@ -21,6 +21,7 @@ from rfpsurvey.errors import (
     check_keywords,
     check_switch,
     check_whole,
+    present_name,
     refusal,
     short,
     warn,
@@ -85,7 +86,7 @@ def place_tiles(
         tiles, even if no visits remain. If ``completeness`` or ``n_tiles`` is given, passes are instead added until
         this goal is reached, and tiles that observe no target are omitted.
     n_tiles : int, optional
-        Largest number of tiles; for ``sdss`` without ``completeness``, the number of tiles.
+        Largest number of tiles; for ``network_flow`` without ``completeness``, the number of tiles.
     completeness : float, optional
         Fraction of the requested visits that the tiles must provide, above 0 and at most 1. When this fraction is
         reached, no more tiles are placed.
@@ -142,7 +143,7 @@ def place_tiles(
 
     References
     ----------
-    Blanton et al. 2003, AJ 125, 2276 (``sdss``).
+    Blanton et al. 2003, AJ 125, 2276 (``network_flow``).
 
     Examples
     --------
@@ -154,6 +155,7 @@ def place_tiles(
     >>> len(tiling), tiling.summary["covering_fraction"]
     (19, 1.0)
     """
+    method = present_name(method, METHODS, "method")
     chosen = METHODS[check_choice(method, METHODS, "method to place tiles")]
     model = None if instrument is None else as_instrument(instrument)
     fibers = fibers if isinstance(fibers, Fibers) else Fibers(fibers)

@@ -48,7 +48,7 @@ def test_balanced_is_the_rule_as_written(name, xy):
 def test_lamost_is_the_rule_as_written(name, xy, n_classes, random):
     plane = PLANES[name]
     priority = [random.randrange(n_classes) for _ in xy]
-    allocation = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
+    allocation = rs.allocate(plane, xy * MM, allocator="lamost_rule", priority=priority)
     expected = lamost_target(xy, plane.arrays.xy, reaches(plane, xy), priority)
     assert allocation.target_of_positioner.tolist() == expected
 
@@ -69,7 +69,7 @@ def test_one_target_a_positioner_and_one_positioner_a_target(method, name, xy):
     np.testing.assert_array_equal(np.isnan(allocation.tips[:, 0].value), target_of < 0)
     assert allocation.n_reachable == can.any(axis=0).sum()
     # no free positioner reaches an unassigned target
-    if method == "lamost":
+    if method == "lamost_rule":
         free = np.flatnonzero(target_of < 0)
         assert not can[np.ix_(free, np.flatnonzero(positioner_of < 0))].any()
 
@@ -98,18 +98,18 @@ def test_the_same_input_gives_the_same_allocation(method, rng):
 def test_higher_priority_goes_first(rng):
     xy = rng.uniform(-40, 40, (300, 2))
     priority = rng.integers(0, 3, 300)
-    target_of = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost", priority=priority).target_of_positioner
+    target_of = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost_rule", priority=priority).target_of_positioner
     best = np.array([priority[row].max() for row in reaches(PLANES["equal"], xy)])
     assert (priority[target_of] <= best).all()
     assert (priority[target_of] == 2).sum() >= 6
-    shifted = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost", priority=10 * priority - 7.5)
+    shifted = rs.allocate(PLANES["equal"], xy * MM, allocator="lamost_rule", priority=10 * priority - 7.5)
     np.testing.assert_array_equal(shifted.target_of_positioner, target_of)
 
 
 def test_fiber_types_are_respected_and_recorded():
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, fiber_type=["B+A", "B"])
-    allocation = rs.allocate(plane, [[12, 0], [8, 0]] * MM, allocator="lamost", fiber_type=["A", ""])
+    allocation = rs.allocate(plane, [[12, 0], [8, 0]] * MM, allocator="lamost_rule", fiber_type=["A", ""])
     assert allocation.target_of_positioner.tolist() == [0, 1]
     assert allocation.fiber_type.tolist() == ["A", "B"]
 
@@ -117,7 +117,7 @@ def test_fiber_types_are_respected_and_recorded():
 def test_both_hands_are_used_where_the_joints_ask_for_it():
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2 * MM, handedness="both", theta_range=[-10, 100] * u.deg)
     plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit)
-    allocation = rs.allocate(plane, [[0, 15], [115, 0]] * MM, allocator="lamost")
+    allocation = rs.allocate(plane, [[0, 15], [115, 0]] * MM, allocator="lamost_rule")
     assert allocation.target_of_positioner.tolist() == [0, 1]
     assert allocation.handedness.tolist() == ["right", "left"]
     arms = allocation.place_arms(plane)
@@ -127,7 +127,7 @@ def test_both_hands_are_used_where_the_joints_ask_for_it():
 def test_nothing_in_reach_is_not_an_error():
     allocation = rs.allocate(PLANES["equal"], [[500, 0], [np.nan, 0]] * MM, allocator="balanced")
     assert allocation.n_assigned == 0
-    assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost").n_assigned == 0
+    assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost_rule").n_assigned == 0
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "best"}, "unknown allocator 'best'; choose one of: .*balanced, .*lamost"),
+        ({"method": "best"}, "unknown allocator 'best'; choose one of: .*balanced, .*lamost_rule"),
         ({"priority": [1, 2]}, r"priority must have one value per target, shape \(1,\), got \(2,\)"),
         ({"priority": [np.nan]}, "priority must be a finite number for every target, but 1 of 1 rows"),
         ({"priority": [np.inf]}, "priority must be a finite number for every target, but 1 of 1 rows"),
@@ -278,7 +278,7 @@ def test_stuck_fibers_keep_their_sky_in_an_answer_that_is_handed_on():
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, stuck=[[0, 90], [np.nan, np.nan]] * u.deg)
     options = {"requirements": "sky=2", "sky_separation": 1 * u.mm}
     xy = [[30, 3], [28, -4]] * u.mm
-    for start in ("lamost", "sdss", "optimal"):
+    for start in ("lamost_rule", "network_flow", "optimal"):
         own = rs.AllocationOptions(lambda problem: problem.start(), start=start, **options)
         expected = rs.allocate(plane, xy, allocator=rs.AllocationOptions(start, **options))
         got = rs.allocate(plane, xy, allocator=own)

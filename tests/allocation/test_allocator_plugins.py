@@ -73,7 +73,7 @@ def test_what_is_not_said_has_a_value():
 def test_the_plan_to_begin_with(small, hers, rng):
     xy = rng.uniform(-70, 70, (200, 2)) * u.mm
     plane = small.focal_plane
-    for start in ("lamost", "nearest", rs.allocate(plane, xy, allocator="optimal")):
+    for start in ("lamost_rule", "nearest", rs.allocate(plane, xy, allocator="optimal")):
         usual = start if isinstance(start, rs.allocation.Allocation) else rs.allocate(plane, xy, allocator=start)
         same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)
     with pytest.raises(rs.InputError, match="the option start must be given for an allocator"):
@@ -95,7 +95,7 @@ def test_stuck_fibers_look_at_sky_without_being_asked():
     stuck = [[np.nan, np.nan], [0, 90]] * u.deg
     plane = replace(PAIR, stuck=stuck)
     options = {"requirements": "sky=1", "sky_separation": 1 * u.mm}
-    usual = flat.allocate(plane, FOUR, allocator="lamost", **options)
+    usual = flat.allocate(plane, FOUR, allocator="lamost_rule", **options)
     assert usual.target_of_positioner[1] == usual.n_given  # the target of the stuck positioner
     for method in (always([0, -1]), lambda problem: problem.start()):
         mine = flat.allocate(plane, FOUR, allocator=method, **options)
@@ -187,7 +187,7 @@ def test_errors_say_whose_they_are(hers):
 
 def test_a_tile_says_where_its_allocator_comes_from(small, hers):
     sky = sky_of(small)
-    usual, tile = (rs.plan_tile(sky, small, CENTER, allocator=name) for name in ("lamost", "begin"))
+    usual, tile = (rs.plan_tile(sky, small, CENTER, allocator=name) for name in ("lamost_rule", "begin"))
     np.testing.assert_array_equal(tile.table["target_id"], usual.table["target_id"])
     assert "hers" not in usual.provenance["software"]
     assert tile.provenance["software"] == {**usual.provenance["software"], "hers": "1.0"}

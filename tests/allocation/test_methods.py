@@ -113,7 +113,7 @@ def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requiremen
     found = rs.allocate(
         plane,
         xy * MM,
-        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        allocator=rs.AllocationOptions("lamost_rule", requirements=requirements),
         priority=priority,
         kind=kind,
         category=category,
@@ -143,7 +143,7 @@ def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
     found = rs.allocate(
         plane,
         xy * MM,
-        allocator=rs.AllocationOptions("lamost", requirements=requirements),
+        allocator=rs.AllocationOptions("lamost_rule", requirements=requirements),
         priority=priority,
         kind=kind,
         fiber_type=fiber,
@@ -164,13 +164,13 @@ def test_the_least_important_targets_give_way_first_and_are_free_again():
     xy = [[1, 0], [41, 0], [81, 0], [0, 9], [40, 9], [80, 9], [120, 9]] * MM
     columns = {"priority": [3, 1, 2, 0, 0, 0, 0], "kind": ["science"] * 3 + ["sky"] * 4}
     for n, expected in enumerate([[0, 1, 2, -1], [0, 1, 2, 6], [0, 4, 2, 6], [0, 4, 5, 6], [3, 4, 5, 6]]):
-        found = flat.allocate(plane, xy, allocator="lamost", requirements=f"sky={n}", **columns)
+        found = flat.allocate(plane, xy, allocator="lamost_rule", requirements=f"sky={n}", **columns)
         assert found.target_of_positioner.tolist() == expected
     pair = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
     found = rs.allocate(
         pair,
         [[10, 0], [15, 0], [0, 5]] * MM,
-        allocator=rs.AllocationOptions("lamost", requirements=["sky=1", "bright=1"]),
+        allocator=rs.AllocationOptions("lamost_rule", requirements=["sky=1", "bright=1"]),
         kind=["science", "science", "sky"],
         priority=[1, 2, 0],
         category=["bright", "", ""],
@@ -179,7 +179,7 @@ def test_the_least_important_targets_give_way_first_and_are_free_again():
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("method", ["balanced", "nearest", "lamost"])
+@pytest.mark.parametrize("method", ["balanced", "nearest", "lamost_rule"])
 @given(st.sampled_from(sorted(PLANES)), scenes())
 def test_rules_take_nothing_but_science(method, name, scene):
     """The result is the same as without standards and sky positions."""
@@ -194,7 +194,7 @@ def test_rules_take_nothing_but_science(method, name, scene):
     assert found.target_of_positioner.tolist() == expected.tolist()
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal", "repair"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal", "repair"])
 def test_what_is_not_science_fills_idle_positioners_only(method):
     plane = lamost_like(rings=1)
     xy = np.concatenate([plane.arrays.xy + [9, 0], plane.arrays.xy[:5] + [-9, 0]])
@@ -207,7 +207,7 @@ def test_what_is_not_science_fills_idle_positioners_only(method):
 def crowd(name, n, seed):
     """Return a focal plane and many targets, some of which are far from all positioners."""
     rng = np.random.default_rng(seed)
-    plane = {"lamost": lambda: lamost_like(rings=12), "sdss": lambda: sdss_like(rings=11)}[name]()
+    plane = {"lamost_rule": lambda: lamost_like(rings=12), "network_flow": lambda: sdss_like(rings=11)}[name]()
     half = np.abs(plane.arrays.xy).max() * 1.1
     return plane, rng.uniform(-half, half, (n, 2)), rng
 
@@ -218,23 +218,23 @@ def matched(can):
 
 
 @pytest.mark.parametrize("n", [300, 500, 2000])
-@pytest.mark.parametrize("name", ["lamost", "sdss"])
+@pytest.mark.parametrize("name", ["lamost_rule", "network_flow"])
 def test_sdss_assigns_a_maximum_matching(name, n):
     plane, xy, _ = crowd(name, n, n)
-    found = rs.allocate(plane, xy * MM, allocator="sdss")
+    found = rs.allocate(plane, xy * MM, allocator="network_flow")
     assert found.n_assigned == found.bound == matched(plane.reachable(xy * MM))
     assert found.gap == 0
-    assert found.n_assigned >= rs.allocate(plane, xy * MM, allocator="lamost").n_assigned
+    assert found.n_assigned >= rs.allocate(plane, xy * MM, allocator="lamost_rule").n_assigned
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", ["lamost", "sdss"])
+@pytest.mark.parametrize("name", ["lamost_rule", "network_flow"])
 def test_sdss_has_as_many_of_each_class_as_matchings_allow(name, seed):
     """The first k classes together have as many assigned targets as a matching of these classes alone."""
     plane, xy, rng = crowd(name, 700, seed)
     priority = rng.choice([2.5, -1, 7, 0], 700)
     kind = np.where(rng.random(700) < 0.2, "sky", "science")
-    found = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
+    found = rs.allocate(plane, xy * MM, allocator="network_flow", priority=priority, kind=kind)
     can = plane.reachable(xy * MM)
     ranks, expected = [0], {}
     for value in (7, 2.5, 0, -1):
@@ -248,18 +248,18 @@ def test_sdss_has_as_many_of_each_class_as_matchings_allow(name, seed):
     assert len(used) == expected["any target"]
 
 
-@pytest.mark.parametrize("name", ["lamost", "sdss"])
+@pytest.mark.parametrize("name", ["lamost_rule", "network_flow"])
 def test_sdss_counts_science_before_classes_if_asked(name):
     plane, xy, rng = crowd(name, 500, 9)
     priority = rng.integers(0, 2, 500)
     kind = np.where(rng.random(500) < 0.3, "standard", "science")
     found = rs.allocate(
-        plane, xy * MM, allocator=rs.AllocationOptions("sdss", objective="count"), priority=priority, kind=kind
+        plane, xy * MM, allocator=rs.AllocationOptions("network_flow", objective="count"), priority=priority, kind=kind
     )
     can = plane.reachable(xy * MM)
     assert found.levels[0].name == "science"
     assert found.levels[0].value == matched(can[:, np.flatnonzero(kind == "science")])
-    first = rs.allocate(plane, xy * MM, allocator="sdss", priority=priority, kind=kind)
+    first = rs.allocate(plane, xy * MM, allocator="network_flow", priority=priority, kind=kind)
     assert first.levels[0].value >= found.levels[1].value
 
 
@@ -273,7 +273,7 @@ def test_sdss_has_the_least_sum_of_squared_distances_of_all_maximum_matchings(ma
     cost = np.where(can, r2 - 1e7, 0.0)
     rows, columns = linear_sum_assignment(cost)
     good = can[rows, columns]
-    found = rs.allocate(plane, xy * MM, allocator="sdss").target_of_positioner
+    found = rs.allocate(plane, xy * MM, allocator="network_flow").target_of_positioner
     used = np.flatnonzero(found >= 0)
     assert len(used) == good.sum()
     assert r2[used, found[used]].sum() == pytest.approx(r2[rows, columns][good].sum(), rel=1e-9)
@@ -288,7 +288,9 @@ def test_repair_and_optimal_stay_below_a_matching_class_by_class(make, n, rng):
     can = plane.reachable(xy * MM)
     top, both = matched(can[:, np.flatnonzero(priority == 1)]), matched(can)
     for method in ("optimal", "repair"):
-        found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions(method, start="sdss"), priority=priority)
+        found = rs.allocate(
+            plane, xy * MM, allocator=rs.AllocationOptions(method, start="network_flow"), priority=priority
+        )
         assert found.levels[0].value <= top
         assert found.n_assigned <= both
         if method == "repair":

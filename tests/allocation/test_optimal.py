@@ -88,7 +88,7 @@ def judge(plane, xy, options):
 
 @pytest.mark.few(6)
 @pytest.mark.parametrize("quotas", [False, True])
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 @pytest.mark.parametrize("chunk", [*range(6), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(6, N_CASES // CHUNK))])
 def test_no_plan_is_better(method, chunk, quotas):
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):

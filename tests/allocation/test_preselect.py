@@ -75,7 +75,7 @@ def test_optimum_of_few_candidates_is_that_of_all_or_its_bound_says_so(monkeypat
 def test_flow_of_few_candidates_is_that_of_all(monkeypatch, chunk):
     for seed in range(40 * chunk, 40 * chunk + 40):
         case = crowded_case(seed)
-        few, every = both_ways(monkeypatch, case, "sdss")
+        few, every = both_ways(monkeypatch, case, "network_flow")
         assert few.levels == every.levels, seed
         cost = [np.nansum((plan.tips.to_value(MM) - case[0].arrays.xy) ** 2) for plan in (few, every)]
         assert cost[0] == pytest.approx(cost[1], rel=ROUNDING), seed
@@ -111,7 +111,7 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
     assert (can.sum(axis=1) > plane.arrays.n_sharing + 1).all()
     plan = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
     assert plan.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
-    plan = rs.allocate(plane, xy * MM, allocator="lamost", priority=priority)
+    plan = rs.allocate(plane, xy * MM, allocator="lamost_rule", priority=priority)
     assert plan.target_of_positioner.tolist() == lamost_target(xy, plane.arrays.xy, can, priority)
 
 

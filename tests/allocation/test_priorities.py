@@ -29,11 +29,11 @@ def test_close_priorities_are_different_classes(allocator, pair):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("order", ["color", "joint"])
-def test_completeness_of_surveys_separates_close_priorities(order):
+@pytest.mark.parametrize("allocator", ["optimal", "joint"])
+def test_completeness_of_surveys_separates_close_priorities(allocator):
     sky = SkyCoord(180 + 0.01 * np.arange(20), 20, unit="deg")
     catalog = rs.Catalog(sky, priority=np.where(np.arange(20) % 2, 0.3, 0.1 + 0.2))
-    survey = rs.plan_survey(catalog, "moons", SkyCoord([180], [20], unit="deg"), allocator="optimal", order=order)
+    survey = rs.plan_survey(catalog, "moons", SkyCoord([180], [20], unit="deg"), allocator=allocator)
     assert survey.completeness["priority"].tolist() == ["all", "0.30000000000000004", "0.3"]
 
 

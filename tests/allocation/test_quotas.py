@@ -15,7 +15,7 @@ ROW = rs.FocalPlane([[0, 0], [40, 0], [80, 0]] * MM, UNIT, spectrograph=[7, 7, 9
 # each of three separate positioners reaches one science target, and the first also reaches three sky positions
 XY = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 7], [0, -9.0]])
 KIND = ["science"] * 3 + ["sky"] * 3
-FILLING = ["lamost", "sdss", "optimal", "repair"]
+FILLING = ["lamost_rule", "network_flow", "optimal", "repair"]
 
 
 def allocate(method, wishes, **options):
@@ -36,7 +36,7 @@ def said(method, wishes, **options):
 )
 def test_requirements_are_a_list_or_one(wishes, message):
     with pytest.raises(rs.InputError) as error:
-        allocate("lamost", wishes)
+        allocate("lamost_rule", wishes)
     assert str(error.value) == message
 
 
@@ -44,7 +44,7 @@ def test_requirements_are_a_list_or_one(wishes, message):
     "wishes", ["sky=1", rs.Requirement("sky", 1), ("sky=1",), iter(["sky=1"]), np.array(["sky=1"])]
 )
 def test_one_requirement_or_any_list_of_them_will_do(wishes):
-    assert allocate("lamost", wishes).target_of_positioner.tolist() == [3, 1, 2]
+    assert allocate("lamost_rule", wishes).target_of_positioner.tolist() == [3, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_one_requirement_or_any_list_of_them_will_do(wishes):
 )
 def test_bad_options_are_named(options, message):
     with pytest.raises(rs.InputError, match=message):
-        allocate("sdss", ["sky=1"], **options)
+        allocate("network_flow", ["sky=1"], **options)
 
 
 @pytest.mark.parametrize("method", FILLING)
@@ -138,7 +138,7 @@ def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
     ]
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_of_two_requirements_that_contradict_each_other_the_maximum_holds(method):
     found = allocate(method, ["science=3", "science=-1"])
     assert sentences(found.unmet) == ["science targets: 1 of 3, 2 missing"]
@@ -261,7 +261,7 @@ def test_repair_of_a_plan_that_exceeds_a_maximum_keeps_it():
     assert said("repair", ["science=-1"]) == []
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_required_targets_come_before_everything_else(method):
     """Required targets of low priority, and required standards and sky positions, precede requirements and science
     targets.
@@ -281,7 +281,7 @@ def test_required_targets_come_before_everything_else(method):
     assert said(method, ["sky=1"], required=[0]) == ["sky targets: 0 of 1, 1 missing"]
 
 
-@pytest.mark.parametrize("method", ["nearest", "lamost"])
+@pytest.mark.parametrize("method", ["nearest", "lamost_rule"])
 def test_rules_by_class_take_required_targets_as_a_class_before_all(method):
     """Required targets of any kind are the first class, and requirements do not release them."""
     xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
@@ -299,7 +299,7 @@ def test_required_targets_are_to_lamost_what_the_highest_priority_is(seed):
     rng = np.random.default_rng(seed)
     xy, priority = rng.uniform(-75, 75, (160, 2)) * MM, rng.integers(0, 3, 160)
     rows = np.flatnonzero(rng.random(160) < 0.1)
-    for method in ("lamost", "nearest"):
+    for method in ("lamost_rule", "nearest"):
         found = rs.allocate(two_fibers(), xy, allocator=method, priority=priority, required=rows)
         first = rs.allocate(
             two_fibers(), xy, allocator=method, priority=np.where(np.isin(np.arange(160), rows), 9, priority)
@@ -307,7 +307,7 @@ def test_required_targets_are_to_lamost_what_the_highest_priority_is(seed):
         assert found.target_of_positioner.tolist() == first.target_of_positioner.tolist()
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_required_targets_that_do_not_fit_are_reported(method):
     found = rs.allocate(ROW, [[5, 0], [0, 6], [0, 900]] * MM, allocator=method, required=[0, 1, 2])
     assert [str(s) for s in found.unmet] == ["required targets: 1 of 3, 2 missing; only 2 are in reach"]
@@ -322,7 +322,7 @@ def test_forbidden_pairs_are_never_used(method):
     assert allocate(method, None, forbidden=np.empty((0, 2), int)).target_of_positioner.tolist() == [0, 1, 2]
     assert free.target_of_positioner.tolist() == [0, 1, 2]
     bound = allocate(method, None, forbidden=[[0, 0], [2, 2], [1, 0]])
-    fills = method in ("sdss", "optimal", "repair")
+    fills = method in ("network_flow", "optimal", "repair")
     assert bound.target_of_positioner[1:].tolist() == [1, -1]
     assert (bound.target_of_positioner[0] >= 3) == fills
     assert bound.n_reachable == 6
@@ -330,12 +330,12 @@ def test_forbidden_pairs_are_never_used(method):
 
 
 def test_a_requirement_given_twice_is_one():
-    assert said("lamost", ["sky=2", "sky=2"]) == said("lamost", ["sky=2"])
+    assert said("lamost_rule", ["sky=2", "sky=2"]) == said("lamost_rule", ["sky=2"])
 
 
 def test_an_unknown_fiber_type_is_named():
     with pytest.raises(rs.InputError, match="requirement 'sky@BOSS=2' 'BOSS': the positioners have no fiber"):
-        said("lamost", ["sky@BOSS=2"])
+        said("lamost_rule", ["sky@BOSS=2"])
     with pytest.raises(rs.InputError, match="unknown fiber type of the requirement 'sky@C=2' 'C'; choose one of: A, B"):
         rs.allocate(two_fibers(), XY * MM, allocator=rs.AllocationOptions("balanced", requirements="sky@C=2"))
 

@@ -9,7 +9,7 @@ import rfpsurvey as rs
 from scenes import two_fibers
 
 MM = u.mm
-FILLING = ["lamost", "sdss", "optimal", "repair"]
+FILLING = ["lamost_rule", "network_flow", "optimal", "repair"]
 
 
 def held(one, plane, pairs, kind, category, fiber, place=None):
@@ -95,7 +95,7 @@ def exceeds(plane, xy, options, **more):
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_no_maximum_is_exceeded(method, seed):
     over, full = exceeds(*random_case(seed), method=method)
     assert not over
@@ -103,15 +103,15 @@ def test_no_maximum_is_exceeded(method, seed):
 
 
 def test_no_maximum_is_exceeded_by_repair():
-    assert not any(exceeds(*random_case(seed), method="repair", start="sdss")[0] for seed in range(6))
+    assert not any(exceeds(*random_case(seed), method="repair", start="network_flow")[0] for seed in range(6))
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_no_maximum_is_exceeded_where_there_is_no_time(method):
     assert not any(exceeds(*random_case(seed), method=method, time_limit=1e-9 * u.s)[0] for seed in range(6))
 
 
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_a_plan_out_of_time_is_a_plan_all_the_same(method):
     plane, xy, options = random_case(1)
     found = flat.allocate(plane, xy * MM, allocator=method, time_limit=1e-9 * u.s, **options)

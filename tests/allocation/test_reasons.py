@@ -75,7 +75,7 @@ def test_reasons_are_those_of_a_search_over_single_moves(name):
         n = (6, 40, 40, 70, 70, 40)[seed]
         points = rng.uniform(-55, 55, (n, 2))
         types = rng.choice(["", "A", "B"], n) if name == "fiber types" else np.full(n, "")
-        options = rs.AllocationOptions(("optimal", "lamost")[seed % 3 == 2], parked_obstacles=seed % 2 == 0)
+        options = rs.AllocationOptions(("optimal", "lamost_rule")[seed % 3 == 2], parked_obstacles=seed % 2 == 0)
         given = types if name == "fiber types" else None
         plan = rs.allocate(plane, points * u.mm, fiber_type=given, allocator=options)
         result = find_idle_reasons(plane, plan, plan.place_arms(plane))

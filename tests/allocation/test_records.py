@@ -39,17 +39,19 @@ def new(monkeypatch):
 
 def test_one_entry_in_the_table_adds_an_allocator(new, sky):
     options = rs.AllocationOptions("lazy", time_limit=5 * u.s)
-    with pytest.warns(rs.RfpsurveyWarning, match="time_limit has no effect with the allocator 'lazy'; only sdss and"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="time_limit has no effect with the allocator 'lazy'; only network_flow and"
+    ):
         tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
     assert tile.summary["n_assigned"] == 1
     assert tile.provenance["parameters"]["time_limit_s"] == 60
-    with pytest.warns(rs.RfpsurveyWarning, match="nearest, lamost, sdss, optimal, repair and lazy use it"):
+    with pytest.warns(rs.RfpsurveyWarning, match="nearest, lamost_rule, network_flow, optimal, repair and lazy use it"):
         rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("balanced", required=[sky.id[0]]))
     assert rs.plan_survey(sky, "moons", TILES, allocator="lazy").summary["n_assigned"] == 1
     repaired = rs.AllocationOptions("repair", start="lazy")
     assert rs.plan_tile(sky, "moons", CENTER, allocator=repaired).summary["n_colliding"] == 0
     with pytest.raises(rs.InputError, match="a joint plan needs the allocator 'optimal', got 'lazy'"):
-        rs.plan_survey(sky, "moons", TILES, allocator="lazy", order="joint")
+        rs.JointOptions(allocator="lazy")
     table = rs.compare_instruments("uniform", ["moons"], allocators=["lazy"], n_realizations=1)
     assert table["high"].tolist() == [0]
 
@@ -93,7 +95,9 @@ def test_functions_can_declare_what_their_plans_have(sky):
     table = rs.compare_instruments("uniform", ["moons"], **few)
     assert table["probability"][0] == 0 < table["high"][0]
     own.options, own.avoids_collisions, own.breaks_ties = ("required",), True, True
-    with pytest.warns(rs.RfpsurveyWarning, match=r"objective has no effect with the allocator '.*own'; only sdss and"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match=r"objective has no effect with the allocator '.*own'; only network_flow and"
+    ):
         tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions(own, objective="count"))
     assert tile.provenance["parameters"]["objective"] == "priority"
     assert "tie_seed" not in tile.provenance["parameters"]  # only built-in allocators can break ties by a hash

@@ -130,7 +130,7 @@ def test_the_other_elbow_saves_both_targets(method):
     assert again.meta["n_moved"] == 0
 
 
-@pytest.mark.parametrize("start", ["sdss", "optimal"])
+@pytest.mark.parametrize("start", ["network_flow", "optimal"])
 @pytest.mark.parametrize("seed", range(4))
 def test_maxima_that_the_start_keeps_are_kept(seed, start):
     plane, xy, options = scene("unequal arms", seed=seed)
@@ -169,7 +169,7 @@ def test_what_touches_an_obstacle_is_dropped():
 def test_a_start_with_found_sky_may_be_repaired():
     plane, xy, options = scene("equal arms")
     options |= {"requirements": "sky=6", "sky_separation": 2 * MM}
-    start = flat.allocate(plane, xy, allocator="lamost", **options)
+    start = flat.allocate(plane, xy, allocator="lamost_rule", **options)
     found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
     assert found.unmet == start.unmet == ()
     assert at_fault(plane, found) == []
@@ -178,7 +178,7 @@ def test_a_start_with_found_sky_may_be_repaired():
 
 def test_a_start_that_does_not_fit_is_an_error():
     plane, xy, _ = scene("equal arms")
-    start = rs.allocate(plane, xy, allocator="lamost")
+    start = rs.allocate(plane, xy, allocator="lamost_rule")
     other = rs.FocalPlane(plane.xy[:-1], plane.positioner)
     fits = "start must be an allocation of the same targets to the same focal plane"
     for targets, onto in ((xy, other), (xy + 1 * MM, plane), (xy[::-1], plane), (xy[:-1], plane)):
@@ -195,14 +195,14 @@ def test_a_start_that_does_not_fit_is_an_error():
 def test_a_start_on_another_plane_of_the_same_size_is_an_error():
     plane, xy, _ = scene("equal arms")
     moved = rs.FocalPlane(plane.xy + 300 * MM, plane.positioner)
-    start = rs.allocate(moved, xy, allocator="lamost")
+    start = rs.allocate(moved, xy, allocator="lamost_rule")
     with pytest.raises(rs.InputError, match="the same focal plane"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
 
 
 def test_a_start_with_fewer_targets_is_an_error():
     plane, xy, _ = scene("equal arms")
-    start = rs.allocate(plane, xy[:50], allocator="lamost")
+    start = rs.allocate(plane, xy[:50], allocator="lamost_rule")
     with pytest.raises(rs.InputError, match="the same targets"):
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
 
@@ -211,12 +211,12 @@ def test_a_start_within_the_margins_of_broken_arms_is_an_error():
     """The patrol areas of both planes are the same, but one of them forbids poses close to broken positioners."""
     plane, xy, _ = scene("equal arms")
     plane = replace(plane, disabled=np.arange(len(plane)) % 3 == 0)
-    start = rs.allocate(plane, xy, allocator="lamost")
+    start = rs.allocate(plane, xy, allocator="lamost_rule")
     margined = replace(plane, margins=rs.Margins(broken=9 * MM))
-    same = replace(start, in_reach=rs.allocate(margined, xy, allocator="lamost").in_reach)
+    same = replace(start, in_reach=rs.allocate(margined, xy, allocator="lamost_rule").in_reach)
     with pytest.raises(rs.InputError, match="the same focal plane"):
         rs.allocate(margined, xy, allocator=rs.AllocationOptions("repair", start=same))
-    own = rs.allocate(margined, xy, allocator="lamost")
+    own = rs.allocate(margined, xy, allocator="lamost_rule")
     found = rs.allocate(margined, xy, allocator=rs.AllocationOptions("repair", start=own))
     assert (found.target_of_positioner >= 0).any()
 

@@ -120,7 +120,7 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
     plane = dense_plane(rings=3)
     xy, rng = sparse_targets(plane, seed)
     options = {"priority": rng.integers(0, 2, len(xy)), "required": np.flatnonzero(rng.random(len(xy)) < 0.2)}
-    blind = flat.allocate(plane, xy * MM, allocator="sdss", **options)
+    blind = flat.allocate(plane, xy * MM, allocator="network_flow", **options)
     repaired = flat.allocate(plane, xy * MM, allocator="repair", **options)
     for level, best in zip(repaired.levels, blind.levels, strict=True):
         assert (level.name, level.bound) == (best.name, best.value)
@@ -249,7 +249,7 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
     plane = rs.FocalPlane([[0, 0], [60, 0], [120, 0]] * MM, unit, stuck=stuck)
     xy = [[123, 3.0]] * MM
     if options["method"] == "repair":
-        options = {**options, "start": rs.allocate(plane, xy, allocator="sdss", kind=["sky"])}
+        options = {**options, "start": rs.allocate(plane, xy, allocator="network_flow", kind=["sky"])}
     found = flat.allocate(plane, xy, requirements=["sky=1-2"], sky_separation=1 * MM, kind=["sky"], **options)
     assert found.n_assigned == 2
     assert found.unmet == ()
@@ -265,7 +265,7 @@ def test_arms_at_the_safe_distance_are_settled_exactly(method, gap, n):
 
 
 @pytest.mark.parametrize("n_required", [0, 12])
-@pytest.mark.parametrize("method", ["sdss", "optimal"])
+@pytest.mark.parametrize("method", ["network_flow", "optimal"])
 def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_required):
     """The test replaces the solver by one that reports a timeout, since real times depend on the machine."""
     plane, n = dense_plane(rings=2), 120

@@ -14,7 +14,7 @@ import rfpsurvey as rs
 from scenes import both_hands, lamost_like, sdss_like, two_fibers, with_troubles
 
 MM = u.mm
-FILLING = ["lamost", "sdss", "optimal", "repair"]
+FILLING = ["lamost_rule", "network_flow", "optimal", "repair"]
 UNIT = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
 LIMITED = {"theta_range": [-120, 130] * u.deg, "phi_range": [20, 140] * u.deg}
 PLANES = {
@@ -60,7 +60,7 @@ def check_columns(found, xy):
 @pytest.mark.parametrize("name", PLANES)
 def test_found_sky_is_blank_and_in_reach(name, method, rng):
     plane = PLANES[name]
-    n = {"lamost": 150, "sdss": 60}.get(method, 100)
+    n = {"lamost_rule": 150, "network_flow": 60}.get(method, 100)
     xy, separation = targets(rng, n), 4.0
     found = rs.allocate(
         plane, xy * MM, allocator=rs.AllocationOptions(method, requirements="sky=20", sky_separation=separation * MM)
@@ -101,7 +101,7 @@ def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
     found = rs.allocate(
         PLANES[name],
         xy * MM,
-        allocator=rs.AllocationOptions("lamost", requirements="sky=37", sky_separation=separation * MM),
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=37", sky_separation=separation * MM),
     )
     check_columns(found, xy)
     own, rows = blank_of(found)
@@ -117,7 +117,9 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
     """A dense sample of a patrol area shows whether it contains a sufficiently wide gap."""
     plane, xy = lamost_like(), rng.uniform(-85, 85, (180, 2))
     found = rs.allocate(
-        plane, xy * MM, allocator=rs.AllocationOptions("lamost", requirements="sky=37", sky_separation=separation * MM)
+        plane,
+        xy * MM,
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=37", sky_separation=separation * MM),
     )
     sees = set(blank_of(found)[0].tolist())
     grid = np.stack(np.meshgrid(*2 * [np.arange(-16.4, 16.5, 0.4)]), axis=-1).reshape(-1, 2)
@@ -295,7 +297,7 @@ def test_found_sky_counts_where_the_given_sky_has_a_category_of_that_name():
     found = rs.allocate(
         lamost_like(rings=1),
         [[5, 0], [900, 0]] * MM,
-        allocator=rs.AllocationOptions("sdss", requirements="sky=3", sky_separation=2 * MM),
+        allocator=rs.AllocationOptions("network_flow", requirements="sky=3", sky_separation=2 * MM),
         kind=["science", "sky"],
         category=["galaxy", "sky"],
     )

@@ -96,7 +96,7 @@ def test_rules_serve_targets_in_this_order(name, seed):
     by_class = sorted(range(n), key=lambda t: (-priority[t], place[t]))
     assert plan("nearest").target_of_positioner.tolist() == targets_in_order(xy, plane.arrays.xy, can, by_class)
     expected = lamost_target(xy, plane.arrays.xy, can, priority, place)
-    assert plan("lamost").target_of_positioner.tolist() == expected
+    assert plan("lamost_rule").target_of_positioner.tolist() == expected
     indptr, queue = plan("balanced").queues
     owner = np.array(balanced_owner(xy[order], plane.arrays.xy, can[:, order]))
     for i in range(len(plane)):
@@ -117,7 +117,7 @@ def plans_of(plane, xy, collide):
                 yield targets
 
 
-@pytest.mark.parametrize("allocator", ["sdss", "optimal"])
+@pytest.mark.parametrize("allocator", ["network_flow", "optimal"])
 @pytest.mark.parametrize("seed", range(10))
 def test_the_sum_of_subpriorities_is_the_largest_of_all_best_plans(allocator, seed):
     rng = np.random.default_rng(seed)
@@ -191,7 +191,7 @@ def test_a_tile_depends_on_identifiers_and_not_on_rows(field, ids, rng):
 
     def plan(order, seed):
         shuffled = rs.Catalog(catalog.coord[order], id=names[order], priority=(np.arange(len(names)) % 3)[order])
-        options = rs.AllocationOptions("lamost", subpriority=seed)
+        options = rs.AllocationOptions("lamost_rule", subpriority=seed)
         return rs.plan_tile(shuffled, "sdss_apo", center, allocator=options)
 
     first, second, other = plan(np.arange(len(names)), 1), plan(rows, 1), plan(rows, 2)

@@ -36,30 +36,34 @@ def test_the_table_contains_every_option():
 
 UNUSED = [
     (
-        "lamost",
+        "lamost_rule",
         {"objective": "count"},
-        "objective has no effect with the allocator 'lamost'; only sdss and optimal use it",
+        "objective has no effect with the allocator 'lamost_rule'; only network_flow and optimal use it",
     ),
     (
         "repair",
         {"time_limit": 5 * u.s},
-        "time_limit has no effect with the allocator 'repair'; only sdss and optimal use",
+        "time_limit has no effect with the allocator 'repair'; only network_flow and optimal use",
     ),
     ("optimal", {"start": "nearest"}, "start has no effect with the allocator 'optimal'; only repair uses it"),
     (
         "nearest",
         {"requirements": "sky=2"},
-        "requirements has no effect with the allocator 'nearest'; only lamost, sdss,",
+        "requirements has no effect with the allocator 'nearest'; only lamost_rule, network_flow,",
     ),
     (
         "balanced",
         {"required": [3]},
-        "required has no effect with the allocator 'balanced'; only nearest, lamost, sdss,",
+        "required has no effect with the allocator 'balanced'; only nearest, lamost_rule, network_flow,",
     ),
-    ("sdss", {"rng": 3}, "rng has no effect with the allocator 'sdss'; only balanced uses it"),
-    ("sdss", {"rng": np.random.default_rng(1)}, "rng has no effect with the allocator 'sdss'; only balanced uses it"),
+    ("network_flow", {"rng": 3}, "rng has no effect with the allocator 'network_flow'; only balanced uses it"),
     (
-        "lamost",
+        "network_flow",
+        {"rng": np.random.default_rng(1)},
+        "rng has no effect with the allocator 'network_flow'; only balanced uses it",
+    ),
+    (
+        "lamost_rule",
         {"parked_obstacles": False},
         "parked_obstacles has no effect because no positioner has two arms of equal",
     ),
@@ -93,18 +97,30 @@ def test_an_option_that_the_start_of_repair_uses_causes_no_warning(sky):
 
 
 @pytest.mark.filterwarnings("error")
+def test_former_names_of_allocators_and_tiling_methods_are_accepted_with_a_warning(sky):
+    with pytest.warns(rs.RfpsurveyWarning, match="the allocator sdss is now called network_flow"):
+        assert rs.AllocationOptions("sdss") == rs.AllocationOptions("network_flow")
+    with pytest.warns(rs.RfpsurveyWarning, match="the allocator lamost is now called lamost_rule"):
+        assert rs.AllocationOptions("repair", start="lamost") == rs.AllocationOptions("repair")
+    with pytest.warns(rs.RfpsurveyWarning, match="the method sdss is now called network_flow"):
+        tiles = rs.place_tiles(sky, "moons", method="sdss", n_tiles=1)
+    assert tiles.summary == rs.place_tiles(sky, "moons", method="network_flow", n_tiles=1).summary
+
+
 def test_a_function_may_use_every_option(sky):
-    asked = rs.AllocationOptions(METHODS["lamost"].function, objective="count", time_limit=5 * u.s)
+    asked = rs.AllocationOptions(METHODS["lamost_rule"].function, objective="count", time_limit=5 * u.s)
     rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=4)
 
 
 @pytest.mark.filterwarnings("error")
 def test_comparisons_warn_only_of_options_that_no_allocator_uses(sky):
     options = rs.AllocationOptions(requirements="sky=2", time_limit=50 * u.s)
-    rs.compare_allocators(sky, "moons", CENTER, allocators=["nearest", "balanced", "lamost"], options=options, rng=3)
+    rs.compare_allocators(
+        sky, "moons", CENTER, allocators=["nearest", "balanced", "lamost_rule"], options=options, rng=3
+    )
     options = rs.AllocationOptions(start="nearest", parked_obstacles=False)
     one, two = told_by(lambda: rs.compare_allocators(sky, "moons", CENTER, allocators=["nearest"], options=options))
-    assert one.startswith("start has no effect with the allocators 'sdss' and 'nearest'; only repair uses it")
+    assert one.startswith("start has no effect with the allocators 'network_flow' and 'nearest'; only repair uses it")
     assert two.startswith("parked_obstacles has no effect")
     (one,) = told_by(lambda: rs.compare_instruments(sky, ["moons"], allocators=["nearest"], rng=2))
     assert one.startswith("rng has no effect")

@@ -61,7 +61,7 @@ def hexagons():
             seconds, best = median(rs.allocate, xy, plane, method="optimal", repeats=5, **options)
             mend_s, repaired = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
             blind = int((maximum_bipartite_matching(plane.reachable(xy), perm_type="column") >= 0).sum())
-            rule = flat.allocate(plane, xy, allocator="lamost", **options)
+            rule = flat.allocate(plane, xy, allocator="lamost_rule", **options)
             usable = rule.n_assigned - int(rs.find_collisions(plane, rule).in_collision.sum())
             pairs = len(rs.find_collisions(plane, best).pairs)
             print(
@@ -88,13 +88,13 @@ def rules():
     plane = rs.Instrument.preset("lamost").focal_plane
     xy = disc(873.0, 100_000, 1)
     kind = np.where(np.arange(100_000) % 50 == 0, "standard", "science")
-    for name in ("balanced", "nearest", "lamost"):
+    for name in ("balanced", "nearest", "lamost_rule"):
         seconds, _ = median(rs.allocate, xy, plane, method=name)
         print(f"  {name:<10} {1e3 * seconds:.1f} ms")
     options = {"kind": kind, "requirements": SKY, "sky_separation": 1 * u.mm}
-    seconds, found = median(rs.allocate, xy, plane, method="lamost", **options)
+    seconds, found = median(rs.allocate, xy, plane, method="lamost_rule", **options)
     print(f"  lamost with sky and standards {1e3 * seconds:.1f} ms, {len(found.unmet)} requirements not met")
-    for name in ("sdss", "optimal"):
+    for name in ("network_flow", "optimal"):
         seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3)
         print(f"  {name:<10} {seconds:.3f} s, {found.n_assigned} positioners, gap {found.gap:g}")
         seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3, **options)

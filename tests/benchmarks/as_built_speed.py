@@ -42,12 +42,14 @@ def work(instrument):
 
     def survey():
         with tempfile.TemporaryDirectory() as folder:
-            rs.plan_survey(sky, instrument, tiles, allocator="lamost", folder=Path(folder) / "survey", progress=False)
+            rs.plan_survey(
+                sky, instrument, tiles, allocator="lamost_rule", folder=Path(folder) / "survey", progress=False
+            )
 
     return {
         "find_collisions": lambda: rs.find_collisions(plane, tips),
         "reach": lambda: plane.arrays.reach(xy.value),
-        "plan_tile, lamost": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="lamost"),
+        "plan_tile, lamost": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="lamost_rule"),
         "plan_tile, optimal": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="optimal"),
         "survey of 20 tiles": survey,
         "probability, conditional": lambda: rs.collision_probability(

@@ -9,7 +9,7 @@ import numpy as np
 
 import rfpsurvey as rs
 
-ONE = {"n_realizations": 1, "allocators": "lamost"}
+ONE = {"n_realizations": 1, "allocators": "lamost_rule"}
 
 
 def main():

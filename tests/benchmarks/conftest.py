@@ -27,7 +27,7 @@ def xy(lamost, stars):
 @pytest.fixture(scope="session")
 def tile_table(lamost, stars):
     """Plan a complete tile, which compiles all kernels."""
-    return rs.plan_tile(stars, lamost, CENTER, allocator="lamost", epoch=None).table
+    return rs.plan_tile(stars, lamost, CENTER, allocator="lamost_rule", epoch=None).table
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -20,8 +20,8 @@ from rfpsurvey.survey._order import make_rounds
 
 CENTER = SkyCoord("06h20m00s +23d00m00s")
 FIELDS = [
-    ("lamost", "lamost", 2e6),
-    ("lamost", "lamost", 2e7),
+    ("lamost", "lamost_rule", 2e6),
+    ("lamost", "lamost_rule", 2e7),
     ("lamost", "repair", 2e6),
     ("lamost", "repair", 2e7),
     ("lamost", "optimal", 2e7),
@@ -30,7 +30,7 @@ FIELDS = [
     ("sdss_apo", "optimal", 3e5),
     ("sdss_apo", "optimal", 2e6),
     ("sdss_apo", "repair", 2e6),
-    ("sdss_apo", "sdss", 2e6),
+    ("sdss_apo", "network_flow", 2e6),
 ]
 
 

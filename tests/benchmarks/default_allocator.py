@@ -20,7 +20,7 @@ from astropy.coordinates import SkyCoord
 import rfpsurvey as rs
 from sky_center import CENTER
 
-ALLOCATORS = ("lamost", "repair", "optimal")
+ALLOCATORS = ("lamost_rule", "repair", "optimal")
 EACH = (0.5, 1, 2, 5, 10, 20, 50)
 MIDDLE, DENSITY = SkyCoord(180 * u.deg, 20 * u.deg), 1400 / u.deg**2
 REPEATS = 3

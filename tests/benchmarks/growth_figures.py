@@ -59,7 +59,7 @@ def tile_by_positioners(n):
     """Return one tile with n positioners and five targets for each."""
     model = instrument(rings_of(n))
     catalog = targets(5 * len(model.focal_plane), model.field_radius)
-    return len(model.focal_plane), lambda: rs.plan_tile(catalog, model, center=CENTER, allocator="lamost")
+    return len(model.focal_plane), lambda: rs.plan_tile(catalog, model, center=CENTER, allocator="lamost_rule")
 
 
 def collisions(n):
@@ -112,7 +112,7 @@ def tiling(n):
 def survey(n):
     model, tiles, side = wide(n)
     catalog = targets(len(tiles) * 500, 0.75 * side)
-    return len(tiles), lambda: rs.plan_survey(catalog, model, tiles, allocator="lamost")
+    return len(tiles), lambda: rs.plan_survey(catalog, model, tiles, allocator="lamost_rule")
 
 
 def realizations(n):
@@ -125,7 +125,10 @@ CASES = {
     "find_collisions, positioners": (collisions, [40, 120, 400, 1200, 4000, 12000, 40000]),
     "count_collisions, configurations": (configurations, [10, 30, 100, 300, 1000, 3000, 10000]),
     "collision_probability, trials": (trials, [10, 30, 100, 300, 1000, 3000, 10000]),
-    "plan_tile (lamost), targets": (tile_by_targets("lamost"), [1000, 3000, 10000, 30000, 100000, 300000, 1000000]),
+    "plan_tile (lamost), targets": (
+        tile_by_targets("lamost_rule"),
+        [1000, 3000, 10000, 30000, 100000, 300000, 1000000],
+    ),
     "plan_tile (nearest), targets": (tile_by_targets("nearest"), [1000, 3000, 10000, 30000, 100000, 300000, 1000000]),
     "plan_tile (repair), targets": (tile_by_targets("repair"), [1000, 3000, 10000, 30000, 100000, 300000, 1000000]),
     "plan_tile (lamost), positioners": (tile_by_positioners, [40, 120, 400, 1200, 4000, 12000, 40000]),

@@ -42,7 +42,7 @@ MESSAGE = "rfpsurvey: interrupted"
 INPUT = ("../input/stars.fits", "--tiles", "../input/tiles.ecsv", "--instrument", "moons", "--folder", "out")
 SURVEY = ("survey", *INPUT)
 WORKERS = ("--workers", "2", "--set", "processes=true")
-JOINT = ("--order", "joint", "--allocator", "optimal", "--set", "joint.iterations=2")
+JOINT = ("--allocator", "joint", "--set", "joint.iterations=2")
 PLAN = ("plan", "--instrument", "moons", "--output", "tile.fits", "--plot", "tile.png", "--report", "tile.html")
 COMMANDS = {
     "survey": SURVEY,

@@ -26,17 +26,17 @@ CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
 
 def sdss(_):
     sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo", allocator="lamost"), {}
+    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo", allocator="lamost_rule"), {}
 
 
 def lamost(_):
     sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "lamost", rs.place_tiles(sky, "lamost", allocator="lamost"), {}
+    return sky, "lamost", rs.place_tiles(sky, "lamost", allocator="lamost_rule"), {}
 
 
 def moons(_):
     sky = rs.Catalog.read(DATA / "zcosmos_bright.ecsv")
-    return sky, "moons", rs.place_tiles(sky, "moons", passes=2, allocator="lamost"), {"patch_size": 600}
+    return sky, "moons", rs.place_tiles(sky, "moons", passes=2, allocator="lamost_rule"), {"patch_size": 600}
 
 
 def desi(options):
@@ -76,7 +76,7 @@ def compare(name, options, executor):
     catalog, instrument, tiling, joint = CASES[name](options)
     print(f"{name}: {len(catalog)} targets, {len(tiling)} tiles, {instrument}", flush=True)
     limit = {"time_limit": options.tile_seconds * u.s}
-    for allocator in ("lamost", "repair", "optimal"):
+    for allocator in ("lamost_rule", "repair", "optimal"):
         begin = perf_counter()
         some = limit if allocator == "optimal" else {}
         survey = rs.plan_survey(
@@ -84,10 +84,9 @@ def compare(name, options, executor):
         )
         print(f"  {allocator}: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
     begin = perf_counter()
-    order = rs.JointOptions(iterations=1000, gap=2e-5, time_limit=options.seconds * u.s, **joint)
-    survey = rs.plan_survey(
-        catalog, instrument, tiling, allocator=rs.AllocationOptions("optimal", **limit), order=order, executor=executor
-    )
+    first = rs.AllocationOptions("optimal", **limit)
+    together = rs.JointOptions(iterations=1000, gap=2e-5, time_limit=options.seconds * u.s, allocator=first, **joint)
+    survey = rs.plan_survey(catalog, instrument, tiling, allocator=together, executor=executor)
     print(f"  joint: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
     survey.joint.pprint_all()
     for level in survey.summary["joint"]["levels"]:
@@ -118,9 +117,14 @@ def scan(options, executor):
         points = [(s, 1.0) for s in (0.2, 0.4, 0.6, 0.8, 1.0)] + [(0.4, n) for n in (0.25, 0.5, 2.0, 4.0)]
         for spacing, per_fiber in points:
             catalog, instrument, tiles = scan_case(spacing, per_fiber, clustered)
-            order = rs.JointOptions(iterations=20, time_limit=options.scan_seconds * u.s, gap=2e-4, patch_size=600)
-            allocator = rs.AllocationOptions("optimal", time_limit=options.tile_seconds * u.s)
-            survey = rs.plan_survey(catalog, instrument, tiles, allocator=allocator, order=order, executor=executor)
+            joint = rs.JointOptions(
+                iterations=20,
+                time_limit=options.scan_seconds * u.s,
+                gap=2e-4,
+                patch_size=600,
+                allocator=rs.AllocationOptions("optimal", time_limit=options.tile_seconds * u.s),
+            )
+            survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint, executor=executor)
             level = survey.summary["joint"]["levels"][-1]
             seconds = float(survey.joint["seconds"][-1])
             before, after, bound = level["n_visits_before"], level["n_visits"], level["bound"]

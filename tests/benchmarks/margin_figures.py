@@ -16,7 +16,7 @@ from tie_figures import scene
 
 import rfpsurvey as rs
 
-ALLOCATORS = ("lamost", "repair", "optimal")
+ALLOCATORS = ("lamost_rule", "repair", "optimal")
 SEEDS = range(4)
 MARGINS = {
     "desi": [rs.Margins(outer=0.2 * u.mm), rs.Margins(inner=0.1 * u.mm), rs.Margins(arms=0.05 * u.mm), "published"],
@@ -89,8 +89,8 @@ def numbers(name, margins, broken):
         bare = with_margins(None, broken)(plane, np.random.default_rng(seed))
         rng, used, row = np.random.default_rng(100 + seed), bare.arrays.usable, []
         angles = np.where(bare.disabled[:, None], rng.uniform(0, (360, 180), (len(bare), 2)), np.nan)
-        true = {"repair": replace(bare, stuck=angles * u.deg), "lamost": bare}
-        for allocator, error in (("repair", ERROR), ("lamost", 0.0)):
+        true = {"repair": replace(bare, stuck=angles * u.deg), "lamost_rule": bare}
+        for allocator, error in (("repair", ERROR), ("lamost_rule", 0.0)):
             plan = rs.allocate(replace(bare, margins=margins), xy, allocator=allocator)
             filled = plan.target_of_positioner >= 0
             tips = plan.tips.to_value(u.mm) + error * rng.standard_normal((len(bare), 2))

@@ -112,7 +112,7 @@ def quality():
     print("number of targets against the time limit")
     for arms, multiplicity in ((ARMS["SDSS-V"], 1), (ARMS["SDSS-V"], 2), ((10.0, 10, 15, 3.0), 1)):
         plane, xy = hexagon(arms, 57, multiplicity, 0)
-        for name in ("lamost", "repair"):
+        for name in ("lamost_rule", "repair"):
             found, wall, _ = solve(plane, xy, 60, name)
             usable = found.n_assigned - int(rs.find_collisions(plane, found).in_collision.sum())
             print(f"  {arms} {multiplicity} {name}: {usable} without collisions after {wall:.2f} s")

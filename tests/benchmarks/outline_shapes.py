@@ -25,7 +25,7 @@ import rfpsurvey as rs
 
 NAMES = ("desi", "sdss_apo", "pfs", "moons", "lamost")
 AS_BUILT = ("desi/fp-metrology.csv.gz", "sdssv_apo_2024", "pfs")
-ALLOCATORS = ("nearest", "lamost", "sdss", "repair", "optimal")
+ALLOCATORS = ("nearest", "lamost_rule", "network_flow", "repair", "optimal")
 DENSITIES = (1, 2, 5)
 REPEATS = 3
 LABELS = {"elbow_to_tip": "segment", "capsule": "capsule", "outline": "outline"}

@@ -40,13 +40,13 @@ ZOOM = """async (view) => {
 def desi_tile(folder):
     desi = rs.Instrument.preset("desi")
     sky = rs.synthetic_catalog("poisson", CENTER, desi.field_radius, density=desi.target_density, rng=1)
-    plans = {name: rs.plan_tile(sky, desi, CENTER, allocator=name) for name in ("lamost", "repair")}
-    rs.write_report(plans["lamost"], folder / "desi.html", overwrite=True)
-    rs.write_report(plans["lamost"], folder / "desi_two.html", overwrite=True, plans={"repair": plans["repair"]})
+    plans = {name: rs.plan_tile(sky, desi, CENTER, allocator=name) for name in ("lamost_rule", "repair")}
+    rs.write_report(plans["lamost_rule"], folder / "desi.html", overwrite=True)
+    rs.write_report(plans["lamost_rule"], folder / "desi_two.html", overwrite=True, plans={"repair": plans["repair"]})
     times = []
     for _ in range(3):
         begin = perf_counter()
-        rs.write_report(plans["lamost"], folder / "desi.html", overwrite=True)
+        rs.write_report(plans["lamost_rule"], folder / "desi.html", overwrite=True)
         times.append(perf_counter() - begin)
     print(f"report of a DESI tile: {min(times):.2f} s (smallest of 3)")
     return ["desi.html", "desi_two.html"]

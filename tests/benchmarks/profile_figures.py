@@ -61,7 +61,7 @@ def tile():
     plane, stages, total = lamost.focal_plane, {}, np.inf
     for _ in range(60):
         begin = perf_counter()
-        found = rs.plan_tile(catalog, lamost, center=CENTER, allocator="lamost")
+        found = rs.plan_tile(catalog, lamost, center=CENTER, allocator="lamost_rule")
         total = min(total, perf_counter() - begin)
         for name, value in found.summary["seconds"].items():
             stages[name] = min(stages.get(name, np.inf), value)

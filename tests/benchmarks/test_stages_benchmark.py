@@ -26,7 +26,7 @@ def test_3_reach(benchmark, lamost, xy):
     benchmark(lambda: lamost.focal_plane.arrays.reach(points))
 
 
-@pytest.mark.parametrize("method", ["balanced", "lamost"])
+@pytest.mark.parametrize("method", ["balanced", "lamost_rule"])
 def test_4_allocation_with_reach(benchmark, lamost, xy, method):
     benchmark(lambda: rs.allocate(lamost.focal_plane, xy, allocator=method))
 
@@ -47,4 +47,4 @@ def test_7_clearances(benchmark, lamost, xy):
 
 
 def test_8_whole_tile(benchmark, lamost, stars):
-    benchmark(lambda: rs.plan_tile(stars, lamost, CENTER, allocator="lamost"))
+    benchmark(lambda: rs.plan_tile(stars, lamost, CENTER, allocator="lamost_rule"))

@@ -36,13 +36,13 @@ def promises(name):
     density = n / (np.pi * radius**2)
     catalog = rs.synthetic_catalog("clustered", SkyCoord("8h +30d"), 3.5 * radius, density=density, **options)
     rs.place_tiles(catalog, instrument, n_tiles=1)  # compile the kernels
-    for method in ("hexagonal", "max_density", "sdss"):
+    for method in ("hexagonal", "max_density", "network_flow"):
         for goal in ({"n_tiles": 20}, {"completeness": 0.9}):
             for fibers in (n, None):
-                rule = {"allocator": "lamost"} if fibers is None else {"fibers": fibers}
+                rule = {"allocator": "lamost_rule"} if fibers is None else {"fibers": fibers}
                 tiling, seconds = place(catalog, instrument, method=method, **rule, **goal)
                 surveys = [
-                    rs.plan_survey(catalog, instrument, tiling, allocator="lamost", order=order)
+                    rs.plan_survey(catalog, instrument, tiling, allocator="lamost_rule", order=order)
                     for order in ("given", "color")
                 ]
                 found = "  ".join(f"{one.summary['completeness']:.4f}" for one in surveys)
@@ -84,8 +84,8 @@ def blanton(density, fibers):
     print(f"  {'':<24}{'tiles':>6}{'all':>8}{'isolated':>10}{'fibers used':>13}{'seconds':>9}")
     report("hexagonal, one pass", lattice, 0.0)
     for n in sorted({len(lattice), *numbers(len(catalog), fibers)}):
-        tiling, seconds = place(catalog, method="sdss", n_tiles=n, **limits)
-        report("sdss", tiling, seconds)
+        tiling, seconds = place(catalog, method="network_flow", n_tiles=n, **limits)
+        report("network_flow", tiling, seconds)
 
 
 def numbers(n_targets, fibers):

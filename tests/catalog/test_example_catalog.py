@@ -51,7 +51,7 @@ def test_a_missing_file_is_named(monkeypatch, tmp_path):
     "command",
     [
         ["plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23"],
-        ["compare", "sdss_apo", "--catalog", "example:anticenter", "--center", "95 23", "--allocator", "lamost"],
+        ["compare", "sdss_apo", "--catalog", "example:anticenter", "--center", "95 23", "--allocator", "lamost_rule"],
         ["probability", "sdss_apo", "--targets", "example:anticenter", "--estimand", "allocated"],
     ],
 )

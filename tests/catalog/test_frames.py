@@ -42,8 +42,8 @@ def test_all_functions_of_catalogs_take_dataframes(frame, tmp_path):
     assert len(rs.place_tiles(frame, "sdss_apo")) > 0
     tiling = SkyCoord([95] * DEG, [23] * DEG)
     assert rs.plan_survey(frame, "sdss_apo", tiling).summary["n_visits_observed"] > 0
-    assert len(rs.compare_allocators(frame, "sdss_apo", allocators=["lamost"])) == 1
-    assert len(rs.compare_instruments(frame, ["sdss_apo"], allocators=["lamost"], center="95 23")) == 1
+    assert len(rs.compare_allocators(frame, "sdss_apo", allocators=["lamost_rule"])) == 1
+    assert len(rs.compare_instruments(frame, ["sdss_apo"], allocators=["lamost_rule"], center="95 23")) == 1
     pytest.importorskip("pyarrow")
     assert len(rs.catalog.partition_catalog(frame, tmp_path / "parts")) == N
 
@@ -83,7 +83,7 @@ def test_tilings_of_dataframes_are_those_of_their_tables():
 
 @pytest.mark.parametrize("positions", ["focal_plane", "sky"])
 def test_assignments_of_dataframes_are_scored_as_their_tables(frame, positions):
-    tile = rs.plan_tile(frame, "sdss_apo", "95 23", allocator="lamost")
+    tile = rs.plan_tile(frame, "sdss_apo", "95 23", allocator="lamost_rule")
     rows = tile.table["status"] == "assigned"
     columns = {"hole": tile.table["id"][rows]}
     for name in ("ra", "dec") if positions == "sky" else ("tip_x", "tip_y"):

@@ -68,7 +68,7 @@ def test_nothing_is_lost_on_the_way(sky, folder):
 
 @pytest.mark.filterwarnings("ignore:requirement standard")
 def test_the_same_survey_as_from_one_piece(folder, small):
-    options = {"requirements": "standard=2", "allocator": "lamost"}
+    options = {"requirements": "standard=2", "allocator": "lamost_rule"}
     whole = flat.plan_survey(rs.catalog.PartitionedCatalog(folder).read(), small, TILES, **options)
     for kept in (10_000_000, 100):
         same(flat.plan_survey(rs.catalog.PartitionedCatalog(folder, kept_rows=kept), small, TILES, **options), whole)

@@ -486,7 +486,7 @@ def test_the_arm_model_of_a_command_is_used_stated_and_recorded(run, tmp_path):
     [
         (["compare-allocators", "--allocator", "nearest"], "sdss_apo, arm model elbow_to_tip; "),
         (["survey"], "  arm model                       elbow_to_tip"),
-        (["tile", "--allocator", "lamost", "--n-tiles", "1", "--method", "max_density"], "arm model"),
+        (["tile", "--allocator", "lamost_rule", "--n-tiles", "1", "--method", "max_density"], "arm model"),
     ],
 )
 def test_commands_take_an_arm_model(run, arguments, words):

@@ -15,11 +15,11 @@ def words(tmp_path):
     tiles = QTable({"ra": [94.9, 95.1] * u.deg, "dec": [23, 23] * u.deg})
     tiles.write(tmp_path / "tiles.ecsv")
     files = tmp_path / "stars.fits", "--tiles", tmp_path / "tiles.ecsv"
-    return ["survey", *files, "--instrument", "moons", "--allocator", "optimal"]
+    return ["survey", *files, "--instrument", "moons"]
 
 
 def test_the_command_prints_the_gain_and_the_bounds(run, words, tmp_path):
-    code, out, err = run(*words, "--order", "joint", "--set", "joint.iterations=1", "--folder", tmp_path / "plan")
+    code, out, err = run(*words, "--allocator", "joint", "--set", "joint.iterations=1", "--folder", tmp_path / "plan")
     assert code == 0, err
     survey = rs.Survey.read(tmp_path / "plan")
     level = survey.summary["joint"]["levels"][0]
@@ -27,7 +27,7 @@ def test_the_command_prints_the_gain_and_the_bounds(run, words, tmp_path):
     assert text in err
     assert f"at most {survey.joint['bound'][1]} with any plan\nthe search can" in err
     assert "joint plan: for each priority, the number of visits to targets of at least this priority" in out
-    code, _, err = run(*words, "--order", "joint", "--set", f"joint.fixed={tmp_path / 'nothing'}")
+    code, _, err = run(*words, "--allocator", "joint", "--set", f"joint.fixed={tmp_path / 'nothing'}")
     assert code == 2
     assert "nothing does not hold a survey" in err
 
@@ -50,21 +50,23 @@ def test_every_option_reaches_the_library(run, words, monkeypatch):
         "--set",
         "joint.fixed=plan",
     ]
-    run(*words, "--order", "joint", *options)
-    order = seen["order"]
-    assert (order.gap, order.iterations, order.seconds, str(order.fixed)) == (0.1, 7, 3.0, "plan")
-    run(*words, "--order", "joint")
-    assert seen["order"].record == rs.JointOptions().record
+    run(*words, "--allocator", "joint", *options)
+    joint = seen["allocator"]
+    assert (joint.gap, joint.iterations, joint.seconds, str(joint.fixed)) == (0.1, 7, 3.0, "plan")
+    run(*words, "--allocator", "joint")
+    assert seen["allocator"].record == rs.JointOptions().record
     _, _, err = run(*words, *options)
     for name in ("gap", "iterations", "time_limit", "fixed"):
-        assert f"warning: joint.{name} has no effect without --order joint" in err
-    _, _, err = run(*words, "--set", "options.time_limit=5", "--set", "joint.time_limit=3")
+        assert f"warning: joint.{name} has no effect without --allocator joint" in err
+    run(*words, "--allocator", "optimal", "--order", "joint", *options)  # the form of version 0.2
+    assert (seen["allocator"].gap, seen["order"]) == (0.1, "joint")
+    _, _, err = run(*words, "--allocator", "optimal", "--set", "options.time_limit=5", "--set", "joint.time_limit=3")
     assert "options.time_limit has no effect" not in err
-    assert seen["order"] == "color"
+    assert isinstance(seen["allocator"], rs.AllocationOptions)
 
 
 @pytest.mark.parametrize(("key", "value"), [("joint.gap", 2), ("joint.iterations", -1), ("joint.time_limit", -3)])
 def test_errors_name_the_option_that_was_typed(run, words, key, value):
-    code, _, err = run(*words, "--order", "joint", "--set", f"{key}={value}")
+    code, _, err = run(*words, "--allocator", "joint", "--set", f"{key}={value}")
     assert code == 2
     assert f"rfpsurvey: {key} must be" in err

@@ -28,10 +28,10 @@ def words_of(folder, *others):
 def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp_path):
     folder, sky, tiles = files
     output = tmp_path / "selection.fits"
-    words = words_of(folder, "--n-realizations", 40, "--allocator", "lamost", "--workers", 2, "--rng", 5)
+    words = words_of(folder, "--n-realizations", 40, "--allocator", "lamost_rule", "--workers", 2, "--rng", 5)
     code, out, err = run(*words, "--output", output, "--folder", tmp_path / "work")
     assert code == 0, err
-    expected = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost", rng=5)
+    expected = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost_rule", rng=5)
     lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
     assert lines["targets never observed"] == [str(expected.summary["n_never_observed"])]
     assert lines["visits observed, all realizations"] == [str(expected.summary["n_observed"])]

@@ -57,7 +57,7 @@ def tiles(tmp_path):
         ("tile", ["--region", "cap 95 23 1"]),
         ("survey", []),
         ("select", ["--n-realizations", "1"]),
-        ("compare", ["--allocator", "lamost", "--n-realizations", "1"]),
+        ("compare", ["--allocator", "lamost_rule", "--n-realizations", "1"]),
         ("instruments", []),
     ],
 )

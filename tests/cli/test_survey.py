@@ -79,7 +79,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
         (["--passes", 2, "--passes", 1], "passes", [2, 1]),
         (["--epoch", "2026.5"], "epoch", 2026.5),
         (["--rng", 4], "rng", 4),
-        (["--allocator", "sdss"], "allocator", rs.AllocationOptions("sdss")),
+        (["--allocator", "network_flow"], "allocator", rs.AllocationOptions("network_flow")),
         (["--constraint", "sky=5"], "allocator", rs.AllocationOptions(requirements=["sky=5"])),
         (["--set", "options.sky_separation=10"], "allocator", rs.AllocationOptions(sky_separation=10 * u.arcsec)),
         (["--set", "options.time_limit=5"], "allocator", rs.AllocationOptions(time_limit=5 * u.s)),
@@ -110,12 +110,12 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
     wanted, outside = np.flatnonzero(sky.visits > 0)[:2], int(np.argmax(sky.coord.separation(CENTER)))
     required, circles = [*wanted.tolist(), outside], ["95.0 23.0 0.02", "94.8 23.05 0.01"]
     words = ("survey", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons")
-    words += ("--allocator", "lamost")
+    words += ("--allocator", "lamost_rule")
     words += tuple(word for k in required for word in ("--constraint", f"required {k}"))
     words += tuple(word for circle in circles for word in ("--constraint", f"keep_out {circle}"))
     out, err = call(*words, "--folder", tmp_path / "plan")
     regions = [rs.Region.parse(text) for text in ("cap 95 23 0.02", "cap 94.8 23.05 0.01")]
-    options = rs.AllocationOptions("lamost", required=required, keep_out=regions)
+    options = rs.AllocationOptions("lamost_rule", required=required, keep_out=regions)
     with pytest.warns(rs.RfpsurveyWarning, match="required targets never observed"):
         expected = rs.plan_survey(sky, "moons", tiling, allocator=options)
     found = rs.Survey.read(tmp_path / "plan")
@@ -133,7 +133,7 @@ def test_required_targets_and_circles_are_those_of_the_library(call, files, tmp_
 def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, tmp_path):
     """A required target that is assigned to a colliding arm is not observed."""
     folder, sky, _ = files
-    tile = rs.plan_tile(sky, "moons", CENTER, allocator="lamost")
+    tile = rs.plan_tile(sky, "moons", CENTER, allocator="lamost_rule")
     names = tile.outcomes["target_id"][np.isin(tile.outcomes["outcome"], ["lost to a collision", "out of reach"])]
     QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}).write(tmp_path / "one.ecsv")
     required = [int(name) for name in (*names[:4], *np.flatnonzero(sky.visits > 0)[:2])]
@@ -170,11 +170,11 @@ def test_instruments_are_compared_with_required_targets_and_circles(call, files,
     call(*words)
     options = rs.AllocationOptions(required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
     expected = rs.compare_instruments(
-        sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"], options=options, progress=False
+        sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost_rule"], options=options, progress=False
     )
     found, plain = (
         QTable.read(tmp_path / "c.ecsv"),
-        rs.compare_instruments(sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost"]),
+        rs.compare_instruments(sky, ["moons", "sdss_apo"], center=CENTER, allocators=["lamost_rule"]),
     )
     assert found["probability"].tolist() == expected["probability"].tolist() != plain["probability"].tolist()
     assert found.meta["parameters"]["required"] == ["9"]
@@ -195,9 +195,9 @@ def test_one_tile_has_the_same_words(call, files, tmp_path, command):
         "--constraint",
         "keep_out 95 23.05 0.02",
     ]
-    words += ["--allocator", "lamost", "--output", tmp_path / "out.ecsv"]
+    words += ["--allocator", "lamost_rule", "--output", tmp_path / "out.ecsv"]
     call(command, folder / "stars.fits", *words)
-    options = rs.AllocationOptions("lamost", required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
+    options = rs.AllocationOptions("lamost_rule", required=9, keep_out=rs.Region.parse("cap 95 23.05 0.02"))
     tile = rs.plan_tile(sky, "moons", CENTER, allocator=options)
     assert tile.summary["n_obstacle_collisions"] > 0
     if command == "plan":

@@ -97,7 +97,7 @@ def test_the_embedded_default(tile):
     ("arguments", "message"),
     [
         (["--region", "circle 1 2 3"], "unknown kind of region 'circle'"),
-        (["--region", "cap 1 2 3", "--method", "sdss"], "needs targets, got a Region"),
+        (["--region", "cap 1 2 3", "--method", "network_flow"], "needs targets, got a Region"),
         (
             ["--region", "cap 100 2 3", "{good}"],
             "--region must contain at least one target, but none of the 1 targets is inside",

@@ -168,7 +168,7 @@ def test_bad_draws_are_named():
         rs.InputError,
         match="drawn only from an allocation with queues, such as those by 'balanced', got an allocation by 'lamost'",
     ):
-        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost"), n_configurations=3)
+        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule"), n_configurations=3)
     with pytest.raises(
         rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
     ):

@@ -185,7 +185,7 @@ def test_poses_and_tips_and_allocations_say_the_same(rng):
     mirror = replace(plane, xy=plane.xy * [1, -1])
     left = rs.find_collisions(mirror, tips * np.array([1, -1]) * MM, handedness="left")
     np.testing.assert_array_equal(left.pairs, by_tip.pairs)
-    allocation = rs.allocate(plane, rng.uniform(-90, 90, (80, 2)) * MM, allocator="lamost")
+    allocation = rs.allocate(plane, rng.uniform(-90, 90, (80, 2)) * MM, allocator="lamost_rule")
     again = rs.find_collisions(plane, allocation.tips)
     np.testing.assert_array_equal(rs.find_collisions(plane, allocation).pairs, again.pairs)
 

@@ -56,7 +56,7 @@ def row_of(table, instrument, allocator):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("allocator", ["lamost", "optimal"])
+@pytest.mark.parametrize("allocator", ["lamost_rule", "optimal"])
 def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     row, mine = row_of(table, "mine", allocator), design()
     tiles = [rs.plan_tile(sky, mine, center, allocator=allocator) for center in centers]
@@ -72,7 +72,7 @@ def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     assert row["pairs_per_positioner"] == pytest.approx(
         sum(s["n_colliding_pairs"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
     )
-    if allocator == "lamost":
+    if allocator == "lamost_rule":
         assert 0 < row["low"] < row["probability"] < row["high"] < 1
     else:
         assert row["low"] == row["probability"] == row["high"] == row["gap"] == 0
@@ -89,18 +89,18 @@ def test_the_loss_is_against_a_maximum_matching(table, sky, centers):
     for center in centers:
         xy = mine.projection(center).to_focal_plane(sky)
         most += np.count_nonzero(maximum_bipartite_matching(mine.focal_plane.reachable(xy)) >= 0)
-    for allocator in ("lamost", "optimal"):
+    for allocator in ("lamost_rule", "optimal"):
         row = row_of(table, "mine", allocator)
         assert row["loss"] == pytest.approx(1 - 2 * row["usable"] / most)
-    assert 0 < row_of(table, "mine", "optimal")["loss"] < 0.2 < row_of(table, "mine", "lamost")["loss"]
+    assert 0 < row_of(table, "mine", "optimal")["loss"] < 0.2 < row_of(table, "mine", "lamost_rule")["loss"]
 
 
 def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
     wide = design("wide", 8.25, 8.25)
-    tiles = [rs.plan_tile(sky, wide, center, allocator="lamost").summary for center in centers]
+    tiles = [rs.plan_tile(sky, wide, center, allocator="lamost_rule").summary for center in centers]
     assert sum(t["n_parked"] for t in tiles) > 0
     counted = sum(t["n_assigned"] + t["n_parked"] for t in tiles)
-    assert row_of(table, "wide", "lamost")["probability"] == pytest.approx(
+    assert row_of(table, "wide", "lamost_rule")["probability"] == pytest.approx(
         sum(t["n_colliding"] for t in tiles) / counted
     )
 
@@ -218,14 +218,18 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
     "compare",
     [
         lambda options: rs.compare_instruments(
-            "poisson", [design(), design("wide")], options=options, n_realizations=2, allocators=["lamost", "nearest"]
+            "poisson",
+            [design(), design("wide")],
+            options=options,
+            n_realizations=2,
+            allocators=["lamost_rule", "nearest"],
         ),
         lambda options: rs.compare_allocators(
             rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1),
             "moons",
             CENTER,
             options=options,
-            allocators=["lamost", "nearest"],
+            allocators=["lamost_rule", "nearest"],
         ),
     ],
 )
@@ -282,7 +286,7 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
         ({"allocators": []}, "allocators must name at least one allocator, got none"),
         ({"allocators": ["best"]}, "unknown allocator 'best'"),
-        ({"allocator": "lamost"}, "must be given as allocators=, got the argument allocator"),
+        ({"allocator": "lamost_rule"}, "must be given as allocators=, got the argument allocator"),
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number from 1 to 1000000, got 0"),
         ({"density": 5}, "density must be a Quantity"),
@@ -317,7 +321,7 @@ def test_chart(table):
     np.testing.assert_allclose(widths.sum(axis=0), 1)
     np.testing.assert_allclose(widths[0], table["usable"] / table["positioners"])
     assert {bar.get_height() for bar in bars} == {0.5}
-    assert ax.get_yticklabels()[0].get_text() == "mine, lamost"
+    assert ax.get_yticklabels()[0].get_text() == "mine, lamost_rule"
     assert "hatch" in bars[len(table)].properties()
     assert bars[len(table)].get_hatch()
     assert f"{table['loss'][0]:.3f}" in {t.get_text() for t in ax.texts}
@@ -357,7 +361,7 @@ def test_command(run, tmp_path):
     assert (code, err) == (0, "")
     table = QTable.read(output)
     assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]
-    assert f"{row_of(table, 'short', 'lamost')['loss']:.4g}" in out
+    assert f"{row_of(table, 'short', 'lamost_rule')['loss']:.4g}" in out
     assert "numbers of targets and values per field or solid angle cannot" in " ".join(out.split())
     assert plot.stat().st_size > 5000
     code, out, err = run("compare", "pfs", "--output", output)

@@ -93,7 +93,7 @@ def test_short_forms_and_constraints_are_the_same_options():
 
 def test_replaced_options_keep_or_drop_each_constraint_once():
     options = rs.AllocationOptions("optimal", constraints=["sky=2", "keep_out 95 23 0.01", Faint(17)])
-    assert replace(options, allocator="lamost").all_constraints == options.all_constraints
+    assert replace(options, allocator="lamost_rule").all_constraints == options.all_constraints
     assert replace(options, keep_out=()).all_constraints == (rs.Requirement("sky", 2), Faint(17))
     assert replace(options, requirements=()).counts == ()
     assert options.without_counts().all_constraints[-1] == Faint(17)

@@ -13,7 +13,7 @@ from astropy.table import QTable
 import rfpsurvey as rs
 
 CENTER = SkyCoord("6h20m +23d")
-ALLOCATORS = ("balanced", "nearest", "lamost", "sdss", "optimal", "repair")
+ALLOCATORS = ("balanced", "nearest", "lamost_rule", "network_flow", "optimal", "repair")
 
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "plugin" / "rfpsurvey_example" / "constraints.py"
@@ -153,20 +153,20 @@ def test_a_catalog_in_partitions_gives_the_same_survey(sky, small, tiles, tmp_pa
 def test_joint_plans_exclude_the_same_targets(sky, small, tiles):
     science = sky[np.flatnonzero(sky.kind == "science")]
     wrong = excluded(science)
-    survey = rs.plan_survey(science, small, tiles, allocator=options("optimal"), order="joint")
+    survey = rs.plan_survey(science, small, tiles, allocator=rs.JointOptions(allocator=options("optimal")))
     assert not wrong[np.asarray(survey.targets["target_row"])].any()
 
 
 def test_placed_tiles_serve_only_targets_that_are_not_excluded(sky, small):
-    tiling = rs.place_tiles(sky, small, method="max_density", allocator=options("lamost"), n_tiles=2)
-    survey = rs.plan_survey(sky, small, tiling, allocator=options("lamost"))
-    plain = rs.place_tiles(sky, small, method="max_density", allocator="lamost", n_tiles=2)
+    tiling = rs.place_tiles(sky, small, method="max_density", allocator=options("lamost_rule"), n_tiles=2)
+    survey = rs.plan_survey(sky, small, tiling, allocator=options("lamost_rule"))
+    plain = rs.place_tiles(sky, small, method="max_density", allocator="lamost_rule", n_tiles=2)
     served = survey.summary["n_visits_observed"]
     assert tiling.summary["n_observed"] == served
     assert 0 < served < plain.summary["n_observed"]
 
 
-@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced", "optimal"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "balanced", "optimal"])
 def test_no_realization_selects_an_excluded_target(sky, small, tiles, allocator):
     found = rs.selection_probabilities(sky, small, tiles, 4, allocator=options(allocator))
     times = found.n_observed
@@ -205,7 +205,7 @@ def test_a_score_states_which_targets_are_excluded(sky, small):
 
 def test_collision_probabilities_refuse_constraints(small):
     with pytest.raises(rs.InputError, match="no other constraints, since a collision probability describes random"):
-        rs.collision_probability(small.focal_plane, method="monte_carlo", allocator=options("lamost"))
+        rs.collision_probability(small.focal_plane, method="monte_carlo", allocator=options("lamost_rule"))
 
 
 @pytest.mark.parametrize(

@@ -45,14 +45,14 @@ def sky(small):
     return rs.Catalog(sky.coord, kind=np.where(rng.random(400) < fraction, "sky", "science"))
 
 
-@pytest.mark.parametrize("allocator", ["lamost", "sdss", "optimal", "repair"])
+@pytest.mark.parametrize("allocator", ["lamost_rule", "network_flow", "optimal", "repair"])
 def test_every_quadrant_has_its_sky_fibers(sky, small, allocator):
     asked = rs.AllocationOptions(allocator, constraints=SkyInQuadrants(2, 4))
     tile = rs.plan_tile(sky, small, CENTER, allocator=asked)
     place = quadrant(small.focal_plane.arrays.xy)
     n = np.bincount(place[np.asarray(tile.table["kind"]) == "sky"], minlength=4)
     assert (n >= 2).all()
-    assert allocator == "lamost" or (n <= 4).all()  # lamost ignores maxima
+    assert allocator == "lamost_rule" or (n <= 4).all()  # lamost ignores maxima
     assert bool(tile.summary["unmet"]) == (n > 4).any()
     assert tile.provenance["parameters"]["constraints"] == ["sky_in_quadrants 2 4"]
     plain = rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions(allocator, requirements=["sky=8-16"]))

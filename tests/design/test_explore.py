@@ -151,7 +151,7 @@ def test_the_gap_of_a_search_that_is_cut_short_contains_the_optimum(rng):
     plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=25.6 * MM)
     for _ in range(4):
         points = rng.uniform(-150, 150, (90, 2)) * MM
-        blind = rs.allocate(plane, points, allocator="sdss")
+        blind = rs.allocate(plane, points, allocator="network_flow")
         cut, best = (
             rs.allocate(plane, points, allocator=rs.AllocationOptions("optimal", time_limit=limit))
             for limit in (1 * u.ms, 60 * u.s)

@@ -49,7 +49,9 @@ def survey():
     sky = rs.synthetic_catalog("poisson", CENTER, 1 * u.deg, density=100 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     tiles = QTable({"ra": [94.7, 95.3, 94.7, 95.3] * u.deg, "dec": [23, 23, 23.3, 23.3] * u.deg, "pass": [1, 1, 2, 2]})
-    return rs.plan_survey(sky, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg), tiles, allocator="lamost")
+    return rs.plan_survey(
+        sky, rs.Instrument("small", plane, plate_scale=200 * u.mm / u.deg), tiles, allocator="lamost_rule"
+    )
 
 
 @kept
@@ -87,7 +89,7 @@ def classes():
         priority=rng.integers(1, 4, n),
         extra={"g": rng.normal(18, 1, n) * u.mag},
     )
-    asked = rs.AllocationOptions("lamost", requirements=["sky=30", "standard=20"])
+    asked = rs.AllocationOptions("lamost_rule", requirements=["sky=30", "standard=20"])
     return rs.plan_tile(sky, "sdss_apo", CENTER, allocator=asked)
 
 
@@ -154,7 +156,7 @@ def test_residuals():
 def test_allocators():
     table = QTable(
         {
-            "allocator": ["balanced", "sdss", "optimal"],
+            "allocator": ["balanced", "network_flow", "optimal"],
             "science": [820, 900, 860],
             "usable": [640, 655, 860],
             "missing": [12, 0, 0],

@@ -136,7 +136,7 @@ def test_collisions_of_arms_along_their_mechanical_axis():
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize("zero_points", [False, True])
-@pytest.mark.parametrize("allocator", ["nearest", "balanced", "sdss", "repair", "optimal"])
+@pytest.mark.parametrize("allocator", ["nearest", "balanced", "network_flow", "repair", "optimal"])
 def test_tiles_are_those_of_the_same_instrument_without_columns(allocator, zero_points):
     zero = np.random.default_rng(0).uniform(-170, 170, (N, 2)) * [1, 0.01] * DEG if zero_points else None
     built = same_as_preset(zero_points=zero)

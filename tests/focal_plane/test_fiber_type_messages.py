@@ -47,7 +47,7 @@ def test_no_message_ends_with_an_empty_list(presets):
         lambda: plain.inverse(CENTERS, ["BOSS", ""]),
         lambda: rs.find_collisions(plain, CENTERS, fiber_type=["BOSS", ""]),
         lambda: rs.Instrument("mine", plain, distortion={"BOSS": radial}),
-        lambda: rs.allocate(plain, CENTERS, allocator=rs.AllocationOptions("lamost", requirements="sky@BOSS=1")),
+        lambda: rs.allocate(plain, CENTERS, allocator=rs.AllocationOptions("lamost_rule", requirements="sky@BOSS=1")),
     ):
         with pytest.raises(rs.InputError, match="'BOSS': the positioners have no fiber types; the"):
             call()

@@ -23,12 +23,12 @@ def allocate(plane, xy, allocator="balanced", **options):
     return rs.allocate(plane, xy, allocator=allocator, **others)
 
 
-def plan_tile(catalog, instrument, center, allocator="lamost", **options):
+def plan_tile(catalog, instrument, center, allocator="lamost_rule", **options):
     allocator, others = split(allocator, options)
     return rs.plan_tile(catalog, instrument, center, allocator=allocator, **others)
 
 
-def plan_survey(catalog, instrument, tiling, allocator="lamost", **options):
+def plan_survey(catalog, instrument, tiling, allocator="lamost_rule", **options):
     allocator, others = split(allocator, options)
     return rs.plan_survey(catalog, instrument, tiling, allocator=allocator, **others)
 

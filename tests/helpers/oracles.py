@@ -87,7 +87,7 @@ def balanced_owner(xy, centers, reaches):
 
 
 def lamost_target(xy, centers, reaches, priority, place=None):
-    """Return the target of each positioner by a literal implementation of ``lamost``.
+    """Return the target of each positioner by a literal implementation of ``lamost_rule``.
 
     A positioner nominates the target with the smallest ``place``; without it, the nearest target.
     """

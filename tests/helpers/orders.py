@@ -52,7 +52,7 @@ def balanced(xy, centers, reaches, order, priority):
     return [(list(plan), 1.0 / len(plans)) for plan in plans]
 
 
-RULES = {"nearest": nearest, "lamost": lamost, "balanced": balanced}
+RULES = {"nearest": nearest, "lamost_rule": lamost, "balanced": balanced}
 
 
 def reaches_of(plane, xy):

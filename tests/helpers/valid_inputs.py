@@ -216,7 +216,7 @@ def _checkpoints(folder: Path, small: rs.Instrument) -> list[Sample]:
         plan(path, resume=True)
 
     def resume_joint(path):
-        plan(path, resume=True, allocator="optimal", order=SEARCH)
+        plan(path, resume=True, allocator=SEARCH)
 
     def select(path, **options):
         found = rs.selection_probabilities(catalog, small, tiles, 40, folder=path, **options)
@@ -227,7 +227,7 @@ def _checkpoints(folder: Path, small: rs.Instrument) -> list[Sample]:
         repr(found), found.table, found.provenance
 
     plan(folder / "unfinished")
-    plan(folder / "joint", allocator="optimal", order=SEARCH)
+    plan(folder / "joint", allocator=SEARCH)
     select(folder / "selection")
     _stop(folder / "begun", select)
     for name, read in (("unfinished", resume), ("joint", resume_joint), ("joint", rs.Survey.read)):

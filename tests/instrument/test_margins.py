@@ -114,7 +114,7 @@ def test_surveys_and_tilings_state_their_margins(tmp_path):
     assert survey.summary["margins"] == "outer 0.5 mm"
     assert "margins" not in plain.summary
     assert survey.summary["n_visits_observed"] < plain.summary["n_visits_observed"]
-    joint = rs.plan_survey(sky, margined, tiles, order="joint", allocator="optimal")
+    joint = rs.plan_survey(sky, margined, tiles, allocator="joint")
     assert joint.summary["margins"] == "outer 0.5 mm"
     assert survey.summary["n_visits_observed"] <= joint.summary["n_visits_observed"]
     for k, center in enumerate(tiles):
@@ -125,7 +125,7 @@ def test_surveys_and_tilings_state_their_margins(tmp_path):
         assert np.hypot(*(tips - margined.focal_plane.xy[rows]).T).max() <= 5.5 * u.mm
     chances = rs.selection_probabilities(sky, margined, tiles, 8)
     assert "Margins: 0.5 mm from the outer edges" in chances.summary["model"]
-    tiling = rs.place_tiles(sky, margined, allocator="lamost", method="max_density", n_tiles=1)
+    tiling = rs.place_tiles(sky, margined, allocator="lamost_rule", method="max_density", n_tiles=1)
     assert tiling.summary["margins"] == "outer 0.5 mm"
 
 

@@ -150,7 +150,7 @@ def test_only_fibers_that_are_not_broken_observe_blank_sky(small):
     target = small.projection(center).to_sky(edge)
     pose = {"theta": [10, 10], "phi": [60, 60]}
     table = Table({"id": [4, 9], "state": ["broken", "stuck"], **pose})
-    options = rs.AllocationOptions("lamost", requirements="sky=10", sky_separation=5 * u.arcsec)
+    options = rs.AllocationOptions("lamost_rule", requirements="sky=10", sky_separation=5 * u.arcsec)
     tile = rs.plan_tile(target, small.with_states(table), center, allocator=options)
     kinds = dict(zip(tile.table["id"].tolist(), tile.table["kind"].tolist(), strict=True))
     assert (kinds[4], kinds[9]) == ("", "sky")

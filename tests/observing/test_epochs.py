@@ -65,7 +65,7 @@ def test_a_tile_is_planned_at_the_time_of_its_conditions(table, catalog, presets
     assert tile.provenance["parameters"]["epoch_asked"] is None
     assert tile.summary["epoch"] == "the targets are moved to J2026.039, the time of the observing conditions"
     comparison, tiles = rs.compare_allocators(
-        catalog, presets["sdss_apo"], CENTER, allocators=["lamost"], conditions=conditions_at(), return_tiles=True
+        catalog, presets["sdss_apo"], CENTER, allocators=["lamost_rule"], conditions=conditions_at(), return_tiles=True
     )
     assert comparison.meta["parameters"]["epoch"] == "J2026.039"
     assert tiles["lamost"].summary["epoch"] == tile.summary["epoch"]
@@ -127,7 +127,7 @@ def test_each_tile_of_a_survey_is_planned_at_its_time(table, catalog, presets, t
 
 
 def test_joint_plans_and_probabilities_move_targets_to_the_times_of_the_tiles(table, catalog, tiling, small, tmp_path):
-    joint = rs.plan_survey(catalog, small, tiling, allocator="optimal", order="joint")
+    joint = rs.plan_survey(catalog, small, tiling, allocator="joint")
     for time, name in zip(TIMES, joint.tiles["tile"], strict=True):
         visits = joint.tile(name)
         check_places(visits, visits["target_id"], places(table, time))

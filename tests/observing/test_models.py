@@ -201,7 +201,7 @@ def test_a_tile_has_the_positions_of_its_conditions(presets, catalog, tmp_path):
 
 def test_a_plan_is_scored_under_its_conditions(presets, catalog):
     instrument, conditions = presets["sdss_apo"], conditions_at()
-    tile = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions, allocator="lamost")
+    tile = rs.plan_tile(catalog, instrument, CENTER, conditions=conditions, allocator="lamost_rule")
     rows = tile.table[tile["status"] == "assigned"]
     plan = rows["id", "target_id", "ra", "dec", "fiber_type"]
     given = {"center": CENTER, "position_angle": 0 * u.deg, "positions": "sky", "columns": {"positioner": "id"}}

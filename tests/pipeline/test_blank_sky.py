@@ -14,7 +14,7 @@ from oracles import tangent_plane_mm
 
 MM = u.mm
 CENTER = SkyCoord(95, 23, unit="deg")
-FILLING = ["lamost", "sdss", "optimal", "repair"]
+FILLING = ["lamost_rule", "network_flow", "optimal", "repair"]
 
 
 def wide_catalog(instrument, rng, text):
@@ -31,7 +31,7 @@ def wide_catalog(instrument, rng, text):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("text", [False, True])
-@pytest.mark.parametrize("allocator", ["lamost", "sdss"])
+@pytest.mark.parametrize("allocator", ["lamost_rule", "network_flow"])
 @pytest.mark.parametrize("name", ["lamost", "sdss_apo"])
 def test_a_tile_holds_what_the_instrument_needs(presets, name, allocator, text, rng, tmp_path):
     instrument, turn, separation = presets[name], 33 * u.deg, 12 * u.arcsec
@@ -52,7 +52,7 @@ def test_a_tile_holds_what_the_instrument_needs(presets, name, allocator, text, 
         for place in range(1, 17) if 0 not in t["spectrograph"] else range(16):
             here = t["kind"][t["spectrograph"] == place]
             assert (here == "sky").sum() == 20
-            assert (here == "standard").sum() == 5 if allocator == "lamost" else (here == "standard").sum() >= 5
+            assert (here == "standard").sum() == 5 if allocator == "lamost_rule" else (here == "standard").sum() >= 5
     else:
         for kind, fiber, n in (
             ("sky", "BOSS", 50),
@@ -104,7 +104,7 @@ def test_names_of_found_sky_are_new(small, ids, tmp_path):
         rs.Catalog(coord, id=ids),
         small,
         CENTER,
-        allocator=rs.AllocationOptions("sdss", requirements="sky=12", sky_separation=4 * MM),
+        allocator=rs.AllocationOptions("network_flow", requirements="sky=12", sky_separation=4 * MM),
     )
     t = tile.table
     assert tile.summary["unmet"] == []
@@ -128,7 +128,7 @@ def test_names_of_more_than_a_hundred_sky_positions_are_new(presets):
         catalog,
         presets["lamost"],
         CENTER,
-        allocator=rs.AllocationOptions("lamost", requirements="sky=120", sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=120", sky_separation=10 * u.arcsec),
     )
     names = tile.table["target_id"][tile.table["kind"] == "sky"].tolist()
     assert len(names) == 120
@@ -139,7 +139,10 @@ def test_names_of_found_sky_are_new_where_the_catalog_has_such_names(small):
     coord = SkyCoord([95, 95.05], [23.02, 23], unit="deg")
     catalog = rs.Catalog(coord, id=["blank-sky-0", "blank-sky-3"])
     tile = rs.plan_tile(
-        catalog, small, CENTER, allocator=rs.AllocationOptions("lamost", requirements="sky=5", sky_separation=4 * MM)
+        catalog,
+        small,
+        CENTER,
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=5", sky_separation=4 * MM),
     )
     names = tile.table["target_id"][tile.table["status"] == "assigned"].tolist()
     assert len(set(names)) == len(names)
@@ -152,7 +155,7 @@ def test_a_separation_in_a_real_field(tycho, presets):
         catalog,
         presets["lamost"],
         center,
-        allocator=rs.AllocationOptions("lamost", requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=20/spectrograph", sky_separation=10 * u.arcsec),
     )
     blank = tile.table["kind"] == "sky"
     assert tile.summary["unmet"] == []

@@ -161,7 +161,7 @@ def check(name, allocator, monkeypatch):
         alone = replace(catalog, subpriority=None)  # a joint plan does not use the subpriorities of the catalog
         if options.get("subpriority") is None:
             expected = by_tile(alone, instrument, tiling, asked)
-            assert by_survey(catalog, instrument, tiling, asked, order="joint") == expected
+            assert by_survey(catalog, instrument, tiling, rs.JointOptions(allocator=asked)) == expected
     if options.get("subpriority") is None:
         seeded = replace(asked, subpriority=SEED)
         observed, lost = by_tile(catalog, instrument, tiling, seeded)
@@ -173,7 +173,7 @@ def check(name, allocator, monkeypatch):
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "everything"])
 def test_the_same_targets_are_observed_in_each_case(name, monkeypatch):
-    check(name, "lamost", monkeypatch)
+    check(name, "lamost_rule", monkeypatch)
 
 
 @pytest.mark.parametrize("allocator", ALLOCATORS)
@@ -185,7 +185,7 @@ def test_the_same_targets_are_observed_by_each_allocator(allocator, monkeypatch)
 def test_added_sky_positions_of_a_tile_avoid_targets_without_requested_visits():
     """Regression: `plan_tile` ignored targets with 0 visits when it added sky positions between the targets."""
     catalog, instrument, _, _ = make_case("visits")
-    asked = rs.AllocationOptions("lamost", requirements="sky=12", sky_separation=6 * u.mm)
+    asked = rs.AllocationOptions("lamost_rule", requirements="sky=12", sky_separation=6 * u.mm)
     tile = rs.plan_tile(catalog, instrument, CENTER, allocator=asked)
     table = tile.table[np.asarray(tile.table["kind"]) == "sky"]
     assert len(table) >= 8

@@ -130,7 +130,7 @@ def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     center = SkyCoord(170 * u.deg, -7 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, density=900 / u.deg**2, rng=5)
     sky = rs.Catalog(sky.coord, id=np.arange(1, len(sky) + 1), epoch=2026.5)
-    tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg, allocator="lamost")
+    tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg, allocator="lamost_rule")
     with pytest.warns(rs.errors.RfpsurveyWarning, match="without the columns theta, phi"):
         plans.write_plan(tile, tmp_path / "tile.fits", format="fiberassign")
     plan = plans.read_plan(tmp_path / "tile.fits")
@@ -349,7 +349,7 @@ def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_dat
     desi = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
     center = SkyCoord(95 * u.deg, 23 * u.deg)
     stars = rs.Catalog.read(tycho)
-    tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center, allocator="lamost")
+    tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center, allocator="lamost_rule")
     with pytest.warns(rs.errors.RfpsurveyWarning, match="cannot hold"):
         plans.write_plan(tile, tmp_path / "tile.fits.gz", format="fiberassign")
     again = rs.score_tile(plans.read_plan(tmp_path / "tile.fits.gz"), desi)

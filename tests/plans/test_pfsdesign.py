@@ -161,7 +161,7 @@ def test_a_design_with_an_epoch_as_text_is_a_catalog(presets, tmp_path):
 def test_a_tile_becomes_a_design_with_the_same_assignment_and_collisions(presets, tmp_path):
     pfs, center = presets["pfs"], SkyCoord(150 * u.deg, 2 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=3000, rng=2)
-    tile = rs.plan_tile(sky, pfs, center, position_angle=30 * u.deg, allocator="lamost")
+    tile = rs.plan_tile(sky, pfs, center, position_angle=30 * u.deg, allocator="lamost_rule")
     path = tmp_path / "d.fits"
     with pytest.warns(rs.RfpsurveyWarning, match="without the columns theta, phi"):
         rs.plans.write_plan(tile, path, format="pfsdesign")

@@ -40,7 +40,7 @@ def sky():
 @pytest.mark.parametrize("position_angle", [0, 30, 200])
 def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sky, position_angle, orientation):
     apo = presets["sdss_apo"]
-    tile = rs.plan_tile(sky, apo, CENTER, position_angle=position_angle * u.deg, allocator="lamost")
+    tile = rs.plan_tile(sky, apo, CENTER, position_angle=position_angle * u.deg, allocator="lamost_rule")
     for draw in (rs.plot.plot_focal_plane, rs.plot.plot_collision_map):
         ax = draw(tile, orientation=orientation)
         found = arrows(ax)

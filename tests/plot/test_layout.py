@@ -27,7 +27,7 @@ def results(presets, small):
     instruments = QTable(
         {
             "instrument": ["a_long_name_of_one", "a_long_name_of_one", "short"],
-            "allocator": ["lamost", "optimal", "sdss"],
+            "allocator": ["lamost_rule", "optimal", "network_flow"],
             "positioners": [500] * 3,
             "assigned": [400, 400, 480],
             "usable": [300, 400, 470],
@@ -77,10 +77,10 @@ def results(presets, small):
         meta={"instrument": "mine"},
     )
     return {
-        "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg, allocator="lamost"),
-        "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER, allocator="lamost"),
+        "tile": rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=123.456 * u.deg, allocator="lamost_rule"),
+        "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER, allocator="lamost_rule"),
         "targets": sky,
-        "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost"),
+        "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost_rule"),
         "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
         "instruments": instruments,
         "allocators": allocators,

@@ -19,7 +19,7 @@ CENTER = SkyCoord(95, 23, unit="deg")
 @pytest.fixture(scope="module")
 def tile(presets):
     sky = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=100 / u.deg**2, rng=3)
-    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator="lamost")
+    return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator="lamost_rule")
 
 
 def artists(ax, kind, color):
@@ -138,7 +138,7 @@ def test_only_fiber_tips_are_shaded_where_only_they_collide(small):
         rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=200, rng=1),
         replace(small, focal_plane=plane),
         CENTER,
-        allocator="lamost",
+        allocator="lamost_rule",
     )
     t = tile.table[(tile.table["status"] == "assigned") & ~tile.table["in_collision"]]
     bodies = np.array(

@@ -29,7 +29,7 @@ def sky():
 
 @pytest.fixture(scope="module")
 def tile(presets, sky):
-    asked = rs.AllocationOptions("lamost", requirements="instrument", sky_separation=20 * u.arcsec)
+    asked = rs.AllocationOptions("lamost_rule", requirements="instrument", sky_separation=20 * u.arcsec)
     return rs.plan_tile(sky, presets["lamost"], CENTER, allocator=asked)
 
 
@@ -79,7 +79,7 @@ def test_fibers_in_each_spectrograph_with_what_is_required(tile):
 
 
 def test_requirements_on_categories_and_on_the_whole_tile(presets, sky):
-    asked = rs.AllocationOptions("lamost", requirements=["qso=30", "standard=12/spectrograph"])
+    asked = rs.AllocationOptions("lamost_rule", requirements=["qso=30", "standard=12/spectrograph"])
     ax = rs.plot.plot_quality(rs.plan_tile(sky, presets["lamost"], CENTER, allocator=asked))[1]
     assert any(text.startswith("qso: ") and text.endswith("(at least 30 required)") for text in words(ax))
     assert [c.get_segments()[0][0, 1] for c in ax.collections if isinstance(c, LineCollection)] == [12]
@@ -160,7 +160,7 @@ def test_what_cannot_be_drawn_is_refused(tile, presets):
 @pytest.fixture(scope="module")
 def survey(presets, sky):
     tiles = QTable({"ra": [94.5, 95.5, 95.0] * u.deg, "dec": [23.0, 23.0, 23.4] * u.deg, "pass": [4, 4, 2]})
-    asked = rs.AllocationOptions("lamost", requirements="standard=20")
+    asked = rs.AllocationOptions("lamost_rule", requirements="standard=20")
     return rs.plan_survey(sky, presets["sdss_apo"], tiles, allocator=asked, passes=[4, 2])
 
 
@@ -223,7 +223,7 @@ def test_many_classes_and_passes_of_a_survey_share_bars_and_colors(presets, sky)
 @pytest.mark.parametrize("kind", ["science", "sky"])
 def test_a_tile_with_one_target_is_drawn(presets, kind):
     one = rs.Catalog(SkyCoord([95.05] * u.deg, [23.05] * u.deg), kind=[kind])
-    asked = rs.AllocationOptions("lamost", requirements=["sky=2"])
+    asked = rs.AllocationOptions("lamost_rule", requirements=["sky=2"])
     axes = rs.plot.plot_quality(rs.plan_tile(one, presets["moons"], CENTER, allocator=asked))
     axes[0].figure.draw_without_rendering()
     assert "1 of 1" in [text.get_text() for text in axes[0].texts]

@@ -37,7 +37,7 @@ def sky():
 
 @pytest.fixture(scope="module")
 def tile(presets, sky):
-    asked = rs.AllocationOptions("lamost", requirements=["sky=60", "standard=15"], sky_separation=SKY_SEPARATION)
+    asked = rs.AllocationOptions("lamost_rule", requirements=["sky=60", "standard=15"], sky_separation=SKY_SEPARATION)
     return rs.plan_tile(sky, presets["sdss_apo"], CENTER, position_angle=20 * u.deg, allocator=asked)
 
 

@@ -64,7 +64,7 @@ SETTINGS = {
     "troubles": (with_troubles(sdss_like()), {}, 300, 3000),
     "troubles of equal arms": (with_troubles(lamost_like()), {"n_targets": 60}, 600, 3000),
     "both hands": (both_hands(), {"n_targets": 60}, 160, 400),
-    "rule of lamost": (sdss_like(2), {"n_targets": 40, "allocator": "lamost"}, 120, 120),
+    "rule of lamost": (sdss_like(2), {"n_targets": 40, "allocator": "lamost_rule"}, 120, 120),
     "poisson": (lamost_like(2), {"n_targets": 20, "targets": "poisson"}, 1200, 3000),
     "few entries of long queues": (lamost_like(2), {"n_targets": 400, "most_entries": 3}, 600, 3000),
     "discs": (lamost_like(), {"n_targets": 150, "targets": "poisson_disc", "min_separation": 7 * MM}, 300, 3000),
@@ -188,8 +188,8 @@ def test_iterations_are_the_public_way_through_allocation_and_collisions(name, m
         skies.append(rng.uniform(-20, 45, (rng.integers(1, 8), 2)) * MM)
         return skies[-1]
 
-    got = flat.collision_probability(plane, method=method, targets=sampler, allocator="lamost", max_iterations=70)
-    reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in skies]
+    got = flat.collision_probability(plane, method=method, targets=sampler, allocator="lamost_rule", max_iterations=70)
+    reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule")) for xy in skies]
     assert len(reports) == got.n == 70
     reports = [r for r in reports if r.counted.any()]
     rates = np.array([r.rate for r in reports])
@@ -311,7 +311,7 @@ def test_auto_takes_the_method_of_the_estimand():
     for options, name in (
         ({}, "conditional"),
         ({"estimand": "allocated"}, "conditional"),
-        ({"allocator": "lamost"}, "monte_carlo"),
+        ({"allocator": "lamost_rule"}, "monte_carlo"),
         ({"estimand": "independent"}, "quadrature"),
         ({"estimand": "independent", "density": "voronoi"}, "quadrature"),
     ):

@@ -183,7 +183,10 @@ USERS = "only monte_carlo and conditional use it"
         ({"method": "quadrature", "interval": "bootstrap"}, f"interval has no effect with .* 'quadrature'; {USERS}"),
         ({"method": "quadrature", "stop": "convergence"}, f"stop has no effect with the method 'quadrature'; {USERS}"),
         ({"method": "quadrature", "targets": "poisson"}, f"targets has no effect with .* 'quadrature'; {USERS}"),
-        ({"method": "quadrature", "allocator": "lamost"}, f"allocator has no effect with .* 'quadrature'; {USERS}"),
+        (
+            {"method": "quadrature", "allocator": "lamost_rule"},
+            f"allocator has no effect with .* 'quadrature'; {USERS}",
+        ),
         ({"method": "closed_form", "density": "uniform"}, "density has no effect with .*; only quadrature uses it"),
         (
             {"method": "closed_form", "precision": 0.1},
@@ -196,7 +199,7 @@ USERS = "only monte_carlo and conditional use it"
         ({"center": 3}, "center has no effect because targets is not a Catalog"),
         (
             {"allocator": rs.AllocationOptions("balanced", time_limit=1 * u.s)},
-            "time_limit has no effect with the allocator 'balanced'; only sdss and optimal use it",
+            "time_limit has no effect with the allocator 'balanced'; only network_flow and optimal use it",
         ),
     ],
 )

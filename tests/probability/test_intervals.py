@@ -34,7 +34,7 @@ class Recorder:
 
     def rates(self, plane):
         """Return the rates of one configuration for each sky, computed with public functions."""
-        reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost")) for xy in self.skies]
+        reports = [rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule")) for xy in self.skies]
         return np.array([r.rate for r in reports])
 
 
@@ -80,7 +80,7 @@ def test_quantiles():
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
 def test_the_interval_comes_from_the_scatter_of_iterations(n, confidence):
     plane, sampler = sdss_like(1), Recorder(8, 30)
-    options = {"targets": sampler, "allocator": "lamost", "confidence": confidence, "max_iterations": n}
+    options = {"targets": sampler, "allocator": "lamost_rule", "confidence": confidence, "max_iterations": n}
     got = flat.collision_probability(plane, method="monte_carlo", **options)
     rates = sampler.rates(plane)
     p, error = rates.mean(), rates.std(ddof=1) / np.sqrt(n)
@@ -136,7 +136,7 @@ def test_every_positioner_as_a_trial_of_its_own_is_naive():
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
 def test_bootstrap_is_that_of_scipy(confidence):
     plane, sampler = sdss_like(1), Recorder(8, 30)
-    options = {"targets": sampler, "allocator": "lamost", "confidence": confidence, "max_iterations": 200}
+    options = {"targets": sampler, "allocator": "lamost_rule", "confidence": confidence, "max_iterations": 200}
     got = flat.collision_probability(plane, method="monte_carlo", interval="bootstrap", **options)
     rates = sampler.rates(plane)
     expected = stats.bootstrap(
@@ -173,7 +173,7 @@ def test_convergence_is_three_small_steps_in_a_row():
 def test_convergence_stops_at_the_first_quiet_stretch(method, chunk):
     """Apply the rule to the running mean, which the package tests after each task."""
     plane, sampler, tolerance = sdss_like(1), Recorder(8, 30), 0.004
-    options = {"method": method, "targets": sampler, "allocator": "lamost"}
+    options = {"method": method, "targets": sampler, "allocator": "lamost_rule"}
     got = flat.collision_probability(plane, stop="convergence", precision=tolerance, **options)
     rates = sampler.rates(plane)
     assert len(rates) == got.n
@@ -214,7 +214,7 @@ def test_nor_do_threads_where_python_allocates():
     for plane, options in (
         (sdss_like(1), {"targets": a_few}),
         (both_hands(), {"n_targets": 40}),
-        (sdss_like(1), {"n_targets": 20, "allocator": "lamost", "method": "monte_carlo"}),
+        (sdss_like(1), {"n_targets": 20, "allocator": "lamost_rule", "method": "monte_carlo"}),
         (sdss_like(1), {"targets": np.random.default_rng(2).uniform(-30, 30, (40, 2)) * MM, "most_entries": 2}),
     ):
         here = flat.collision_probability(plane, max_iterations=70, **options)
@@ -332,9 +332,9 @@ def test_queues_of_one_leave_nothing_to_average():
 def test_a_sampler_that_always_says_the_same_has_an_error(method, n):
     """The iterations do not scatter, but the value of other targets is uncertain."""
     plane, xy = sdss_like(3), np.random.default_rng(5).uniform(-70, 70, (30, 2)) * MM
-    options = {"targets": lambda rng: xy, "allocator": "lamost", "max_iterations": n}
+    options = {"targets": lambda rng: xy, "allocator": "lamost_rule", "max_iterations": n}
     got = flat.collision_probability(plane, method=method, **options)
-    report = rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost"))
+    report = rs.find_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule"))
     assert 0 < report.rate < 1
     assert got.value == pytest.approx(report.rate)
     assert got.standard_error > 0.01

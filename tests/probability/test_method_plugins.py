@@ -84,7 +84,7 @@ def test_an_error_gives_an_interval(small):
 
 def test_simulations_take_allocators_of_others(small, hers):
     options = {"method": "auto", "n_targets": 100, "max_iterations": 20}
-    usual = flat.collision_probability(small, allocator="lamost", **options)
+    usual = flat.collision_probability(small, allocator="lamost_rule", **options)
     mine = flat.collision_probability(small, allocator="begin", **options)
     assert (mine.value, mine.method) == (usual.value, "monte_carlo")
     assert mine.meta["software"] == {"hers": "1.0"}

@@ -304,7 +304,7 @@ def test_allocations_have_to_fit(rng):
     xy = rng.uniform(-30, 30, (20, 2)) * MM
     plane = lamost_like(1)
     with pytest.raises(rs.InputError, match="density must be Allocations with queues"):
-        rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost"))
+        rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost_rule"))
     with pytest.raises(rs.InputError, match="for the 19 positioners of the focal plane, got .* for 7"):
         rs.collision_probability(
             lamost_like(2), method="quadrature", density=rs.allocate(plane, xy, allocator="balanced")

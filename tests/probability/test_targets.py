@@ -216,7 +216,7 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
         catalog = rs.Catalog(coord, priority=wanted)
         for method in ("conditional", "monte_carlo"):
             got = flat.collision_probability(
-                instrument, method=method, targets=catalog, center=CENTER, allocator="lamost", max_iterations=2
+                instrument, method=method, targets=catalog, center=CENTER, allocator="lamost_rule", max_iterations=2
             )
             assert got.pairs_per_positioner == pytest.approx(values[-1][0])
             np.testing.assert_allclose(got.per_positioner, values[-1][1], atol=1e-12)
@@ -285,7 +285,10 @@ def test_an_empty_catalog_has_no_mean_direction():
     [
         ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
         ({"targets": "uniform", "n_targets": 8}, "monte_carlo, since there are fewer than 2 targets per positioner"),
-        ({"targets": "uniform", "n_targets": 100, "allocator": "lamost"}, "monte_carlo, since this allocator makes no"),
+        (
+            {"targets": "uniform", "n_targets": 100, "allocator": "lamost_rule"},
+            "monte_carlo, since this allocator makes no",
+        ),
         ({"estimand": "independent"}, "quadrature, the cheapest method with an error estimate for independent"),
         ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as requested"),
     ],
@@ -320,7 +323,7 @@ def test_a_kind_and_a_standard_error_are_short_for_options():
 )
 def test_options_of_targets_other_than_science_are_refused(options):
     with pytest.raises(rs.InputError, match="allocator must have no requirements and no sky_separation"):
-        rs.collision_probability(lamost_like(1), allocator=rs.AllocationOptions("lamost", **options))
+        rs.collision_probability(lamost_like(1), allocator=rs.AllocationOptions("lamost_rule", **options))
 
 
 def test_the_separation_of_random_targets_is_a_length():

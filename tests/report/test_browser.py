@@ -131,13 +131,13 @@ def write_page(kind, folder, small):
     """Write the page of a small result."""
     sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=200 / u.deg**2, rng=3)
     if kind == "tile":
-        result = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost")
+        result = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost_rule")
     elif kind == "survey":
-        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost")
+        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost_rule")
     elif kind == "tiling":
         result = rs.place_tiles(sky, small, passes=2)
     elif kind == "allocators":
-        result = rs.compare_allocators(sky, small, CENTER, allocators=["lamost", "nearest", "repair"])
+        result = rs.compare_allocators(sky, small, CENTER, allocators=["lamost_rule", "nearest", "repair"])
     else:
         result = flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1)
     path = folder / f"{kind}.html"

@@ -26,15 +26,15 @@ def tiles(presets):
     )
     return {
         name: rs.plan_tile(catalog, apo, CENTER, allocator=name, position_angle=30 * u.deg)
-        for name in ("repair", "lamost")
+        for name in ("repair", "lamost_rule")
     }
 
 
 @pytest.fixture(scope="module")
 def files(tiles, write_view, tmp_path_factory):
     folder = tmp_path_factory.mktemp("views")
-    rs.write_report(tiles["lamost"], folder / "one.html")
-    write_view(tiles["repair"], folder / "two.html", plans={"lamost": tiles["lamost"]})
+    rs.write_report(tiles["lamost_rule"], folder / "one.html")
+    write_view(tiles["repair"], folder / "two.html", plans={"lamost_rule": tiles["lamost_rule"]})
     return folder
 
 
@@ -118,7 +118,7 @@ def test_two_fingers_zoom(visit, files):
 
 def test_hovering_shows_the_values_of_the_tile(page, tiles):
     reset(page)
-    row = an_assigned(tiles["lamost"])
+    row = an_assigned(tiles["lamost_rule"])
     page.evaluate(f"(name) => {VIEW}.find(name)", row["id"])
     page.evaluate(f"{VIEW}.choose(-1)")
     page.mouse.move(*point_of(page, row["id"]))
@@ -132,9 +132,11 @@ def test_hovering_shows_the_values_of_the_tile(page, tiles):
 
 def test_a_click_selects_in_the_table_and_back(page, tiles):
     reset(page)
-    row, other = an_assigned(tiles["lamost"]), an_assigned(tiles["lamost"], 200)
+    row, other = an_assigned(tiles["lamost_rule"]), an_assigned(tiles["lamost_rule"], 200)
     page.get_by_text("All assignments", exact=True).click()
-    assert page.locator("tbody tr", has=page.get_by_role("button", name=": select")).count() == len(tiles["lamost"])
+    assert page.locator("tbody tr", has=page.get_by_role("button", name=": select")).count() == len(
+        tiles["lamost_rule"]
+    )
     page.evaluate(f"(name) => {VIEW}.find(name)", row["id"])
     page.evaluate(f"{VIEW}.choose(-1)")
     page.locator("canvas").scroll_into_view_if_needed()
@@ -150,7 +152,7 @@ def test_a_click_selects_in_the_table_and_back(page, tiles):
 
 def test_targets_and_positioners_are_found_by_their_ids(page, tiles):
     reset(page)
-    row = an_assigned(tiles["lamost"])
+    row = an_assigned(tiles["lamost_rule"])
     for text in (row["id"], row["target_id"]):
         page.get_by_label("Search for a positioner").fill(text)
         page.keyboard.press("Enter")
@@ -162,7 +164,7 @@ def test_targets_and_positioners_are_found_by_their_ids(page, tiles):
 
 def test_filters_count_the_positioners_of_the_tile(page, tiles):
     reset(page)
-    table, idle = tiles["lamost"].table, tiles["lamost"].idle
+    table, idle = tiles["lamost_rule"].table, tiles["lamost_rule"].idle
     expected = {"collision": table["in_collision"].sum(), "idle": (table["status"] == "idle").sum()}
     expected |= {f"reason {k}": (idle["reason"] == text).sum() for k, text in enumerate(IDLE_REASONS)}
     expected |= {f"category {c}": ((table["category"] == c) & (table["status"] == "assigned")).sum() for c in "ab"}
@@ -231,7 +233,7 @@ def test_the_keyboard_selects_neighbors_and_opens_the_table(page, tiles):
 
 def test_differences_of_two_plans_are_those_of_their_tables(visit, files, tiles):
     page = visit(files / "two.html")
-    a, b = (np.ma.filled(tiles[name].table["target_id"], "").tolist() for name in ("repair", "lamost"))
+    a, b = (np.ma.filled(tiles[name].table["target_id"], "").tolist() for name in ("repair", "lamost_rule"))
     kinds = [
         "same" if x == y else "first" if not y else "second" if not x else "other" for x, y in zip(a, b, strict=True)
     ]
@@ -241,7 +243,7 @@ def test_differences_of_two_plans_are_those_of_their_tables(visit, files, tiles)
     assert page.locator(".count").first.inner_text().startswith(f"Shown: {500 - kinds.count('same')} of 500")
     page.get_by_label("Compared with").select_option("no other plan")
     assert page.evaluate(f"{VIEW}.compared") is None
-    page.get_by_label("Plan", exact=True).select_option("lamost")
+    page.get_by_label("Plan", exact=True).select_option("lamost_rule")
     assert page.evaluate(f"{VIEW}.plan.target_id") == b
 
 

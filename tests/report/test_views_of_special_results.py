@@ -84,21 +84,21 @@ def test_designs_without_a_loss_are_shown(opened):
 
 def test_the_comparison_of_allocators_contains_their_plans(opened, small):
     sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=60, rng=1)
-    names = ["lamost", "nearest", "repair"]
+    names = ["lamost_rule", "nearest", "repair"]
     table, tiles = rs.compare_allocators(sky, small, CENTER, allocators=names, return_tiles=True)
     assert list(tiles) == names
     assert [tile.summary["n_colliding"] for tile in tiles.values()] == table["colliding"].tolist()
     page = opened(table, plans=tiles)
     assert page.evaluate(f"{VIEW}.plans.map((plan) => plan.name)") == names
     page.get_by_label("Compared with").select_option("repair")
-    expected = [np.ma.filled(tiles[name].table["target_id"], -1) for name in ("lamost", "repair")]
+    expected = [np.ma.filled(tiles[name].table["target_id"], -1) for name in ("lamost_rule", "repair")]
     assert page.evaluate(f"{VIEW}.id.filter((_, k) => {VIEW}.change(k) !== 'same').length") == np.sum(
         expected[0] != expected[1]
     )
 
 
 def test_the_command_writes_the_plans_of_all_allocators(run, tmp_path):
-    options = ["--instrument", "moons", "--allocator", "lamost", "--allocator", "repair"]
+    options = ["--instrument", "moons", "--allocator", "lamost_rule", "--allocator", "repair"]
     code, _, err = run("compare-allocators", *options, "--report", tmp_path / "page.html")
     assert (code, err) == (0, "")
     text = Reader((tmp_path / "page.html").read_text()).text("script")[0]
@@ -110,7 +110,7 @@ def test_colliding_pairs_of_the_view_are_those_of_the_tile(opened, presets):
     """Rounded coordinates of the page differ from those of the tile by less than a micrometer."""
     apo = presets["sdss_apo"]
     sky = rs.synthetic_catalog("poisson", CENTER, apo.field_radius, density=apo.target_density, rng=1)
-    tile = rs.plan_tile(sky, apo, CENTER, allocator="lamost")
+    tile = rs.plan_tile(sky, apo, CENTER, allocator="lamost_rule")
     page = opened(tile)
     for name in ("x", "y", "plan.tip_x", "plan.tip_y", "plan.elbow_x", "plan.elbow_y", "plan.arm_x", "plan.arm_y"):
         shown = np.array(page.evaluate(f"{VIEW}.{name}.map((v) => Number.isNaN(v) ? null : v)"), dtype=float)

@@ -71,7 +71,7 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
     )
     sets = observed_sets(PLANE, xy, rule, visits, priority, lost_in_collision=lost)
     assert sum(sets.values()) == pytest.approx(1)
-    assert len(sets) > 1 or (rule, case) == ("lamost", "priorities")
+    assert len(sets) > 1 or (rule, case) == ("lamost_rule", "priorities")
     check(found, pair_chances(sets, 5))
 
 
@@ -79,9 +79,9 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
 @pytest.mark.parametrize(
     ("allocator", "n"),
     [
-        ("sdss", 60),
+        ("network_flow", 60),
         ("repair", 60),
-        *(pytest.param(name, 2_000, marks=pytest.mark.exhaustive) for name in ("sdss", "optimal", "repair")),
+        *(pytest.param(name, 2_000, marks=pytest.mark.exhaustive) for name in ("network_flow", "optimal", "repair")),
     ],
 )
 def test_rivals_for_one_positioner_are_observed_equally_often(allocator, n):

@@ -98,7 +98,7 @@ def test_one_pass_and_workers(points, instrument, tiles):
 
 def test_positioners_that_collide_in_a_survey_reach_no_point(points, instrument, tiles):
     targets = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=120, rng=5)
-    survey = rs.plan_survey(targets, instrument, tiles, allocator="lamost")
+    survey = rs.plan_survey(targets, instrument, tiles, allocator="lamost_rule")
     lost = {(str(row["tile"]), int(row["positioner"])) for row in survey.targets if row["in_collision"]}
     assert len(lost) > 3
     found = rs.selection.potential_assignments(points, instrument, tiles, survey=survey)
@@ -122,7 +122,7 @@ def test_refusals(points, instrument, tiles):
 
 def test_a_survey_of_other_places_is_refused(points, instrument, tiles):
     """Regression: tiles were compared by identifiers only, so the collisions of rotated tiles were used."""
-    survey = rs.plan_survey(points[:20], instrument, tiles, allocator="lamost")
+    survey = rs.plan_survey(points[:20], instrument, tiles, allocator="lamost_rule")
     for name, change in (("position_angle", 5 * u.deg), ("ra", 0.01 * u.deg)):
         table = tiles.table.copy()
         table[name] = table[name] + [0, 1, 0, 0] * change

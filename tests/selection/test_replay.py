@@ -15,7 +15,7 @@ FEW = ("troubles", "capsules", "both hands")
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "balanced"])
 @pytest.mark.parametrize("text", [False, True])
 def test_rules_with_visits_and_priorities(small, allocator, text):
     sky, tiles = sky_of(1.2, 1500, text=text), tiles_of(0.5)
@@ -26,7 +26,7 @@ def test_rules_with_visits_and_priorities(small, allocator, text):
 
 @pytest.mark.filterwarnings("ignore:required targets never observed")
 @pytest.mark.few(1)
-@pytest.mark.parametrize("allocator", ["nearest", "lamost"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule"])
 def test_fiber_types_kinds_required_targets_and_circles(allocator):
     sky, tiles = sky_of(1.4, 1600, kinds=True, fiber_types=("BOSS", "APOGEE", "")), tiles_of(0.9, 2)
     circles = [rs.Region.cap(where, 0.02 * u.deg) for where in sky.coord[:40]]
@@ -49,9 +49,9 @@ def test_observing_conditions_and_losses_that_count():
 @pytest.mark.parametrize(
     "options",
     [
-        rs.AllocationOptions("lamost", requirements=["standard=3"]),
+        rs.AllocationOptions("lamost_rule", requirements=["standard=3"]),
         rs.AllocationOptions("repair"),
-        rs.AllocationOptions("sdss"),
+        rs.AllocationOptions("network_flow"),
         pytest.param(rs.AllocationOptions("optimal"), marks=pytest.mark.exhaustive),
         pytest.param(
             rs.AllocationOptions("nearest", requirements=["sky=2"], sky_separation=20 * u.arcsec),
@@ -79,7 +79,7 @@ def test_an_allocator_of_another_package(small):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "balanced"])
 @pytest.mark.parametrize(("instrument", "step", "n"), [("moons", 0.3, 60_000), ("desi", 1.4, 60_000)])
 def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
     tiles = tiles_of(step, 5)
@@ -90,7 +90,7 @@ def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
     check(found, sky, instrument, tiles, allocator, range(0, 60, 3))
 
 
-@pytest.mark.parametrize("allocator", ["nearest", pytest.param("lamost", marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("allocator", ["nearest", pytest.param("lamost_rule", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize(
     "scene",
     [scene if scene in FEW else pytest.param(scene, marks=pytest.mark.exhaustive) for scene in SCENES],

@@ -70,7 +70,7 @@ def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
 
 
 @pytest.mark.filterwarnings("ignore:some targets have the same id")
-@pytest.mark.parametrize("allocator", ["nearest", "lamost", "balanced"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "balanced"])
 def test_targets_with_the_same_identifier_are_served_by_row(small, allocator):
     sky, tiles = sky_of(0.8, 800), tiles_of(0.5, 2)
     sky = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 5)

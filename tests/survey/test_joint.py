@@ -31,7 +31,7 @@ def case():
 
 
 def plan(case, **options):
-    return rs.plan_survey(*case, **{"allocator": "optimal", "order": JOINT, **options})
+    return rs.plan_survey(*case, **{"allocator": JOINT, **options})
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +45,13 @@ def rows_of(survey):
 
 def test_a_joint_plan_uses_the_seed(case):
     """A warning stated that the seed has no effect, although the search uses it."""
-    order = rs.JointOptions(iterations=3, patch_size=20)
-    plans = [rows_of(plan(case, order=order, rng=seed)) for seed in (1, 2, 3, 4)]  # a warning would fail the test
+    joint = rs.JointOptions(iterations=3, patch_size=20)
+    plans = [rows_of(plan(case, allocator=joint, rng=seed)) for seed in (1, 2, 3, 4)]  # a warning would fail the test
     assert any(rows != plans[0] for rows in plans)
 
 
 def test_a_joint_plan_makes_more_visits(case, survey):
-    before = plan(case, order="color")
+    before = plan(case, allocator="optimal")
     levels = survey.summary["joint"]["levels"]
     assert levels[-1]["n_visits_before"] == before.summary["n_visits_observed"]
     assert levels[-1]["n_visits"] == survey.summary["n_visits_observed"] > before.summary["n_visits_observed"]
@@ -131,22 +131,22 @@ def test_a_damaged_state_is_not_used(case, survey, tmp_path):
         found = plan(case, folder=folder, resume=True)
     assert rows_of(found) == rows_of(survey)
     with pytest.raises(rs.InputError, match="joint"):
-        plan(case, folder=folder, resume=True, order=rs.JointOptions(iterations=4))
+        plan(case, folder=folder, resume=True, allocator=rs.JointOptions(iterations=4))
 
 
 def test_the_search_ends_at_each_of_its_limits(case):
-    none = plan(case, order=rs.JointOptions(iterations=0)).summary["joint"]
+    none = plan(case, allocator=rs.JointOptions(iterations=0)).summary["joint"]
     assert none["n_iterations"] == 0
     assert none["levels"][-1]["n_visits"] > none["levels"][-1]["n_visits_before"]
-    assert plan(case, order=rs.JointOptions(time_limit=1e-6 * u.s)).summary["joint"]["n_iterations"] == 0
-    wide = plan(case, order=rs.JointOptions(gap=0.5)).summary["joint"]
+    assert plan(case, allocator=rs.JointOptions(time_limit=1e-6 * u.s)).summary["joint"]["n_iterations"] == 0
+    wide = plan(case, allocator=rs.JointOptions(gap=0.5)).summary["joint"]
     assert wide["n_iterations"] == 0
     assert wide["gap"] <= 0.5
 
 
 def test_the_function_inform_receives_the_first_visits_and_bounds(case, survey):
     seen = []
-    plan(case, order=rs.JointOptions(iterations=0, inform=seen.append))
+    plan(case, allocator=rs.JointOptions(iterations=0, inform=seen.append))
     levels = survey.summary["joint"]["levels"]
     assert [one["visits_before"] for one in seen] == [[level["n_visits_before"] for level in levels]]
     assert seen[0]["visits"] == survey.joint["n_visits"][2:4].tolist()
@@ -157,11 +157,10 @@ def test_observed_tiles_are_not_changed(case, tmp_path):
     catalog, instrument, tiles = case
     tiling = rs.Tiling.from_table(QTable({"ra": tiles.ra, "dec": tiles.dec}))
     some = rs.Tiling(tiling.table[:3])
-    before = rs.plan_survey(catalog, instrument, some, allocator="lamost", folder=tmp_path / "observed")
+    before = rs.plan_survey(catalog, instrument, some, allocator="lamost_rule", folder=tmp_path / "observed")
     assert before.summary["n_colliding"] > 0
     for fixed in (before, tmp_path / "observed"):
-        order = rs.JointOptions(iterations=3, patch_size=60, fixed=fixed)
-        found = rs.plan_survey(catalog, instrument, tiling, allocator="optimal", order=order)
+        found = rs.plan_survey(catalog, instrument, tiling, allocator=replace(JOINT, fixed=fixed))
         assert rows_of(found)[:3] == rows_of(before)
         for a, b in zip(found, before, strict=False):
             assert a["observed"].tolist() == b["observed"].tolist()
@@ -177,44 +176,59 @@ def test_a_plan_is_not_continued_with_other_fixed_tiles(case, tmp_path):
     catalog, instrument, tiles = case
     tiling = rs.Tiling.from_table(QTable({"ra": tiles.ra, "dec": tiles.dec}))
     some = rs.Tiling(tiling.table[:1])
-    fixed = [rs.plan_survey(catalog, instrument, some, allocator=name) for name in ("lamost", "nearest")]
+    fixed = [rs.plan_survey(catalog, instrument, some, allocator=name) for name in ("lamost_rule", "nearest")]
     assert rows_of(fixed[0]) != rows_of(fixed[1])
-    options = {"allocator": "optimal", "folder": tmp_path / "plan"}
-    orders = [rs.JointOptions(iterations=0, fixed=one) for one in fixed]
-    first = rs.plan_survey(catalog, instrument, tiling, order=orders[0], **options)
-    again = rs.plan_survey(catalog, instrument, tiling, order=orders[0], resume=True, **options)
+    options = {"folder": tmp_path / "plan"}
+    joint = [rs.JointOptions(iterations=0, fixed=one) for one in fixed]
+    first = rs.plan_survey(catalog, instrument, tiling, allocator=joint[0], **options)
+    again = rs.plan_survey(catalog, instrument, tiling, allocator=joint[0], resume=True, **options)
     assert rows_of(again) == rows_of(first)
     with pytest.raises(rs.InputError, match="joint"):
-        rs.plan_survey(catalog, instrument, tiling, order=orders[1], resume=True, **options)
+        rs.plan_survey(catalog, instrument, tiling, allocator=joint[1], resume=True, **options)
 
 
 def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
     catalog, instrument, tiles = case
     before = rs.plan_survey(catalog, instrument, tiles, allocator="optimal")
-    order = rs.JointOptions(fixed=before)
+    joint = rs.JointOptions(fixed=before)
     with pytest.raises(rs.InputError, match="fixed must be a survey with the instrument 'moons'"):
-        rs.plan_survey(catalog, "moons", tiles, allocator="optimal", order=order)
+        rs.plan_survey(catalog, "moons", tiles, allocator=joint)
     other = rs.Catalog(catalog.coord, id=[f"s{k}" for k in range(len(catalog))], visits=catalog.visits)
     with pytest.raises(rs.InputError, match="targets of this catalog"):
-        rs.plan_survey(other, instrument, tiles, allocator="optimal", order=order)
+        rs.plan_survey(other, instrument, tiles, allocator=joint)
     with pytest.raises(rs.InputError, match="more visits of a target than requested"):
-        rs.plan_survey(catalog, instrument, tiles, allocator="optimal", order=order, visits=0 * catalog.visits)
+        rs.plan_survey(catalog, instrument, tiles, allocator=joint, visits=0 * catalog.visits)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"allocator": "lamost"}, "a joint plan needs the allocator 'optimal', got 'lamost'"),
+        ({"allocator": "lamost_rule"}, "a joint plan needs the allocator 'optimal', got 'lamost_rule'"),
         ({"allocator": rs.AllocationOptions("optimal", objective="count")}, "the objective 'priority', got 'count'"),
         ({"allocator": rs.AllocationOptions("optimal", requirements="sky=3")}, "requirements must not be given"),
         ({"allocator": rs.AllocationOptions("optimal", subpriority=0)}, "subpriority must not be given"),
         ({"allocator": rs.AllocationOptions("optimal", required=[3])}, "required must not be given"),
-        ({"order": "jiont"}, "unknown order 'jiont'; choose one of: color, given, joint"),
     ],
 )
-def test_unsupported_options_are_refused(case, options, message):
+def test_unsupported_options_are_refused(options, message):
     with pytest.raises(rs.InputError, match=message):
-        plan(case, **{"order": "joint", **options})
+        rs.JointOptions(**options)
+
+
+def test_the_order_must_be_known_and_suit_the_plan(case):
+    with pytest.raises(rs.InputError, match="unknown order 'jiont'; choose one of: color, given"):
+        plan(case, allocator="optimal", order="jiont")
+    with pytest.raises(rs.InputError, match="the order must be 'color' for a joint plan, got 'given'"):
+        plan(case, order="given")
+
+
+def test_a_joint_plan_that_is_requested_as_an_order_is_made_with_a_warning(case, survey):
+    """In version 0.2, a joint plan was an order."""
+    for order in (JOINT, "joint"):
+        with pytest.warns(rs.RfpsurveyWarning, match="order='joint' of plan_survey is now called allocator='joint'"):
+            former = plan(case, allocator="optimal", order=order)
+        expected = survey if order is JOINT else plan(case, allocator="joint")
+        assert rows_of(former) == rows_of(expected)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +254,7 @@ def test_circles_that_no_arm_may_cover_are_obstacles_of_a_joint_plan(case):
     catalog, _, _ = case
     circles = [rs.Region.cap(where, 0.02 * u.deg) for where in catalog.coord[:10]]
     options = rs.AllocationOptions("optimal", keep_out=circles)
-    found = plan(case, allocator=options)
+    found = plan(case, allocator=replace(JOINT, allocator=options))
     assert not any(np.asarray(part["in_collision"]).any() for part in found)
     level = found.summary["joint"]["levels"][-1]
     assert level["n_visits_before"] < level["n_visits"] <= level["bound"]
@@ -255,18 +269,16 @@ def test_subpriorities_of_a_catalog_do_not_change_a_joint_plan(case, survey):
     assert rows_of(again) == rows_of(survey)
 
 
-@pytest.mark.parametrize(
-    ("allocator", "order"), [("lamost", "color"), ("repair", "color"), ("optimal", "color"), ("optimal", "joint")]
-)
-def test_a_tile_without_targets_whose_idle_arms_touch(allocator, order):
+@pytest.mark.parametrize("allocator", ["lamost_rule", "repair", "optimal", "joint"])
+def test_a_tile_without_targets_whose_idle_arms_touch(allocator):
     """Regression: the step that separates idle arms failed with an IndexError if a tile had no targets."""
     arms = rs.Positioner(5 * u.mm, 5 * u.mm, 1 * u.mm, home=[0, 120] * u.deg)
     plane = rs.FocalPlane([[0, 0], [1, 0], [40, 0]] * u.mm, arms)
     instrument = rs.Instrument("touching", plane, plate_scale=100 * u.mm / u.deg)
     sky = rs.synthetic_catalog("uniform", SkyCoord(10, 40, unit="deg"), 0.5 * u.deg, n_targets=200, rng=1)
     tiles = SkyCoord([10, 50] * u.deg, [40, 40] * u.deg)
-    survey = rs.plan_survey(sky, instrument, tiles, allocator=allocator, order=order)
+    survey = rs.plan_survey(sky, instrument, tiles, allocator=allocator)
     assert survey.tiles["n_in_field"].tolist()[1] == survey.tiles["n_assigned"].tolist()[1] == 0
     assert survey.tiles["n_assigned"][0] > 0
     nothing = rs.Catalog(sky.coord, visits=np.zeros(len(sky), dtype=int))
-    assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator, order=order).summary["n_assigned"] == 0
+    assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator).summary["n_assigned"] == 0

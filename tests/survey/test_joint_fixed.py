@@ -41,10 +41,8 @@ def tiles_at(n, names=None, turn=0.0, shift=0.0, passes=None):
 
 
 def plan(catalog, instrument, tiling, fixed=None, **options):
-    order = rs.JointOptions(**OPTIONS, fixed=fixed)
-    return rs.plan_survey(
-        catalog, instrument, tiling, order=order, **{"allocator": "optimal", "epoch": 2026, **options}
-    )
+    joint = rs.JointOptions(**OPTIONS, fixed=fixed, allocator=options.pop("allocator", "optimal"))
+    return rs.plan_survey(catalog, instrument, tiling, allocator=joint, **{"epoch": 2026, **options})
 
 
 def rows_of(survey):
@@ -53,7 +51,7 @@ def rows_of(survey):
 
 @pytest.fixture(scope="module")
 def before(catalog, instrument):
-    return rs.plan_survey(catalog, instrument, tiles_at(3), allocator="lamost", epoch="J2026")
+    return rs.plan_survey(catalog, instrument, tiles_at(3), allocator="lamost_rule", epoch="J2026")
 
 
 def test_observed_tiles_are_found_by_their_centers(catalog, instrument, before):
@@ -77,7 +75,7 @@ def test_identifiers_distinguish_tiles_at_the_same_place(catalog, instrument):
     table = QTable({name: np.append(table[name].value, table[name].value) for name in table.colnames})
     table["tile"], table["pass"] = ["a", "b", "c", "d"], [1, 1, 2, 2]
     tiling = rs.Tiling.from_table(table, units={"ra": "deg", "dec": "deg"})
-    before = rs.plan_survey(catalog, instrument, rs.Tiling(tiling.table[[2, 3]]), allocator="lamost", epoch=2026)
+    before = rs.plan_survey(catalog, instrument, rs.Tiling(tiling.table[[2, 3]]), allocator="lamost_rule", epoch=2026)
     found = plan(catalog, instrument, tiling, before)
     assert rows_of(found)[2:] == rows_of(before)
     renamed = tiling.table.copy()
@@ -125,7 +123,7 @@ def test_a_fixed_survey_has_the_same_observing_conditions(catalog, instrument):
     table["hour_angle"] = [1.0, 1.5, 2.0, 2.5] * u.hourangle
     conditions = rs.ObservingConditions("apache point", hour_angle=0 * u.hourangle)
     tiling = rs.Tiling(table).with_conditions(conditions)
-    before = rs.plan_survey(catalog, instrument, rs.Tiling(tiling.table[:2]), allocator="lamost", epoch=2026)
+    before = rs.plan_survey(catalog, instrument, rs.Tiling(tiling.table[:2]), allocator="lamost_rule", epoch=2026)
     assert rows_of(plan(catalog, instrument, tiling, before))[:2] == rows_of(before)
     with pytest.raises(rs.InputError, match="fixed must be a survey with the conditions None, got one with the cond"):
         plan(catalog, instrument, tiling.with_conditions(None), before)
@@ -153,7 +151,7 @@ def test_the_state_of_all_targets_is_made_once_per_stage(catalog, instrument, mo
         make(*args, **options)
 
     def number_of_calls(n):
-        before = rs.plan_survey(catalog, instrument, tiles_at(n), allocator="lamost", epoch=2026)
+        before = rs.plan_survey(catalog, instrument, tiles_at(n), allocator="lamost_rule", epoch=2026)
         with monkeypatch.context() as patch:
             patch.setattr(Bookkeeping, "__init__", count)
             calls.clear()

@@ -109,8 +109,8 @@ def test_no_plan_exceeds_the_bound_and_no_plan_is_worse_than_tile_after_tile(chu
         best, sums, classes = best_visits(instrument, tiles, catalog, options.parked_obstacles)
         first = rs.plan_survey(catalog, instrument, tiles, allocator=options)
         size = [10, 40, 2000][seed % 3]
-        order = rs.JointOptions(iterations=4, patch_size=size)
-        survey = rs.plan_survey(catalog, instrument, tiles, allocator=options, order=order)
+        joint = rs.JointOptions(iterations=4, patch_size=size, allocator=options)
+        survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
         visits = visits_by_class(survey, catalog, classes)
         before = visits_by_class(first, catalog, classes)
         assert tuple(visits) >= tuple(before), seed

@@ -51,7 +51,7 @@ def one_by_one(sky, tiling, instrument, order, **options):
 
 @pytest.mark.filterwarnings("ignore:required targets never observed")
 @pytest.mark.few(2)
-@pytest.mark.parametrize("allocator", ["lamost", "repair"])
+@pytest.mark.parametrize("allocator", ["lamost_rule", "repair"])
 @pytest.mark.parametrize("constrained", [False, True])
 @pytest.mark.parametrize("text", [False, True])
 def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, allocator):
@@ -80,7 +80,7 @@ def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, alloc
     outside = [s for s in tile.summary["unmet"] if "outside the field" in s or s.startswith("keep_out")]
     assert survey.tiles["n_unmet"][0] == len(tile.summary["unmet"]) - len(outside)
     if constrained:
-        assert (survey.tiles["n_obstacle_collisions"][0] > 20) == (allocator == "lamost")
+        assert (survey.tiles["n_obstacle_collisions"][0] > 20) == (allocator == "lamost_rule")
         seen = np.isin(sky.id[::40], tile.table["target_id"].filled("" if text else 0))
         assert survey.summary["n_required"] == len(seen) > seen.sum() > 5
         lost = tile.table["target_id"][tile.table["in_collision"] & (tile.table["status"] == "assigned")]
@@ -99,7 +99,7 @@ def test_a_survey_of_one_tile_is_a_tile_in_every_column(text, constrained, alloc
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("allocator", ["nearest", "lamost", "repair"])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "repair"])
 def test_every_tile_is_what_plan_tile_makes_of_what_is_left(sky, small, allocator):
     tiling = grid(1.2)
     survey = rs.plan_survey(sky, small, tiling, allocator=allocator)
@@ -123,13 +123,13 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
     center = rs.Tiling.from_table(QTable({"ra": [CENTER.ra.deg] * u.deg, "dec": [CENTER.dec.deg] * u.deg}))
     said = {}
     for name, instrument in {"small": small, "lamost": presets["lamost"], "sdss_apo": presets["sdss_apo"]}.items():
-        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name, allocator="lamost")
+        survey = rs.plan_survey(sky, instrument, center, folder=tmp_path / name, allocator="lamost_rule")
         said[name] = survey.summary["model"]
         assert rs.Survey.read(tmp_path / name).summary["model"] == said[name]
         n_pairs = len(instrument.focal_plane.neighbor_pairs())
         assert f"{n_pairs} pairs of arms can touch. In each tile, distances are computed only for pairs" in said[name]
         # the model of a tile also states its number of pairs
-        tile = rs.plan_tile(sky, instrument, CENTER, allocator="lamost").summary["model"]
+        tile = rs.plan_tile(sky, instrument, CENTER, allocator="lamost_rule").summary["model"]
         assert tile.split(". ")[0] == said[name].split(". ")[0]
         assert tile.split(" exact for ")[1] == said[name].split(" exact for ")[1]
     assert "(collision type 2)" in said["lamost"]
@@ -138,12 +138,12 @@ def test_the_summary_states_the_model_of_every_tile(sky, small, presets, tmp_pat
     assert "radial map, one for each fiber type" in said["sdss_apo"]
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
     apart = rs.Instrument("apart", far, plate_scale=300 * u.mm / u.deg)
-    survey = rs.plan_survey(sky, apart, center, allocator="lamost")
+    survey = rs.plan_survey(sky, apart, center, allocator="lamost_rule")
     assert "No two arms can touch (collision type 1), and no pair was tested" in survey.summary["model"]
 
 
 def test_no_target_twice_in_a_tile_and_never_more_often_than_wanted(sky, small):
-    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False, allocator="lamost").targets
+    visits = rs.plan_survey(sky, small, grid(1.2), lost_in_collision=False, allocator="lamost_rule").targets
     pairs = np.column_stack([visits["tile"], visits["target_row"]])
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     times = np.bincount(visits["target_row"], minlength=len(sky))
@@ -166,7 +166,7 @@ def test_standards_and_sky_are_never_used_up(small):
     catalog = rs.Catalog(coord, kind=kind)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
     survey = rs.plan_survey(
-        catalog, small, tiles, allocator=rs.AllocationOptions("lamost", requirements=["sky=5", "standard=2"])
+        catalog, small, tiles, allocator=rs.AllocationOptions("lamost_rule", requirements=["sky=5", "standard=2"])
     )
     for tile in (0, 1):
         kinds = survey.tile(tile)["kind"].tolist()
@@ -176,7 +176,9 @@ def test_standards_and_sky_are_never_used_up(small):
     assert survey.summary["n_targets"] == 30
     assert not survey.outcomes["observed"][:30].any()
     with pytest.warns(rs.RfpsurveyWarning, match=r"requirement sky=25: \d+ missing in 2 of 2 tiles \(0, 1\)"):
-        lacking = rs.plan_survey(catalog, small, tiles, allocator=rs.AllocationOptions("lamost", requirements="sky=25"))
+        lacking = rs.plan_survey(
+            catalog, small, tiles, allocator=rs.AllocationOptions("lamost_rule", requirements="sky=25")
+        )
     missing = 25 - lacking.tiles["n_sky"]
     assert lacking.tiles["unmet"].tolist() == [f"sky=25: {n} missing" for n in missing]
     assert lacking.summary["unmet"] == [f"requirement sky=25: {missing.sum()} missing in 2 of 2 tiles (0, 1)"]
@@ -195,7 +197,7 @@ def test_blank_sky_has_its_position(small):
         catalog,
         small,
         CENTER.reshape(1),
-        allocator=rs.AllocationOptions("lamost", requirements="sky=3", sky_separation=30 * u.arcsec),
+        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=3", sky_separation=30 * u.arcsec),
     )
     visits = survey.targets
     sky = visits[visits["kind"] == "sky"]
@@ -292,7 +294,9 @@ def test_what_is_told_is_told_once(sky, small):
         sky,
         small,
         grid(1.2),
-        allocator=rs.AllocationOptions("lamost", requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec),
+        allocator=rs.AllocationOptions(
+            "lamost_rule", requirements=["science=3", "sky=2"], sky_separation=10 * u.arcsec
+        ),
     )
 
 
@@ -307,7 +311,9 @@ def test_a_tile_of_a_survey_can_be_scored(presets):
     sdss = presets["sdss_apo"]
     catalog = rs.synthetic_catalog("poisson", CENTER, 1.5 * u.deg, density=150 / u.deg**2, rng=1)
     fibers = np.where(np.arange(len(catalog)) % 3 == 0, "APOGEE", "BOSS")
-    survey = rs.plan_survey(rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1), allocator="lamost")
+    survey = rs.plan_survey(
+        rs.Catalog(catalog.coord, fiber_type=fibers), sdss, CENTER.reshape(1), allocator="lamost_rule"
+    )
     tile = rs.score_tile(survey.tile(0), sdss, center=CENTER, position_angle=0 * u.deg)
     for name in ("n_assigned", "n_colliding", "n_colliding_pairs"):
         assert tile.summary[name] == survey.tiles[name][0]
@@ -321,7 +327,7 @@ def test_order_and_passes(sky, small):
     only = rs.plan_survey(sky, small, tiling, passes=[2])
     assert len(only) == 9
     assert np.array_equal(only.tiles["n_observed"], second_first.tiles["n_observed"][9:])
-    given = rs.plan_survey(sky, small, tiling, allocator="lamost", order="given")
+    given = rs.plan_survey(sky, small, tiling, allocator="lamost_rule", order="given")
     left, *_ = one_by_one(sky, tiling, small, range(len(tiling)))
     assert np.array_equal(given.outcomes["requested"] - given.outcomes["observed"].astype(int), left)
 
@@ -366,7 +372,7 @@ def test_columns_of_the_catalog_travel(small, tmp_path):
     extra = {"g": rng.uniform(14, 20, 80) * u.mag, "n": np.arange(80), "flag": rng.random(80) < 0.5}
     catalog = rs.Catalog(coord, **columns, extra=extra)
     tiles = SkyCoord([CENTER, CENTER.directional_offset_by(0 * u.deg, 0.01 * u.deg)])
-    options = {"allocator": rs.AllocationOptions("lamost", requirements="sky=3", sky_separation=30 * u.arcsec)}
+    options = {"allocator": rs.AllocationOptions("lamost_rule", requirements="sky=3", sky_separation=30 * u.arcsec)}
     survey = rs.plan_survey(catalog, small, tiles, folder=tmp_path / "s", **options)
     for visits in (survey.targets, rs.plan_survey(catalog, small, tiles, **options).targets):
         given = visits["target_row"] >= 0

@@ -23,7 +23,7 @@ def case():
 
 
 def plan(case, **options):
-    asked = rs.AllocationOptions("lamost", requirements=REQUIREMENTS, required=[1, 2])
+    asked = rs.AllocationOptions("lamost_rule", requirements=REQUIREMENTS, required=[1, 2])
     with pytest.warns(rs.RfpsurveyWarning) as told:
         survey = rs.plan_survey(case[0], "moons", case[1], allocator=asked, **options)
     return survey, [str(one.message) for one in told]

@@ -49,7 +49,7 @@ def test_a_center_that_is_left_out_is_the_same_in_python_and_at_the_command_line
     code, out, _ = run("plan", path, "--instrument", "sdss_apo")
     assert code == 0
     assert f"center {expected[0]:.6f} {expected[1]:+.6f} deg" in out
-    assert rs.compare_allocators(STARS, "sdss_apo", allocators=["lamost"]).meta["parameters"][
+    assert rs.compare_allocators(STARS, "sdss_apo", allocators=["lamost_rule"]).meta["parameters"][
         "ra_deg"
     ] == pytest.approx(expected[0])
 
@@ -109,7 +109,7 @@ def test_targets_with_no_requested_visits_are_not_assigned(presets):
     rows = np.arange(len(sky))
     kind = np.where(rows < 40, "sky", "science")
     catalog = rs.Catalog(sky.coord, visits=rows % 2, kind=kind, id=rows)
-    asked = rs.AllocationOptions("lamost", requirements="sky=5", required=[100])
+    asked = rs.AllocationOptions("lamost_rule", requirements="sky=5", required=[100])
     tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator=asked)
     assigned = tile.table["target_id"][tile.table["status"] == "assigned"].astype(int)
     assert set(assigned[assigned % 2 == 0].tolist()) == {100}

@@ -32,7 +32,7 @@ def sky():
 
 @pytest.fixture(scope="module")
 def tile(presets, sky):
-    asked = rs.AllocationOptions("lamost", requirements=["sky=40", "standard=15"], sky_separation=20 * u.arcsec)
+    asked = rs.AllocationOptions("lamost_rule", requirements=["sky=40", "standard=15"], sky_separation=20 * u.arcsec)
     return rs.plan_tile(sky, presets["sdss_apo"], CENTER, allocator=asked)
 
 

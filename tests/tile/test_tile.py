@@ -35,7 +35,7 @@ def small():
     return rs.Instrument("small", plane, plate_scale=200 * MM / u.deg)
 
 
-@pytest.mark.parametrize("allocator", ["lamost", "balanced"])
+@pytest.mark.parametrize("allocator", ["lamost_rule", "balanced"])
 @pytest.mark.parametrize("name", ["sdss_apo", "lamost", "desi"])
 def test_the_table_is_consistent(presets, sky, name, allocator):
     instrument = presets[name]
@@ -209,7 +209,7 @@ def test_each_fiber_type_is_projected_by_its_map(presets):
     coord = SkyCoord([CENTER.directional_offset_by(90 * u.deg, 1.0 * u.deg)])
     # 9208 sin(1.372...) and 8939 sin(1.413...), the two maps at 1 deg
     for name, expected in (("BOSS", 220.519), ("APOGEE", 220.528)):
-        tile = rs.plan_tile(rs.Catalog(coord, fiber_type=[name]), instrument, CENTER, allocator="lamost")
+        tile = rs.plan_tile(rs.Catalog(coord, fiber_type=[name]), instrument, CENTER, allocator="lamost_rule")
         tip = tile.table["tip_x"][tile.table["status"] == "assigned"]
         assert tip[0].value == pytest.approx(expected, abs=2e-3)
 
@@ -288,7 +288,7 @@ def test_targets_of_other_kinds_before_and_between(small):
 def test_parked_positioners_can_be_left_out(small):
     coord = CENTER.directional_offset_by([0, 90] * u.deg, [0.05, 0.2] * u.deg)
     with_parked, without = (
-        rs.plan_tile(coord, small, CENTER, allocator=rs.AllocationOptions("lamost", parked_obstacles=p))
+        rs.plan_tile(coord, small, CENTER, allocator=rs.AllocationOptions("lamost_rule", parked_obstacles=p))
         for p in (True, False)
     )
     assert with_parked.summary["n_parked"] == 35
@@ -317,7 +317,7 @@ def test_stuck_units_in_collision_are_not_counted_as_colliding(small):
         target,
         replace(small, focal_plane=plane),
         CENTER,
-        allocator=rs.AllocationOptions("lamost", parked_obstacles=False),
+        allocator=rs.AllocationOptions("lamost_rule", parked_obstacles=False),
     )
     assert tile.table["in_collision"].sum() == 2
     assert tile.summary["n_colliding"] == 1
@@ -337,7 +337,7 @@ def test_scores_follow_the_epoch(small):
 def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
     said = {}
     for name in ("lamost", "sdss_apo"):
-        tile = rs.plan_tile(sky, presets[name], CENTER, allocator="lamost")
+        tile = rs.plan_tile(sky, presets[name], CENTER, allocator="lamost_rule")
         said[name] = tile.summary["model"]
         plane = presets[name].focal_plane
         near, tested = map(int, re.search(r"for (\d+) of (\d+) pairs of arms", said[name]).groups())
@@ -356,13 +356,18 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=2, pitch=30 * u.mm)
     lonely = rs.Instrument("lonely", far, plate_scale=300 * u.mm / u.deg)
     tile = rs.plan_tile(
-        rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1), lonely, CENTER, allocator="lamost"
+        rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1),
+        lonely,
+        CENTER,
+        allocator="lamost_rule",
     )
     assert "No two arms can touch (collision type 1), and no pair was tested" in tile.summary["model"]
 
 
 def test_a_file_that_does_not_hold_a_tile_is_named(small, tmp_path):
-    tile = rs.plan_tile(CENTER.directional_offset_by([0, 90] * u.deg, 0.1 * u.deg), small, CENTER, allocator="lamost")
+    tile = rs.plan_tile(
+        CENTER.directional_offset_by([0, 90] * u.deg, 0.1 * u.deg), small, CENTER, allocator="lamost_rule"
+    )
     path, table = tmp_path / "tile.ecsv", tile.table.copy()
     table["phi"] = Masked(table["phi"], mask=np.arange(len(table)) == 3)
     table["in_collision"] = MaskedColumn(np.ones(len(table), dtype=bool), mask=np.arange(len(table)) == 3)

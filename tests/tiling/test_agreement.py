@@ -48,7 +48,7 @@ def test_ideal_fibers_are_an_upper_limit(name):
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("method", ["max_density", "mean_shift", "sdss"])
+@pytest.mark.parametrize("method", ["max_density", "mean_shift", "network_flow"])
 @pytest.mark.parametrize("allocator", ["balanced", "repair"])
 def test_every_method_and_allocator_agree(method, allocator):
     """One allocator uses random numbers; the stream of each tile is that of the survey."""
@@ -60,11 +60,11 @@ def test_every_method_and_allocator_agree(method, allocator):
 
 def test_targets_that_collide_may_count():
     catalog, model = clustered("sdss_apo")
-    rule = {"n_tiles": 5, "allocator": "lamost"}
+    rule = {"n_tiles": 5, "allocator": "lamost_rule"}
     kept = rs.place_tiles(catalog, model, fibers=Fibers(lost_in_collision=False), **rule)
     lost = rs.place_tiles(catalog, model, **rule)
     assert kept.summary["completeness"] > lost.summary["completeness"]
-    found = delivered(catalog, model, kept, allocator="lamost", lost_in_collision=False)
+    found = delivered(catalog, model, kept, allocator="lamost_rule", lost_in_collision=False)
     assert found == pytest.approx(kept.summary["completeness"], abs=1e-12)
 
 

@@ -133,16 +133,16 @@ def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, first, monk
 def test_positioners_observe_the_field_of_the_instrument_for_every_radius_of_the_tiles(factor, monkeypatch):
     """Regression: with a smaller radius, tiles observed only the targets in this radius, unlike in a survey."""
     instrument, (catalog, tiles, *_) = make_instrument(), make_case(2)
-    expected, _ = observed_by_survey(catalog, instrument, tiles, allocator="lamost")
+    expected, _ = observed_by_survey(catalog, instrument, tiles, allocator="lamost_rule")
     radius = factor * instrument.field_radius
     found, _ = observed_by_tiling(
-        monkeypatch, catalog, instrument, method="given", centers=tiles, allocator="lamost", radius=radius
+        monkeypatch, catalog, instrument, method="given", centers=tiles, allocator="lamost_rule", radius=radius
     )
     assert found == expected
-    for method in ("max_density", "sdss"):
-        tiling = rs.place_tiles(catalog, instrument, method=method, n_tiles=3, allocator="lamost", radius=radius)
+    for method in ("max_density", "network_flow"):
+        tiling = rs.place_tiles(catalog, instrument, method=method, n_tiles=3, allocator="lamost_rule", radius=radius)
         with pytest.warns(rs.RfpsurveyWarning, match="the tiles were placed for"):
-            _, survey = observed_by_survey(catalog, instrument, tiling, allocator="lamost")
+            _, survey = observed_by_survey(catalog, instrument, tiling, allocator="lamost_rule")
         assert tiling.table["n_new"].tolist() == survey.tiles["n_observed"].tolist()
 
 

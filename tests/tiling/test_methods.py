@@ -49,9 +49,9 @@ def replay(catalog, tiling, radius, visits=1):
 def test_two_clusters_take_two_tiles(method):
     clusters = [sky(center, 0.4, 50, seed) for seed, center in enumerate([(10, 5), (16, 5)])]
     coord = SkyCoord(np.concatenate([c.coord.ra for c in clusters]), np.concatenate([c.coord.dec for c in clusters]))
-    options = {"n_tiles": 2} if method == "sdss" else {}
+    options = {"n_tiles": 2} if method == "network_flow" else {}
     tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=60, method=method, **options)
-    if method in (*GREEDY, "sdss"):
+    if method in (*GREEDY, "network_flow"):
         assert tiling.table["n_new"].tolist() == [50, 50]
         order = np.argsort(tiling.coord.ra)
         assert (tiling.coord[order].separation(SkyCoord([10, 16] * DEG, [5, 5] * DEG)) < 0.7 * DEG).all()
@@ -60,7 +60,7 @@ def test_two_clusters_take_two_tiles(method):
 
 
 def test_fibers_limit_what_a_tile_serves(method):
-    options = {"n_tiles": 6} if method == "sdss" else {}
+    options = {"n_tiles": 6} if method == "network_flow" else {}
     if method in ("hexagonal", "spiral"):
         options = {"completeness": 1}
     tiling = rs.place_tiles(sky(radius=0.5, n=250), radius=1 * DEG, fibers=50, method=method, **options)
@@ -85,7 +85,7 @@ def test_columns_agree_with_a_replay(method):
     assert summary["n_tiles"] == len(tiling)
     assert summary["n_on_tiles"] == tiling.table["n_new"].sum()
     assert summary["n_observed"] == tiling.table["n_new"].sum()
-    if method != "sdss":
+    if method != "network_flow":
         assert summary["completeness"] == 1
 
 
@@ -144,7 +144,7 @@ def test_completeness_ends_the_placing(method, stars):
     tiling = rs.place_tiles(stars, "lamost", fibers=40, method=method, completeness=0.9)
     assert 0.9 <= tiling.summary["completeness"] < 0.96
     assert tiling.table["completeness"][-1] >= 0.9
-    if method != "sdss":
+    if method != "network_flow":
         assert (tiling.table["completeness"][:-1] < 0.9).all()
     # at most 40 targets per tile
     assert 0.9 * len(stars) / 40 <= len(tiling) <= 1.3 * 0.9 * len(stars) / 40
@@ -165,7 +165,7 @@ def test_n_tiles_ends_the_placing(method):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("sdss", "max_density") else ()) for m in SEARCHES]
+    "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("network_flow", "max_density") else ()) for m in SEARCHES]
 )
 def test_the_sky_has_no_edge(name):
     """At RA = 0, at the poles and elsewhere, the same targets require about the same number of tiles."""
@@ -183,7 +183,7 @@ def test_the_sky_has_no_edge(name):
 
 def test_visits_take_as_many_tiles(method):
     catalog = sky(n=30, radius=0.2)
-    options = {"completeness": 1} if method in ("hexagonal", "spiral", "sdss") else {}
+    options = {"completeness": 1} if method in ("hexagonal", "spiral", "network_flow") else {}
     tiling = rs.place_tiles(catalog, radius=1 * DEG, fibers=30, method=method, visits=3, **options)
     assert tiling.summary["n_observed"] == 90
     np.testing.assert_allclose(tiling.table["completeness"], replay(catalog, tiling, 1 * DEG, 3)[:, 2])
@@ -207,7 +207,7 @@ def test_priority_comes_first(method):
 def test_pairs_too_close_take_two_tiles(method):
     ra = np.array([10, 10.01, 10.2, 10.4, 10.41, 10.42])
     coord = SkyCoord(ra * DEG, np.zeros(6) * DEG)
-    options = {"n_tiles": 2} if method == "sdss" else {"completeness": 1}
+    options = {"n_tiles": 2} if method == "network_flow" else {"completeness": 1}
     tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=rs.tiling.Fibers(6, 50 * u.arcsec), method=method, **options)
     # the first and the last of the three targets in a row are observed together
     assert tiling.table["n_new"][0] == 4
@@ -219,14 +219,14 @@ def test_pairs_too_close_take_two_tiles(method):
 
 def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     options = {"fibers": 250, "completeness": 0.95}
-    lattice, network = (rs.place_tiles(stars, "lamost", method=m, **options) for m in ("hexagonal", "sdss"))
+    lattice, network = (rs.place_tiles(stars, "lamost", method=m, **options) for m in ("hexagonal", "network_flow"))
     assert len(network) < len(lattice)
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in (1, 3))])
 def test_network_flow_finds_the_fewest_tiles(seed):
     """With one tile less, the completeness is not reached."""
-    catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "sdss"}
+    catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "network_flow"}
     tiling = rs.place_tiles(catalog, completeness=0.95, **options)
     less = rs.place_tiles(catalog, n_tiles=len(tiling) - 1, **options)
     assert less.summary["completeness"] < 0.95 <= tiling.summary["completeness"]
@@ -245,10 +245,10 @@ def test_real_focal_planes_look_beside_a_hole():
 def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     near = stars.within(SkyCoord("6h20m +23d"), 3 * DEG)
     where = Centers(position_angle=20 * DEG)
-    options = {"method": "max_density", "n_tiles": 2, "centers": where, "allocator": "lamost"}
+    options = {"method": "max_density", "n_tiles": 2, "centers": where, "allocator": "lamost_rule"}
     kept = rs.tiling.Fibers(lost_in_collision=False)
     tiling = rs.place_tiles(near, instrument, fibers=kept, **options)
-    tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG, allocator="lamost")
+    tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG, allocator="lamost_rule")
     assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
     lost = rs.place_tiles(near, instrument, **options)
     assert (
@@ -256,7 +256,7 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
         == tile.summary["n_assigned"] - (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
     )
     assert tiling.table["n_targets"][0] == tile.summary["n_in_field"]
-    some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost", n_tiles=1, fibers=7)
+    some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost_rule", n_tiles=1, fibers=7)
     assert some.table["n_new"].tolist() == [7]
 
 
@@ -304,7 +304,7 @@ def test_centers_too_few_are_a_warning(method):
         )
     assert len(tiling) >= 1
     expected = np.min([catalog.coord.separation(c).deg for c in catalog.coord[:3]], axis=0) <= 1
-    if method != "sdss":
+    if method != "network_flow":
         assert tiling.summary["n_observed"] == expected.sum()
 
 
@@ -333,10 +333,10 @@ def test_few_targets(method, coord):
     if method == "hexagonal" and len(set(coord)) > 1:
         pytest.skip("beyond a hemisphere")
     coord = SkyCoord(np.array(coord, dtype=float) * DEG)
-    options = {"n_tiles": len(set(coord.ra.deg))} if method == "sdss" else {}
+    options = {"n_tiles": len(set(coord.ra.deg))} if method == "network_flow" else {}
     tiling = rs.place_tiles(coord, radius=2 * DEG, fibers=10, method=method, **options)
     assert tiling.table["n_new"].sum() > 0
-    if method != "sdss":
+    if method != "network_flow":
         assert tiling.summary["completeness"] == 1
 
 
@@ -350,7 +350,7 @@ def test_few_targets(method, coord):
         ({"fibers": 1.5}, "fibers must be a whole number of at least 1"),
         ({"fibers": None}, "an instrument or the number of fibers"),
         ({"radius": None}, "an instrument or the radius"),
-        ({"allocator": "lamost"}, "an allocator needs the positioners of an instrument"),
+        ({"allocator": "lamost_rule"}, "an allocator needs the positioners of an instrument"),
         ({"visits": [1, 2]}, "visits must be one number or have the shape"),
         ({"visits": 0}, "at least one science target that requires a visit and is not in a region of exclude"),
         (
@@ -359,7 +359,7 @@ def test_few_targets(method, coord):
         ),
         ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
         (
-            {"instrument": "lamost", "allocator": "lamost", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
+            {"instrument": "lamost", "allocator": "lamost_rule", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
             "min_separation must not be given with an allocator",
         ),
         ({"centers": 5}, "centers must be a SkyCoord, a Tiling or a Table, got 5"),

@@ -329,8 +329,8 @@ def test_centers_restrict_coverings():
     [
         ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, given, hex"),
         (
-            {"method": "sdss"},
-            "the method 'sdss' needs targets, got a Region; methods that cover regions: hexagonal, spiral",
+            {"method": "network_flow"},
+            "the method 'network_flow' needs targets, got a Region; methods that cover regions: hexagonal, spiral",
         ),
         ({"completeness": 0.9}, "completeness applies only to targets"),
         ({"n_tiles": 5}, "n_tiles applies only to targets"),
@@ -359,7 +359,7 @@ def test_bad_requests_for_a_region_are_named(options, message):
         ({"fibers": 5}, "fibers has no effect on a region, which has no targets"),
         ({"visits": 2}, "visits has no effect on a region"),
         ({"rng": 2}, "rng has no effect on a region"),
-        ({"instrument": "lamost", "allocator": "lamost"}, "allocator has no effect on a region"),
+        ({"instrument": "lamost", "allocator": "lamost_rule"}, "allocator has no effect on a region"),
         ({"fibers": Fibers(lost_in_collision=False)}, "lost_in_collision has no effect without the positioners"),
     ],
 )

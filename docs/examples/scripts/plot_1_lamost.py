@@ -15,7 +15,7 @@ stars = rs.example_catalog("anticenter")
 
 # Tiles are added until 80 % of the stars are observed. The allocator must be the same as for the survey, because
 # in the same tile, another allocator would observe other stars.
-tiles = rs.place_tiles(stars, "lamost", method="sdss", completeness=0.8, allocator="repair")
+tiles = rs.place_tiles(stars, "lamost", method="network_flow", completeness=0.8, allocator="repair")
 print(tiles)
 
 # Proper motions move the stars to their positions at the epoch of the observation. The allocator "repair" starts from

@@ -29,7 +29,7 @@ print("number of galaxies that 0, 1, 2, ... positioners reach:", *reaching)
 # The rule of LAMOST assigns the nearest galaxy to each positioner and ignores collisions. The allocator "optimal"
 # chooses positioners that do not collide, and proves that no plan of a tile without collisions observes more galaxies.
 tiles = rs.place_tiles(rs.Region.cap(center, 0.5 * u.deg), moons, passes=2)
-surveys = {name: rs.plan_survey(galaxies, moons, tiles, allocator=name) for name in ("lamost", "optimal")}
+surveys = {name: rs.plan_survey(galaxies, moons, tiles, allocator=name) for name in ("lamost_rule", "optimal")}
 for name, survey in surveys.items():
     print(f"{name}: {survey}, {survey.summary['n_colliding']} arms in collision")
 surveys["optimal"].targets.write("moons_targets.fits", overwrite=True)

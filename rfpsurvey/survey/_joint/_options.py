@@ -3,24 +3,28 @@
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation import METHODS
-from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short
+from rfpsurvey.allocation import METHODS, AllocationOptions, as_options
+from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short, warn_of_former_name
 from rfpsurvey.survey._survey import Survey
+
+JOINT = "joint"
+"""Name of the allocator that stands for a joint plan with default options."""
 
 
 @check_keywords
 @dataclass(frozen=True)
 class JointOptions:
-    """Options of a joint plan, in which all tiles of a survey are planned together; see `plan_survey`.
+    """Options of a joint plan, in which all tiles of a survey are planned together; the allocator of `plan_survey`.
 
-    The search ends when the gap is small enough, after the given number of iterations, or at the time limit.
+    The tiles are first planned one after the other, and then together, such that the number of visits increases. The
+    search ends when the gap is small enough, after the given number of iterations, or at the time limit.
 
     Parameters
     ----------
@@ -49,6 +53,9 @@ class JointOptions:
         The search solves an integer program for each patch of the sky. This parameter is the initial number of pairs of
         a positioner and a target in one patch, 10 to 100000. The search increases this number when the plan and the
         bounds hardly improve. Larger patches give better plans and bounds, but take longer.
+    allocator : AllocationOptions or str, optional
+        The allocator of the first plan, which must be ``optimal``, or options with this allocator. They may contain
+        neither requirements nor required targets.
 
     Raises
     ------
@@ -69,6 +76,7 @@ class JointOptions:
     fixed: Survey | str | os.PathLike | None = None
     inform: Callable | None = None
     patch_size: int = 800
+    allocator: AllocationOptions | str = "optimal"
 
     def __post_init__(self):
         if isinstance(self.gap, bool | str) or not isinstance(self.gap, int | float) or not 0 <= self.gap < 1:
@@ -79,6 +87,7 @@ class JointOptions:
             raise refusal("inform must be a function", self.inform)
         if self.time_limit is not None:
             to_scalar(self.time_limit, u.s, "time_limit", low=0)
+        _check_first(as_options(self.allocator))
 
     @property
     def seconds(self) -> float:
@@ -109,26 +118,28 @@ class JointOptions:
         }
 
 
-def as_joint(order: object) -> JointOptions | None:
-    """Return the options of the joint plan that ``order`` requests; None if it requests no joint plan."""
-    if isinstance(order, JointOptions):
-        return order
-    return JointOptions() if isinstance(order, str) and order == "joint" else None
+def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None, object]:
+    """Return the options of the tiles, the options of the joint plan, if one is requested, and the order.
 
-
-def check_joint(options) -> None:
-    """Raise an error if the options of the allocator do not allow a joint plan.
-
-    Parameters
-    ----------
-    options : AllocationOptions
-        The options of the allocator.
-
-    Raises
-    ------
-    InputError
-        If an option is not supported.
+    In version 0.2, a joint plan was requested by ``order``.
     """
+    if isinstance(order, JointOptions) or (isinstance(order, str) and order == JOINT):
+        warn_of_former_name("order='joint' of plan_survey", "allocator='joint'")
+        if not isinstance(allocator, JointOptions):
+            joint = order if isinstance(order, JointOptions) else JointOptions()
+            allocator = replace(joint, allocator=allocator)
+        order = "color"
+    if isinstance(allocator, str) and allocator == JOINT:
+        allocator = JointOptions()
+    if not isinstance(allocator, JointOptions):
+        return as_options(allocator), None, order
+    if order != "color":
+        raise InputError(f"the order must be 'color' for a joint plan, got {short(order)}")
+    return as_options(allocator.allocator), allocator, order
+
+
+def _check_first(options: AllocationOptions) -> None:
+    """Raise an error if the options of the allocator do not allow a joint plan."""
     if not options.method.plans_jointly:
         names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
         raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
@@ -137,7 +148,9 @@ def check_joint(options) -> None:
     for name in ("requirements", "required", "sky_separation", "subpriority"):
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
-            raise InputError(f"{name} must not be given for a joint plan, got {short(given)}; use the order 'color'")
+            raise InputError(
+                f"{name} must not be given for a joint plan, got {short(given)}; plan the tiles one by one"
+            )
     for one in options.constraints:
         if not one.parts <= {"obstacles", "exclusion"}:
             raise InputError(f"a joint plan must have no constraints with counts or required targets, got '{one}'")
