@@ -198,10 +198,16 @@ class ConstraintKeys:
         constraint of an installed package.
     """
 
+    constraints: list[str] | None = None
+
+
+@dataclass(frozen=True)
+class AllocatorKeys(ConstraintKeys):
+    """The allocator, and constraints as texts."""
+
     allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (
         rs.AllocationOptions.allocator
     )
-    constraints: list[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -220,7 +226,7 @@ class ConditionsKeys:
     site: str | list[float] | None = None
 
 
-Options = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys)]
+Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", 0]
