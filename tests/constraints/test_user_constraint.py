@@ -303,5 +303,5 @@ def test_a_constraint_that_no_allocator_honors_causes_one_warning(sky, small):
     with pytest.warns(rs.RfpsurveyWarning):
         survey = rs.plan_survey(sky, small, CENTER, allocator=asked)
     assert survey.tiles["n_unmet"].tolist() == [1]
-    assert survey.tiles["unmet"].tolist() == ["few 3: 1 violations"]
-    assert survey.summary["unmet"] == ["constraint few 3: 1 violations in 1 of 1 tile (0)"]
+    assert survey.tiles["unmet"].tolist() == ["few 3: 1 violation"]
+    assert survey.summary["unmet"] == ["constraint few 3: 1 violation in 1 of 1 tile (0)"]
