@@ -45,7 +45,8 @@ def shortfall_counts(
         found[f"{sign}{REQUIRED if one.requirement is None else one.requirement}"] += abs(one.requested - one.found)
     for text, sentences in violations.items():
         name = f"{VIOLATED}{text}"
-        name = name if name in found else f"{VIOLATED}{text.partition(' ')[0]}"  # the circles of all tiles are one entry
+        if name not in found:  # the count of keep-out circles has their name only
+            name = f"{VIOLATED}{text.partition(' ')[0]}"
         if name in found:
             found[name] += len(sentences)
     return found
@@ -59,9 +60,9 @@ def without_shortfalls(counts: dict[str, np.ndarray]) -> tuple[dict, dict]:
 
 def texts_of(lacking: dict[str, np.ndarray]) -> list[str]:
     """Return, for each tile, text such as "sky=20: 3 missing, standard=5: 1 missing"; empty if nothing is missing."""
-    names = [_words(name) for name in lacking]
+    words = [_words(name) for name in lacking]
     rows = zip(*(values.tolist() for values in lacking.values()), strict=True)
-    return [", ".join(f"{what}: {_amount(n, word)}" for (what, word), n in zip(names, row, strict=True) if n) for row in rows]
+    return [", ".join(f"{what}: {_amount(n, x)}" for (what, x), n in zip(words, row, strict=True) if n) for row in rows]
 
 
 def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]:
