@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from rfpsurvey import __version__
-from rfpsurvey._cli import _main, _plan_file
+from rfpsurvey._cli import _app, _main, _plan_file
 from rfpsurvey._cli._keys import Key, add, build, keys_of
 from rfpsurvey._cli._old import rewritten
 from rfpsurvey._io import write_bytes
@@ -93,6 +93,7 @@ def command(
             _read(given, typed, argument, spelled)
             settings = build(cls, given.values)
             if with_file and typed["write_plan"] is not None:
+                _app.check_names(settings)
                 _write(given, typed["write_plan"], overwrite=settings.output.overwrite)
             else:
                 function(settings, *([given] if with_file else []))

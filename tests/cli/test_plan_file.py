@@ -290,6 +290,27 @@ def test_wrong_values_are_refused_in_one_sentence(run, command, words, message):
     assert message.replace("joint.time_limit=600, got 'rng'", "") in sentence(*run(command, *words)[::2])
 
 
+@pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "score"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--instrument", "mons"], "unknown instrument 'mons'; choose one of: "),
+        (["--instrument", "mine.toml"], "mine.toml: there is no such file"),
+        (["--set", "instrument.name=moons", "--set", "instrument.arm_model=round"], "unknown arm model 'round'"),
+        (["--allocator", "lamst"], "unknown allocator 'lamst'; choose one of: "),
+        (["--set", "options.start=lamst"], "unknown allocator to start with 'lamst'; choose one of: "),
+        (["--constraint", "keepout 95 23 1"], "unknown constraint 'keepout'; choose one of: "),
+    ],
+)
+def test_plan_files_with_unknown_names_are_not_written(run, tmp_path, command, words, message):
+    """Regression: --write-plan did not check the names of instruments and allocators."""
+    if command == "score" and words[0] != "--instrument" and words[0] != "--constraint":
+        pytest.skip("the command has no allocator")
+    path = tmp_path / "plan.toml"
+    assert message in sentence(*run(command, *words, "--write-plan", path)[::2])
+    assert not path.exists()
+
+
 def test_existing_plan_files_are_kept(run, tmp_path):
     path = tmp_path / "plan.toml"
     path.write_text("mine")
