@@ -118,7 +118,7 @@ class RequestFolder:
     def _open(self):
         if self._begun and not self._resume:
             raise InputError(
-                f"{self.path} holds a {self.work}; continue it (--resume, resume=True) or give another folder"
+                f"{self.path} holds a {self.work}; continue it with resume=True (or --resume), or give another folder"
             )
         if self._begun:
             self._compare(_load(self.path / self.request_name))

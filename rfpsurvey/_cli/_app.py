@@ -45,6 +45,20 @@ def model_of(keys, known_time: Callable[[], Time | None] | None = None) -> "rs.I
     return with_margins(model if keys.arm_model is None else model.with_arm_model(keys.arm_model), keys.margins)
 
 
+def check_names(keys) -> None:
+    """Raise an error if the instrument, the arm model or an allocator of a plan file is unknown, or an option is wrong.
+
+    Files that the keys name are not read, except the description of the instrument.
+    """
+    if keys.instrument.name is not None:
+        model = as_instrument(keys.instrument.name)
+        if keys.instrument.arm_model is not None:
+            model.with_arm_model(keys.instrument.arm_model)
+    rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
+    for name in getattr(keys, "allocators", None) or ():
+        rs.AllocationOptions(name)
+
+
 def with_margins(model: "rs.Instrument", margins: dict) -> "rs.Instrument":
     """Return an instrument with the given margins or, if none are given, with its own margins."""
     given = dict(margins or {})

@@ -1,6 +1,6 @@
 """Commands whose options are keys: the decorator of the functions of commands, and their record in plan files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from rfpsurvey._cli import _main, _plan_file
+from rfpsurvey import __version__
+from rfpsurvey._cli import _app, _main, _plan_file
 from rfpsurvey._cli._keys import Key, add, build, keys_of
 from rfpsurvey._cli._old import rewritten
 from rfpsurvey._io import write_bytes
@@ -46,6 +47,13 @@ class Given:
         """Return the text of a plan file in a folder."""
         title = f"Run this file with: rfpsurvey {self.command} FILE. Paths are relative to the folder of this file."
         return _plan_file.to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
+
+    def record(self, folder: Path, tables: Collection[str] = ("options",), outputs: Collection[str] = ()) -> str:
+        """Return the text of a plan file with the values of all keys and the version (see `_plan_file.complete`)."""
+        values = _plan_file.complete(self.keys, self.values, tables, outputs)
+        text = Given(self.command, self.keys, values).to_toml(folder)
+        version = f"# rfpsurvey {__version__}; keys without a value have the default values of this version.\n"
+        return text.replace("\n", f"\n{version}", 1)
 
 
 class Command(TyperCommand):
@@ -85,6 +93,7 @@ def command(
             _read(given, typed, argument, spelled)
             settings = build(cls, given.values)
             if with_file and typed["write_plan"] is not None:
+                _app.check_names(settings)
                 _write(given, typed["write_plan"], overwrite=settings.output.overwrite)
             else:
                 function(settings, *([given] if with_file else []))

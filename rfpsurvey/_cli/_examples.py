@@ -43,6 +43,7 @@ Examples:
   rfpsurvey score confSummary-26.par.gz --instrument sloanFlatCMM
   rfpsurvey score plan.ecsv --instrument sdss_apo
   rfpsurvey score designs.ecsv --instrument sdss_lco --set catalog.select.design_id=503246 --set equinox=J2022.0
+  rfpsurvey score tile.fits --constraint sky=20/spectrograph
 """
 
 TILE_EXAMPLES = """\b

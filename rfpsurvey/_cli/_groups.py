@@ -197,14 +197,20 @@ class ConstraintKeys:
         constraint of an installed package.
     """
 
-    allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (
-        rs.AllocationOptions.allocator
-    )
     constraints: list[str] | None = None
 
 
 @dataclass(frozen=True)
-class SurveyConstraintKeys(ConstraintKeys):
+class AllocatorKeys(ConstraintKeys):
+    """The allocator, and constraints as texts."""
+
+    allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (
+        rs.AllocationOptions.allocator
+    )
+
+
+@dataclass(frozen=True)
+class SurveyAllocatorKeys(AllocatorKeys):
     """Keys of allocators of surveys."""
 
     allocator: Annotated[
@@ -228,8 +234,8 @@ class ConditionsKeys:
     site: str | list[float] | None = None
 
 
-Options = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys)]
-SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyConstraintKeys)]
+Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
+SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyAllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", 0]

@@ -3,6 +3,7 @@
 import json
 import os
 import tomllib
+from collections.abc import Collection
 from dataclasses import MISSING
 from datetime import date, datetime
 from pathlib import Path
@@ -14,7 +15,7 @@ from rfpsurvey._cli._keys import Key, Located, Part, add, find, located
 from rfpsurvey._readers import read_toml
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["add_file", "add_text", "default_text", "is_plan_file", "to_toml"]
+__all__ = ["add_file", "add_text", "complete", "default_text", "is_plan_file", "to_toml"]
 
 WIDTH = 100
 # Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
@@ -106,12 +107,30 @@ def _moved(key: Key, value: object, folder: Path) -> object:
     return Path(os.path.relpath(value, folder)).as_posix()
 
 
+def complete(keys: dict, values: dict, tables: Collection[str], outputs: Collection[str]) -> dict:
+    """Return the given values and the default values of all other keys, without outputs other than ``outputs``.
+
+    Of the tables whose keys are parameters of a class of the library, only ``tables`` have default values. Without
+    given values, other tables have no effect; their values could also be those of a file or of the instrument.
+    """
+    parts = [f"{name}." for name, key in keys.items() if isinstance(key, Part) and name not in tables]
+    plain = [key for key in keys.values() if isinstance(key, Key) and not key.name.startswith(tuple(parts))]
+    found = {key.name: value for key in plain if (value := _default(key)) is not None} | values
+    return {name: one for name, one in found.items() if not name.startswith("output.") or name in outputs}
+
+
 def default_text(key: Key) -> str:
     """Return the default value of a key in TOML, or dots if there is none."""
+    value = _default(key)
+    return "..." if value is None else _text(value)
+
+
+def _default(key: Key) -> object:
+    """Return the default value of a key, in the form in which TOML contains it, or None if there is none."""
     value = key.default
     if isinstance(value, u.Quantity):
         value = float(value.to_value(key.unit or value.unit))
-    return "..." if value is None or value is MISSING or callable(value) or value == () else _text(value)
+    return None if value is MISSING or callable(value) or value == () else value
 
 
 def _text(value: object) -> str:

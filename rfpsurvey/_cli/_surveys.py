@@ -186,15 +186,16 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     )
     tell_if_interrupted(kept)
     record = None if output.folder is None else output.folder / "survey.json"
+    tables = ("options",) if isinstance(options["order"], str) else ("options", "joint")
     keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
         keeps_plan = False
     finally:
         if record is not None and record.is_file() and not keeps_plan:
-            write_bytes(output.folder / PLAN, given.to_toml(output.folder).encode())
+            write_bytes(output.folder / PLAN, given.record(output.folder, tables, ("output.folder",)).encode())
     seconds = perf_counter() - begin
-    survey.provenance["plan_file"] = given.to_toml(Path())
+    survey.provenance["plan_file"] = given.record(Path(), tables, ("output.folder",))
     with files(
         output,
         draw=lambda: rs.plot.draw_survey(survey),

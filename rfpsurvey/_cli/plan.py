@@ -89,7 +89,8 @@ def plan(keys: PlanKeys, given) -> None:
             "rfpsurvey: interrupted; the output is the best plan that was found before the interruption",
             file=sys.stderr,
         )
-    tile.provenance["plan_file"] = given.to_toml(Path() if keys.output.path is None else keys.output.path.parent)
+    folder = Path() if keys.output.path is None else keys.output.path.parent
+    tile.provenance["plan_file"] = given.record(folder, outputs=("output.path",))
     _print.finish(tile, keys.output)
     if ended_early:
         raise typer.Exit(130)

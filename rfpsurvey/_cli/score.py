@@ -73,6 +73,7 @@ class ScoreKeys:
 
     catalog: AssignmentKeys
     instrument: ScoreInstrumentKeys
+    options: _groups.ConstraintKeys
     output: _groups.TableOutputKeys
     center: str | None = None
     position_angle: u.Quantity[u.deg] | None = None
@@ -85,8 +86,8 @@ class ScoreKeys:
 
 @command(
     ScoreKeys,
-    "instrument.name center position_angle epoch positions missing catalog.select catalog.columns output.path "
-    "output.plot output.report output.overwrite",
+    "instrument.name center position_angle epoch positions missing options.constraints catalog.select "
+    "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.SCORE_EXAMPLES,
 )
@@ -108,7 +109,8 @@ def score(keys: ScoreKeys, _: Given) -> None:
     def read(name: str) -> "rs.Instrument":
         return _app.model_of(replace(keys.instrument, name=name), lambda: _time_of(table, keys.epoch))
 
-    tile = rs.score_tile(table, _app.instrument_of(table, keys.instrument.name, read), **options)
+    model = _app.instrument_of(table, keys.instrument.name, read)
+    tile = rs.score_tile(table, model, **options, constraints=keys.options.constraints)
     print(f"columns: {tile.provenance['catalog']['columns']}")
     _print.finish(tile, keys.output)
 

@@ -213,8 +213,9 @@ class AllocationOptions:
     def all_constraints(self) -> tuple[Constraint, ...]:
         """All constraints: those of ``requirements``, ``required`` and ``keep_out``, then ``constraints``."""
         counts = () if self._of_instrument else self.requirements
-        required = [Required(self.required)] * bool(self.required)
-        return (*counts, *required, *[KeepOut(self.keep_out)] * bool(self.keep_out), *self.constraints)
+        required = [Required(self.required)] if self.required else []
+        keep_out = [KeepOut(self.keep_out)] if self.keep_out else []
+        return (*counts, *required, *keep_out, *self.constraints)
 
     @cached_property
     def counts(self) -> tuple[Requirement, ...]:

@@ -283,7 +283,7 @@ class AllocationProblem:
         counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
         first = [self.is_required[used].sum()] if self.any_required else []
         if self.groups:
-            missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
+            missing = [g.requirement.minimum - n for g, n in zip(self.groups, self.counts_of(target_of), strict=True)]
             first.append(-sum(max(n, 0) for n in missing))
         if self.objective == "count" and len(self.classes) > 1:
             first.append(counts[:-1].sum())
@@ -304,8 +304,19 @@ class AllocationProblem:
         """
         return dict(zip(self.level_names, self.level_values(target_of).tolist(), strict=True))
 
-    def _counts(self, target_of: np.ndarray) -> list[int]:
-        """Return the number of fibers of a plan that count toward each group of `groups`."""
+    def counts_of(self, target_of: np.ndarray) -> list[int]:
+        """Return the number of fibers of a plan that count toward each group of ``groups``.
+
+        Parameters
+        ----------
+        target_of : ndarray of int, shape (n_positioners,)
+            Target of each positioner, or -1 if it has no target.
+
+        Returns
+        -------
+        list of int
+            One number for each group.
+        """
         own = np.flatnonzero(target_of >= 0)
         place = self.spectrograph_of(own, target_of[own])
         return [int(group.holds(target_of[own], place, own).sum()) for group in self.groups]
@@ -325,7 +336,7 @@ class AllocationProblem:
         bool
             Whether no minimum is missed and no maximum is exceeded.
         """
-        for group, n in zip(self.groups, self._counts(target_of), strict=True):
+        for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
             low, high = group.requirement.minimum, group.requirement.maximum
             if n < (1 - slack) * low or n > (1 + slack) * (n if high is None else high):
                 return False
@@ -345,7 +356,7 @@ class AllocationProblem:
             The requirements that are not met, with the required number and the actual number of targets.
         """
         found = []
-        for group, n in zip(self.groups, self._counts(target_of), strict=True):
+        for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
             one = group.requirement
             if n < one.minimum:
                 possible = self._possible(group)

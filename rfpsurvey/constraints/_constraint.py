@@ -315,8 +315,6 @@ class Constraint:
             if wrong:
                 text = number_of(len(wrong), "excluded target has", "excluded targets have")
                 found.append(f"{self}: {text} a fiber ({listed(wrong, MOST_LISTED)})")
-            if self.margin_rad and not field.is_complete:
-                found.append(f"{self}: checked only with the targets that have a fiber; the table contains no others")
         return found
 
     @cached_property

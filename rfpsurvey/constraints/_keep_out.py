@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._units import to_lonlat
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 from rfpsurvey.projection import FieldProjection
 from rfpsurvey.region import Region
 
@@ -35,7 +35,7 @@ class KeepOut(Constraint):
     Raises
     ------
     InputError
-        If a region is not a circle.
+        If there is no region, or if a region is not a circle.
 
     Examples
     --------
@@ -50,7 +50,10 @@ class KeepOut(Constraint):
     uses_targets = False
 
     def __post_init__(self):
-        object.__setattr__(self, "circles", as_circles(self.circles))
+        circles = as_circles(self.circles)
+        if not circles:
+            raise InputError(f"keep_out must contain at least one circle, got {short(self.circles)}")
+        object.__setattr__(self, "circles", circles)
 
     @classmethod
     def parse(cls, arguments: str) -> "KeepOut":

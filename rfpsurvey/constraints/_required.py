@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._units import to_labels
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
-from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords
+from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords, short
 
 
 @check_keywords
@@ -28,7 +28,7 @@ class Required(Constraint):
     Raises
     ------
     InputError
-        If the identifiers are neither integers nor text.
+        If there are no identifiers, or if they are neither integers nor text.
 
     Examples
     --------
@@ -43,7 +43,10 @@ class Required(Constraint):
     uses_targets = False
 
     def __post_init__(self):
-        object.__setattr__(self, "ids", as_required(self.ids))
+        ids = as_required(self.ids)
+        if not ids:
+            raise InputError(f"required targets must have at least one identifier, got {short(self.ids)}")
+        object.__setattr__(self, "ids", ids)
 
     @classmethod
     def parse(cls, arguments: str) -> "Required":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
 from rfpsurvey.constraints._constraint import Constraint
-from rfpsurvey.constraints._requirement import FORM, Requirement
+from rfpsurvey.constraints._requirement import FORM, KINDS, Requirement
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
 
 GROUP = "rfpsurvey.constraints"
@@ -36,8 +36,8 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     Parameters
     ----------
     given : Constraint or str or list of these, or None
-        The constraints. Text is a requirement, such as ``sky=20/spectrograph``, or a name and arguments, such as
-        ``keep_out 95.0 23.0 0.01``.
+        The constraints. Text is a requirement, such as ``sky=20/spectrograph``, or the name of a constraint, a space,
+        and arguments, such as ``keep_out 95.0 23.0 0.01``.
 
     Returns
     -------
@@ -47,7 +47,8 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     Raises
     ------
     InputError
-        If an object is no constraint, or if text does not have one of these forms.
+        If an object is no constraint, if text does not have one of these forms, or if the category of a requirement has
+        the name of a constraint, as in ``required=1003``; `AllocationOptions.requirements` accepts such categories.
 
     Examples
     --------
@@ -73,6 +74,12 @@ def _as_constraint(one: object) -> Constraint:
     if name in BUILT_IN:
         return BUILT_IN[name].parse(arguments)
     names = plugin_names(GROUP)
+    word, sign, _ = name.partition("@" if "@" in name.partition("=")[0] else "=")
+    if sign and word in {*BUILT_IN, *names} - {*KINDS}:
+        raise InputError(
+            f"the text of the constraint {word!r} must have a space after its name, got {short(one)}; to require a "
+            f"number of targets of a category with the name {word!r}, use the option requirements"
+        )
     if name not in names and ("=" in one or FORM.fullmatch(one.strip())):
         return Requirement.parse(one)
     if name not in names:

@@ -77,7 +77,7 @@ def tile_facts(tile: "Tile") -> dict:
     if np.isnan(tile.summary["collision_rate"]):
         facts |= {TILE["collision_rate"]: "undefined, because no arm is counted"}
         facts.pop(TILE["collision_rate_assigned"], None)
-    facts |= _required(tile.summary)
+    facts |= _required(tile.summary) | _checked(tile.summary)
     kinds = tile.summary.get("kinds", {})
     if len(kinds) < 2:
         return facts
@@ -86,6 +86,17 @@ def tile_facts(tile: "Tile") -> dict:
         found[label] = value
         if label == TILE["n_assigned"]:
             found.update((f"    {KINDS[kind]}", counts["n_assigned"]) for kind, counts in kinds.items())
+    return found
+
+
+def _checked(summary: dict) -> dict:
+    """Return how many constraints that a score checked are not met, and the number of targets of each requirement."""
+    if "n_constraints" not in summary:
+        return {}
+    found = {"constraints not met": f"{summary['n_unmet']} of {summary['n_constraints']}"}
+    for text, numbers in summary["requirements"].items():
+        low, high = min(numbers), max(numbers)
+        found[f"  targets that {text} counts"] = low if low == high else f"{low} to {high}"
     return found
 
 

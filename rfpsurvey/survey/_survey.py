@@ -39,7 +39,8 @@ class Survey:
         (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
         ``n_colliding`` (positioners in collision), ``n_counted`` (positioners that have a target or are parked),
         ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
-        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement), ``unmet``
+        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement,
+        and so do all keep-out circles), ``unmet``
         (if there are requirements or required targets: the requirements that are not met, with the numbers of missing
         targets), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
         ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness``

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from rfpsurvey.allocation import AllocationOptions, Shortfall
+from rfpsurvey.constraints import KeepOut
 from rfpsurvey.errors import listed, number_of
 
 MISSING, EXCESS, VIOLATED = "missing ", "too many ", "violations "
@@ -17,7 +18,8 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     """Return header cards of the file of a tile for the targets that requirements lack, as in ``COUNTS``.
 
     Each requirement has a card for the number of missing targets and, if it has a maximum, a card for the number of
-    targets above the maximum. Each constraint that is more than counts and has no short form has a card, too.
+    targets above the maximum. All keep-out circles together have a card, and so has each constraint that is more than
+    counts and has no short form.
     """
     cards = {}
     for k, one in enumerate(options.counts):
@@ -26,6 +28,8 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
             cards[f"MORE{k}"] = f"{EXCESS}{one}", f"targets above the maximum of requirement {k}"
     if options.required_ids:
         cards["MISSREQ"] = f"{MISSING}{REQUIRED}", "required targets of the field without a fiber"
+    if options.keep_out:
+        cards["VIOLKEEP"] = f"{VIOLATED}{KeepOut.name}", "violations of keep-out circles"
     for k, one in enumerate(one for one in options.constraints if one.uses_field):
         cards[f"VIOL{k}"] = f"{VIOLATED}{one}", f"violations of constraint {k}"
     return cards
@@ -40,8 +44,11 @@ def shortfall_counts(
         sign = MISSING if one.requested > one.found else EXCESS
         found[f"{sign}{REQUIRED if one.requirement is None else one.requirement}"] += abs(one.requested - one.found)
     for text, sentences in violations.items():
-        if f"{VIOLATED}{text}" in found:
-            found[f"{VIOLATED}{text}"] += len(sentences)
+        name = f"{VIOLATED}{text}"
+        if name not in found:  # the count of keep-out circles has their name only
+            name = f"{VIOLATED}{text.partition(' ')[0]}"
+        if name in found:
+            found[name] += len(sentences)
     return found
 
 
@@ -53,9 +60,9 @@ def without_shortfalls(counts: dict[str, np.ndarray]) -> tuple[dict, dict]:
 
 def texts_of(lacking: dict[str, np.ndarray]) -> list[str]:
     """Return, for each tile, text such as "sky=20: 3 missing, standard=5: 1 missing"; empty if nothing is missing."""
-    names = [_words(name) for name in lacking]
+    words = [_words(name) for name in lacking]
     rows = zip(*(values.tolist() for values in lacking.values()), strict=True)
-    return [", ".join(f"{what}: {n} {word}" for (what, word), n in zip(names, row, strict=True) if n) for row in rows]
+    return [", ".join(f"{what}: {_amount(n, x)}" for (what, x), n in zip(words, row, strict=True) if n) for row in rows]
 
 
 def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]:
@@ -67,10 +74,14 @@ def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]
         if len(rows) and what != REQUIRED:  # later tiles can observe required targets
             where = f"{len(rows)} of {number_of(len(tiles), 'tile')} ({listed(tiles[rows].tolist(), MOST_TILES)})"
             kind = "constraint" if word == VIOLATED.strip() else "requirement"
-            found.append(f"{kind} {what}: {int(values.sum())} {word} in {where}")
+            found.append(f"{kind} {what}: {_amount(int(values.sum()), word)} in {where}")
     return found
 
 
 def _words(name: str) -> tuple[str, str]:
     word = next(word for word in (MISSING, EXCESS, VIOLATED) if name.startswith(word))
     return name.removeprefix(word), word.strip()
+
+
+def _amount(n: int, word: str) -> str:
+    return f"{n} {word.removesuffix('s') if n == 1 else word}"

@@ -9,7 +9,7 @@ from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetCol
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import CollisionReport
 from rfpsurvey.constraints import sentences
-from rfpsurvey.errors import InputError, check_fiber_type
+from rfpsurvey.errors import InputError, check_fiber_type, warn
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import Applied, FieldTargets, apply_constraints
@@ -25,8 +25,8 @@ class ScoredConstraints:
     columns: TargetColumns
     xy: np.ndarray
 
-    def unmet(self, report: CollisionReport, target_of: np.ndarray) -> list[str]:
-        """Return sentences on violated constraints; ``target_of`` is the target of each positioner."""
+    def summary(self, report: CollisionReport, target_of: np.ndarray) -> dict:
+        """Return the entries of the summary of a score; ``target_of`` is the target of each positioner."""
         plane, n = self.applied.instrument.focal_plane, len(self.xy)
         none = Reach(np.zeros(n + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
         problem = AllocationProblem(
@@ -43,7 +43,18 @@ class ScoredConstraints:
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
         violations = self.applied.violations(report, np.arange(n), np.empty((0, 3)), np.empty((0, 2)))
-        return sentences(lacking) + [text for texts in violations.values() for text in texts]
+        wrong = {one.requirement for one in lacking}
+        numbers: dict = {}
+        for group, number in zip(problem.groups, problem.counts_of(target_of), strict=True):
+            numbers.setdefault(str(group.requirement), []).append(number)
+        return {
+            "n_constraints": len(self.options.all_constraints),
+            "n_unmet": sum(
+                bool(violations.get(str(one)) or wrong & {*one.counts}) for one in self.options.all_constraints
+            ),
+            "requirements": numbers,
+            "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
+        }
 
 
 def find_constraints(
@@ -65,6 +76,8 @@ def find_constraints(
                 f"the constraint '{one}' can be checked only with positions on the sky: give positions='sky' (or "
                 "--positions sky)"
             )
+        if one.margin_rad and "exclusion" in one.parts:
+            warn(f"the constraint '{one}' is checked only with the targets that have a fiber; the table has no others")
     for one in options.counts:
         if one.fiber_type:
             what = f"fiber type of the requirement {str(one)!r}"

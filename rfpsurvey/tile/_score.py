@@ -111,8 +111,7 @@ def score_tile(
         What to do if assigned rows have no position. By default, an error names these rows. With ``"skip"``, the other
         rows are scored, their positioners have no target, and a warning names the skipped rows.
     constraints : list of Constraint or str, optional
-        Constraints that are checked, as in `AllocationOptions`. Their obstacles count in the collisions, and the entry
-        ``unmet`` of the summary contains a sentence on each constraint that the plan violates.
+        Constraints that are checked, as in `AllocationOptions`. Their obstacles count in the collisions.
 
     Returns
     -------
@@ -121,7 +120,11 @@ def score_tile(
         (number of positioners without the fiber type that their target requires), ``n_unusable`` (number of rows for
         disabled or stuck positioners, which are not scored), ``n_skipped`` (number of assigned rows without a position;
         only with ``missing="skip"``), ``n_recorded`` (number of usable positioners without a
-        target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses).
+        target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses). If there are
+        ``constraints``, it also contains ``n_constraints`` and ``n_unmet`` (the numbers of constraints that were
+        checked, and that are not met), ``requirements`` (for the text of each requirement, a list with the number of
+        targets that have a fiber, in the tile or in each spectrograph) and ``unmet`` (sentences on the constraints that
+        are not met).
 
     Raises
     ------
@@ -272,7 +275,7 @@ def score_tile(
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
-        **({} if constraints is None else {"unmet": checked.unmet(report, target_of)}),
+        **({} if constraints is None else checked.summary(report, target_of)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

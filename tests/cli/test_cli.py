@@ -537,3 +537,34 @@ def test_visits_of_hundreds_of_digits_are_refused():
     """Such a number caused an OverflowError."""
     with pytest.raises(rs.InputError, match=r"visits must be"):
         rs.Catalog(SkyCoord([0], [0], unit="deg"), visits=[10**400])
+
+
+def test_score_checks_the_constraints_that_a_plan_met(run, tmp_path):
+    """A plan is scored with the constraints with which it was made, and with others that it cannot meet."""
+    path, sky = tmp_path / "tile.fits", rs.example_catalog()
+    middle = sky.coord.separation(sky.mean_direction).argmin()
+    asked = ["--constraint", f"required {sky.id[middle]}", "--constraint", "science=10-300"]
+    code, _, _ = run("plan", "example:anticenter", "--instrument", "sdss_apo", *asked, "--output", path)
+    assert code == 0
+    had = int((rs.Tile.read(path).table["status"] == "assigned").sum())
+    code, out, _ = run("score", path, *asked)
+    assert code == 0
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert {"constraints not met 0 of 2", f"targets that science=10-300 counts {had}"} <= {*lines}
+    assert "not met:" not in out
+    others = ["--constraint", "sky=5/spectrograph", "--constraint", "science=1-9", "--constraint", "required no"]
+    code, out, _ = run("score", path, *asked, *others, "--report", tmp_path / "tile.html")
+    assert code == 0
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert "constraints not met 3 of 4" in lines  # both lists of required targets are one constraint
+    assert "targets that sky=5/spectrograph counts 0" in lines
+    assert f"not met: science targets: {had}, {had - 9} more than the maximum of 9" in lines
+    assert "not met: required targets without a fiber: no (1 in all)" in lines
+    assert "science targets: " in (tmp_path / "tile.html").read_text()
+    circle = f"keep_out {sky.coord.ra[middle].deg} {sky.coord.dec[middle].deg} 0.5"
+    message = sentence(*run("score", path, "--constraint", circle)[::2])
+    assert "can be checked only with positions on the sky: give --positions sky" in message
+    code, out, _ = run("score", path, "--constraint", circle, "--positions", "sky")
+    assert code == 0
+    assert f"not met: {circle}: " in out
+    assert "unknown constraint 'sky'" in sentence(*run("score", path, "--constraint", "sky")[::2])

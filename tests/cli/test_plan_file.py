@@ -3,6 +3,7 @@
 import sys
 import tomllib
 from dataclasses import fields
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -69,9 +70,15 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
         "allocator": "lamost_rule",
         "objective": "count",
         "constraints": ["keep_out 95.0 23.0 0.02"],
+        "time_limit": 60,
+        "start": "lamost",
+        "parked_obstacles": True,
     }
+    expected |= {"workers": 1, "processes": False, "order": "color", "lost_in_collision": True}
+    expected["catalog"] = {"frame": "icrs"}
     record = (tmp_path / "first" / "plan.toml").read_text()
     assert tomllib.loads(record) == expected
+    assert f"# rfpsurvey {rs.__version__}; keys without a value have the default values" in record
     assert "first holds a survey" in sentence(*run("survey", "files/plan.toml", "--rng", 7)[::2])
     assert (tmp_path / "first" / "plan.toml").read_text() == record  # a refused survey does not change the record
 
@@ -109,7 +116,32 @@ def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
     output = "tile.fits"
     assert run("plan", "--instrument", "moons", "--center", "95 23", "--output", output)[0] == 0
     record = tomllib.loads(rs.Tile.read(output).provenance["plan_file"])
-    assert record == {"center": "95 23", "instrument": {"name": "moons"}, "output": {"path": "tile.fits"}}
+    assert record.pop("options")["allocator"] == "repair"
+    others = {"catalog": {"frame": "icrs"}, "position_angle": 0, "rng": 0}
+    assert record == {"center": "95 23", "instrument": {"name": "moons"}, "output": {"path": "tile.fits"}, **others}
+
+
+def test_the_record_of_a_survey_with_a_report_and_plots_can_be_run_again(run, tmp_path, monkeypatch):
+    """Regression: the record named the report and the plots of the first run, which exist."""
+    words = ["survey", "--instrument", "moons", "--allocator", "optimal", "--order", "joint", "--passes", 2]
+    words += ["--set", "joint.iterations=1", "--workers", 2, "--set", "output.quality=quality.png"]
+    monkeypatch.chdir(tmp_path)
+    folder, again = Path("first"), Path("second")
+    assert run(*words, "--folder", folder, "--report", "page.html", "--plot", "chart.png")[0] == 0
+    record = folder / "plan.toml"
+    found = tomllib.loads(record.read_text())
+    assert found["output"] == {"folder": "."}
+    assert found["joint"] == {"iterations": 1, "gap": 0.0, "patch_size": 800}
+    message = f"rfpsurvey: {folder} holds a survey; continue it with --resume, or give another folder\n"
+    assert run("survey", record)[::2] == (2, message)
+    code, _, err = run("survey", record, "--resume")
+    assert code == 0
+    assert "warning" not in err
+    code, _, err = run("survey", record, "--folder", again)
+    assert code == 0
+    assert "warning" not in err
+    assert (again / "outcomes.fits").read_bytes() == (folder / "outcomes.fits").read_bytes()
+    assert tomllib.loads((again / "plan.toml").read_text()) == found
 
 
 def test_all_values_are_read_again_as_they_are_written(tmp_path):
@@ -266,6 +298,27 @@ def test_wrong_values_are_refused_in_one_sentence(run, command, words, message):
     if "--workers" in words and command == "plan":
         pytest.skip("the command has no workers")
     assert message.replace("joint.time_limit=600, got 'rng'", "") in sentence(*run(command, *words)[::2])
+
+
+@pytest.mark.parametrize("command", ["plan", "survey", "tile", "select", "compare-allocators", "score"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--instrument", "mons"], "unknown instrument 'mons'; choose one of: "),
+        (["--instrument", "mine.toml"], "mine.toml: there is no such file"),
+        (["--set", "instrument.name=moons", "--set", "instrument.arm_model=round"], "unknown arm model 'round'"),
+        (["--allocator", "lamst"], "unknown allocator 'lamst'; choose one of: "),
+        (["--set", "options.start=lamst"], "unknown allocator to start with 'lamst'; choose one of: "),
+        (["--constraint", "keepout 95 23 1"], "unknown constraint 'keepout'; choose one of: "),
+    ],
+)
+def test_plan_files_with_unknown_names_are_not_written(run, tmp_path, command, words, message):
+    """Regression: --write-plan did not check the names of instruments and allocators."""
+    if command == "score" and words[0] != "--instrument" and words[0] != "--constraint":
+        pytest.skip("the command has no allocator")
+    path = tmp_path / "plan.toml"
+    assert message in sentence(*run(command, *words, "--write-plan", path)[::2])
+    assert not path.exists()
 
 
 def test_existing_plan_files_are_kept(run, tmp_path):

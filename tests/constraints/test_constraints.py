@@ -43,6 +43,22 @@ def test_constraints_are_read_as_they_are_written(text, kind):
     assert str(pickle.loads(pickle.dumps(one))) == text
 
 
+def test_a_category_may_have_the_name_of_a_constraint_in_requirements():
+    (one,) = rs.AllocationOptions(requirements="required=3").requirements
+    assert (one.what, one.minimum) == ("required", 3)
+    (one,) = as_constraints("required a=5 b@c=6")  # identifiers can contain these signs
+    assert one.ids == ("a=5", "b@c=6")
+
+
+@pytest.mark.parametrize("empty", [None, [], ()])
+def test_constraints_without_an_argument_are_refused(empty):
+    """Regression: the text of these constraints could not be read again."""
+    with pytest.raises(rs.InputError, match="required targets must have at least one identifier, got"):
+        rs.Required(empty)
+    with pytest.raises(rs.InputError, match="keep_out must contain at least one circle, got"):
+        rs.KeepOut(empty)
+
+
 def test_a_circle_may_contain_commas():
     assert str(as_constraints("keep_out 95.0,23.0,0.01")[0]) == "keep_out 95.0 23.0 0.01"
 
@@ -60,6 +76,9 @@ def test_a_circle_may_contain_commas():
         ("sky", "unknown constraint 'sky'"),
         ("", "unknown constraint ''"),
         ("sky=x", "a requirement must have a form such as"),
+        ("required=1003", "the constraint 'required' must have a space after its name, got 'required=1003'"),
+        ("keep_out@BOSS=3-7/spectrograph", "the text of the constraint 'keep_out' must have a space after its name"),
+        ("required=star7", "the text of the constraint 'required' must have a space after its name"),
         ([3], "a constraint must be a Constraint or text"),
         (3, "constraints must be a list of constraints or text, got 3"),
     ],

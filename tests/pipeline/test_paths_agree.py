@@ -199,3 +199,25 @@ def test_added_sky_positions_of_a_tile_avoid_targets_without_requested_visits():
 @pytest.mark.parametrize("name", CASES)
 def test_the_same_targets_are_observed_in_each_case_by_each_allocator(name, allocator, monkeypatch):
     check(name, allocator, monkeypatch)
+
+
+@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("name", ["keep_out", "constraints", "requirements", "required", "everything"])
+def test_a_tile_and_a_survey_state_the_same_unmet_constraints(name, allocator):
+    """Regression: surveys did not count keep-out circles that arms cover as constraints that are not met."""
+    catalog, instrument, tiling, options = make_case(name)
+    if "keep_out" in options:  # a circle that at least one arm always covers
+        options["keep_out"].append(rs.Region.cap(CENTER, 0.2 * u.deg))
+    asked = rs.AllocationOptions(allocator, **options)
+    conditions = conditions_of_tiles(tiling)
+    where = {"conditions": None if conditions is None else conditions[0], "position_angle": 25 * u.deg}
+    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(0,)))
+    unmet = rs.plan_tile(catalog, instrument, CENTER, allocator=asked, rng=rng, **where).summary["unmet"]
+    # a survey does not count required targets that are outside of the field of a tile
+    unmet = [text for text in unmet if not text.startswith("required targets outside the field")]
+    covering = [text for text in unmet if text.startswith("keep_out ")]
+    assert len(covering) == ("keep_out" in options)
+    survey = rs.plan_survey(catalog, instrument, tiling, allocator=asked, rng=SEED)
+    assert survey.tiles["n_unmet"].tolist() == [len(unmet)] == [survey.summary["n_unmet"]]
+    expected = ["constraint keep_out: 1 violation in 1 of 1 tile (0)"] * len(covering)
+    assert [text for text in survey.summary["unmet"] if "keep_out" in text] == expected

@@ -24,7 +24,7 @@ def test_rules_with_visits_and_priorities(small, allocator, text):
     check(found, sky, small, tiles, allocator, SOME if text else SOME[:1])
 
 
-@pytest.mark.filterwarnings("ignore:required targets never observed")
+@pytest.mark.filterwarnings("ignore:required targets never observed", "ignore:constraint keep_out")
 @pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["nearest", "lamost_rule"])
 def test_fiber_types_kinds_required_targets_and_circles(allocator):

@@ -250,6 +250,7 @@ def test_joint_options_are_checked(options):
         rs.JointOptions(**options)
 
 
+@pytest.mark.filterwarnings("ignore:constraint keep_out")
 def test_circles_that_no_arm_may_cover_are_obstacles_of_a_joint_plan(case):
     catalog, _, _ = case
     circles = [rs.Region.cap(where, 0.02 * u.deg) for where in catalog.coord[:10]]

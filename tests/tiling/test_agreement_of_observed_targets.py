@@ -106,6 +106,7 @@ def observed_by_survey(catalog, *args, **options):
 @pytest.mark.parametrize("first", range(0, 9, N_CASES))
 @pytest.mark.parametrize("allocator", METHODS)
 @pytest.mark.filterwarnings("ignore:required targets", "ignore:no target", "ignore:no tile", "ignore:requirement")
+@pytest.mark.filterwarnings("ignore:constraint keep_out")
 def test_a_list_of_tiles_observes_the_targets_of_a_survey(allocator, first, monkeypatch):
     """Regression: tiles of `place_tiles` did not observe required standards without a requirement, for example."""
     instrument, total = make_instrument(), 0
