@@ -72,14 +72,8 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None) -
         target = match(everything)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    names, offset = problem.level_names, offset_of(problem)
-    limits = np.empty(len(names))
-    for k, name in enumerate(names[:offset]):
-        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
-            name, most[n_classes - 1]
-        )
-    limits[offset:] = most[: len(names) - offset]
-    return limits
+    others = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}
+    return np.array([others.get(one.name, most[one.stop - 1]) for one in problem.objectives])
 
 
 def conditional_bounds(problem: AllocationProblem, values: np.ndarray, limits: np.ndarray, first: int) -> np.ndarray:

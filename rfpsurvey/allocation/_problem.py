@@ -28,6 +28,20 @@ class TargetColumns(NamedTuple):
     subpriority: np.ndarray | None = None
 
 
+class Objective(NamedTuple):
+    """An objective of a plan; earlier objectives take precedence over all later ones.
+
+    An objective is the number of targets of successive classes, unless it has the name ``required targets`` or
+    ``requirements`` (minus the number of fibers that are missing for the requirements).
+    """
+
+    name: str
+    first: int = 0
+    """Class of the first targets that count."""
+    stop: int = 0
+    """Number of the first class after ``first`` whose targets do not count."""
+
+
 def _no_start() -> AllocationAnswer:
     raise InputError("the option start must be given for an allocator that improves another plan")
 
@@ -258,12 +272,24 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     @cached_property
+    def objectives(self) -> tuple[Objective, ...]:
+        """The objectives, in order of precedence."""
+        n = len(self.classes)
+        names = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in self.classes]
+        found = [Objective("required targets")] * self.any_required + [Objective("requirements")] * bool(self.groups)
+        found += [Objective("science", 0, n)] * (self.objective == "count" and n > 1)
+        found += [Objective(name, k, k + 1) for k, name in enumerate(names)]
+        return (*found, *([] if self.science.all() else [Objective("any target", 0, n + 1)]))
+
+    @cached_property
+    def _classes_of_objectives(self):
+        """The classes ``first`` and ``stop`` of all objectives, as arrays."""
+        return np.array([(one.first, one.stop) for one in self.objectives], dtype=np.int64).reshape(-1, 2).T
+
+    @cached_property
     def level_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order of precedence."""
-        classes = ["science"] if len(self.classes) == 1 else [f"priority {exact_text(value)}" for value in self.classes]
-        first = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
-        first += ["science"] * (self.objective == "count" and len(classes) > 1)
-        return (*first, *classes, *([] if self.science.all() else ["any target"]))
+        return tuple(one.name for one in self.objectives)
 
     def level_values(self, target_of: np.ndarray) -> np.ndarray:
         """Return the value of each objective in `level_names` for a plan; larger values are better.
@@ -279,14 +305,15 @@ class AllocationProblem:
             The values, in order of precedence.
         """
         used = target_of[target_of >= 0]
-        counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
-        first = [self.is_required[used].sum()] if self.any_required else []
+        before = np.append(0, np.cumsum(np.bincount(self.rank[used], minlength=len(self.classes) + 1)))
+        first, stop = self._classes_of_objectives
+        values = (before[stop] - before[first]).astype(float)
+        if self.any_required:
+            values[0] = self.is_required[used].sum()
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self._counts(target_of), strict=True)]
-            first.append(-sum(max(n, 0) for n in missing))
-        if self.objective == "count" and len(self.classes) > 1:
-            first.append(counts[:-1].sum())
-        return np.concatenate([first, counts[:-1], [] if self.science.all() else [counts.sum()]]) + 0.0
+            values[int(self.any_required)] = 0.0 - sum(max(n, 0) for n in missing)
+        return values
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
         """Return the value of each objective of a plan, in order of precedence; larger values are better.
