@@ -149,9 +149,10 @@ class Program:
     def _objectives(self):
         """Return the coefficients and the smallest and largest values of the objectives, in order of precedence."""
         problem, rank = self.problem, self.candidates.options.rank[self.candidate]
+        first, stop = problem.objectives.first, problem.objectives.stop
         order = np.argsort(rank, kind="stable")
         ends = np.searchsorted(rank[order], np.arange(len(problem.classes) + 2))
-        columns = [order[ends[one.first] : ends[one.stop]] for one in problem.objectives]
+        columns = [order[a:b] for a, b in zip(ends[first], ends[stop], strict=True)]
         if problem.any_required:
             columns[0] = np.flatnonzero(np.append(problem.is_required, False)[self.target])
         low, worth = np.zeros(len(columns)), np.ones(len(columns))

@@ -72,8 +72,12 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None) -
         target = match(everything)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    others = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}
-    return np.array([others.get(one.name, most[one.stop - 1]) for one in problem.objectives])
+    limits = most[problem.objectives.stop - 1]
+    if problem.any_required:
+        limits[0] = min(problem.is_required.sum(), n)
+    if problem.groups:
+        limits[int(problem.any_required)] = 0.0
+    return limits
 
 
 def conditional_bounds(problem: AllocationProblem, values: np.ndarray, limits: np.ndarray, first: int) -> np.ndarray:

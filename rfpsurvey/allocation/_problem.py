@@ -28,18 +28,16 @@ class TargetColumns(NamedTuple):
     subpriority: np.ndarray | None = None
 
 
-class Objective(NamedTuple):
-    """An objective of a plan; earlier objectives take precedence over all later ones.
+class Objectives(NamedTuple):
+    """The objectives of a plan, in order of precedence.
 
-    An objective is the number of targets of successive classes, unless it has the name ``required targets`` or
-    ``requirements`` (minus the number of fibers that are missing for the requirements).
+    An objective is the number of assigned targets of the classes ``first`` to ``stop - 1``, unless it has the name
+    ``required targets`` or ``requirements`` (minus the number of fibers that are missing for the requirements).
     """
 
-    name: str
-    first: int = 0
-    """Class of the first targets that count."""
-    stop: int = 0
-    """Number of the first class after ``first`` whose targets do not count."""
+    names: tuple[str, ...]
+    first: np.ndarray
+    stop: np.ndarray
 
 
 def _no_start() -> AllocationAnswer:
@@ -272,24 +270,21 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     @cached_property
-    def objectives(self) -> tuple[Objective, ...]:
-        """The objectives, in order of precedence."""
-        n = len(self.classes)
-        names = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in self.classes]
-        found = [Objective("required targets")] * self.any_required + [Objective("requirements")] * bool(self.groups)
-        found += [Objective("science", 0, n)] * (self.objective == "count" and n > 1)
-        found += [Objective(name, k, k + 1) for k, name in enumerate(names)]
-        return (*found, *([] if self.science.all() else [Objective("any target", 0, n + 1)]))
+    def objectives(self) -> Objectives:
+        """Names of the objectives, in order of precedence, and the classes that each objective counts."""
+        n, rest = len(self.classes), int(not self.science.all())
+        all_first = int(self.objective == "count" and n > 1)
+        special = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
+        classes = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in self.classes]
+        names = (*special, *["science"] * all_first, *classes, *["any target"] * rest)
+        first = [0] * (len(special) + all_first), np.arange(n), [0] * rest
+        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * rest
+        return Objectives(names, *(np.concatenate(parts).astype(np.int64) for parts in (first, stop)))
 
-    @cached_property
-    def _classes_of_objectives(self):
-        """The classes ``first`` and ``stop`` of all objectives, as arrays."""
-        return np.array([(one.first, one.stop) for one in self.objectives], dtype=np.int64).reshape(-1, 2).T
-
-    @cached_property
+    @property
     def level_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order of precedence."""
-        return tuple(one.name for one in self.objectives)
+        return self.objectives.names
 
     def level_values(self, target_of: np.ndarray) -> np.ndarray:
         """Return the value of each objective in `level_names` for a plan; larger values are better.
@@ -306,8 +301,7 @@ class AllocationProblem:
         """
         used = target_of[target_of >= 0]
         before = np.append(0, np.cumsum(np.bincount(self.rank[used], minlength=len(self.classes) + 1)))
-        first, stop = self._classes_of_objectives
-        values = (before[stop] - before[first]).astype(float)
+        values = (before[self.objectives.stop] - before[self.objectives.first]).astype(float)
         if self.any_required:
             values[0] = self.is_required[used].sum()
         if self.groups:
