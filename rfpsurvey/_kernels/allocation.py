@@ -7,7 +7,7 @@ contains the squared distance of the target from the center of the positioner, f
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inlined_kernel, kernel
 
 # A number that is larger than the rank of any priority class.
 MOST = 2**62
@@ -235,53 +235,61 @@ def nominate(
 
 
 @kernel
-def nearest(indptr, target, r2, t_r2, target_of_positioner, positioner_of_target):
-    """Assign targets to nearby positioners, beginning with the closest pair, one priority class after the other.
+def sort_by_distance(indptr, r2, closest):
+    """Sort the pairs of each target by distance, then by the index of the positioner, with an insertion sort."""
+    for t in range(indptr.size - 1):
+        for k in range(indptr[t], indptr[t + 1]):
+            m = k
+            while m > indptr[t] and r2[closest[m - 1]] > r2[k]:
+                closest[m] = closest[m - 1]
+                m -= 1
+            closest[m] = k
 
-    The candidates of each positioner must be sorted by class, then by distance. The method is deferred acceptance: each
-    positioner proposes to its candidates in this order, and a target keeps the nearest positioner that has proposed to
-    it. The result is the same as if the closest pair of the first class were assigned first, then the closest remaining
-    pair of this class, and so on.
+
+@inlined_kernel
+def precedes(rank, order, number, s, t):
+    """Return whether target s precedes target t in the order in which targets are assigned.
+
+    The order is by class, then by subpriority, then by the integer that represents the identifier, then by row.
     """
-    n = indptr.size - 1
-    cursor = indptr[:-1].copy()
-    positioner_of_target[:] = -1
-    target_of_positioner[:] = -1
-    for first in range(n):
-        i = first
-        while i >= 0 and cursor[i] < indptr[i + 1]:
-            k = cursor[i]
-            t = target[k]
-            cursor[i] += 1
-            j = positioner_of_target[t]
-            if j < 0 or r2[k] < t_r2[t] or (r2[k] == t_r2[t] and i < j):
-                positioner_of_target[t] = i
-                target_of_positioner[i] = t
-                t_r2[t] = r2[k]
-                if j >= 0:
-                    target_of_positioner[j] = -1
-                i = j
+    if rank[s] != rank[t]:
+        return rank[s] < rank[t]
+    if order[s] != order[t]:
+        return order[s] > order[t]
+    return number[s] < number[t] or (number[s] == number[t] and s < t)
 
 
 @kernel
-def serve(order, indptr, owner, r2, target_of_positioner, positioner_of_target):
-    """Assign each target, in the given order, to the closest free positioner that reaches it, if there is one.
+def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, cursor, target_of_positioner, pair):
+    """Assign each target, in the order of `precedes`, to its closest free positioner.
 
-    If two positioners are equally close, the one with the lowest index is used.
+    If ``by_distance`` is true, the closest pair of the first class is assigned first, then the closest remaining pair
+    of this class, and so on. ``closest`` contains the pairs of each target, sorted by `sort_by_distance`, and
+    ``cursor`` the index in ``closest`` of the first pair that each target may use. The pair of each positioner with a
+    target is written to ``pair``.
+
+    The method is deferred acceptance. Each target proposes to its positioners in the order of ``closest``, and a
+    positioner keeps the best target among the targets that have proposed to it. The result is the same as if the
+    targets were assigned one after the other, but they need not be sorted.
     """
     target_of_positioner[:] = -1
-    positioner_of_target[:] = -1
-    for t in order:
-        best = -1
-        best_r2 = np.inf
-        for k in range(indptr[t], indptr[t + 1]):
+    pair[:] = -1
+    for first in range(indptr.size - 1):
+        t = first
+        while t >= 0 and cursor[t] < indptr[t + 1]:
+            k = closest[cursor[t]]
+            cursor[t] += 1
             i = owner[k]
-            if target_of_positioner[i] < 0 and (r2[k] < best_r2 or (r2[k] == best_r2 and i < best)):
-                best = i
-                best_r2 = r2[k]
-        if best >= 0:
-            positioner_of_target[t] = best
-            target_of_positioner[best] = t
+            s = target_of_positioner[i]
+            if s >= 0:
+                if by_distance and rank[s] == rank[t] and r2[pair[i]] != r2[k]:
+                    refused = r2[pair[i]] < r2[k]
+                else:
+                    refused = precedes(rank, order, number, s, t)
+                if refused:
+                    continue
+            target_of_positioner[i], pair[i] = t, k
+            t = s
 
 
 @kernel

@@ -7,25 +7,14 @@ mask stands for realization r of at most 32 realizations.
 
 import numpy as np
 
-from rfpsurvey._jit import inlined_kernel, kernel
-from rfpsurvey._kernels.allocation import nominate
+from rfpsurvey._jit import kernel
+from rfpsurvey._kernels import allocation
+from rfpsurvey._kernels.allocation import nominate, precedes
 from rfpsurvey._kernels.batch import find_hits, find_pairs
 from rfpsurvey._kernels.hashing import mix
 
 # Largest number of realizations in one call.
 MOST = 32
-
-
-@kernel
-def sort_by_distance(indptr, r2, nearest):
-    """Sort the pairs of each target by distance, then by the index of the positioner, with an insertion sort."""
-    for t in range(indptr.size - 1):
-        for k in range(indptr[t], indptr[t + 1]):
-            m = k
-            while m > indptr[t] and r2[nearest[m - 1]] > r2[k]:
-                nearest[m] = nearest[m - 1]
-                m -= 1
-            nearest[m] = k
 
 
 @kernel
@@ -139,48 +128,20 @@ def set_order(number, seed, order):
         order[t] = mix(number[t] ^ mixed) >> np.uint64(11)
 
 
-@inlined_kernel
-def precedes(rank, order, number, s, t):
-    """Return whether target s precedes target t in the order in which targets are assigned.
-
-    The order is by class, then by subpriority, then by the integer that represents the identifier, then by row.
-    """
-    if rank[s] != rank[t]:
-        return rank[s] < rank[t]
-    if order[s] != order[t]:
-        return order[s] > order[t]
-    return number[s] < number[t] or (number[s] == number[t] and s < t)
-
-
 @kernel
-def nearest(indptr, owner, closest, rank, number, seeds, left, chosen):
+def nearest(indptr, owner, r2, closest, rank, number, seeds, left, chosen):
     """Assign targets by class, then by subpriority; each target is assigned to its closest free positioner.
 
-    ``closest`` contains the pairs of each target, sorted by `sort_by_distance`. The method is deferred acceptance. Each
-    target proposes to its positioners in the order of ``closest``, and a positioner keeps the target with the highest
-    precedence among the targets that have proposed to it. The result is the same as if the targets were assigned one
-    after the other, but the targets need not be sorted.
+    ``closest`` contains the pairs of each target, sorted by `sort_by_distance`.
     """
     n = indptr.size - 1
     order, cursor = np.empty(n, np.uint64), np.empty(n, np.int64)
-    holder = np.empty(chosen.shape[1], np.int64)
+    target_of = np.empty(chosen.shape[1], np.int64)
     for r in range(chosen.shape[0]):
-        holder[:] = -1
-        chosen[r, :] = -1
         set_order(number, seeds[r], order)
         for t in range(n):
-            cursor[t] = indptr[t]
-        for first in range(n):
-            t = first if left[first, r] > 0 else -1
-            while t >= 0 and cursor[t] < indptr[t + 1]:
-                k = closest[cursor[t]]
-                cursor[t] += 1
-                i = owner[k]
-                s = holder[i]
-                if s >= 0 and precedes(rank, order, number, s, t):
-                    continue
-                holder[i], chosen[r, i] = t, k
-                t = s
+            cursor[t] = indptr[t] if left[t, r] > 0 else indptr[t + 1]
+        allocation.nearest(indptr, owner, r2, closest, rank, order, number, False, cursor, target_of, chosen[r])
 
 
 @kernel

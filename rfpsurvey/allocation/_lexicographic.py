@@ -6,6 +6,7 @@ import numpy as np
 
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._objectives import offset_of
 
 # Successive objectives are combined into one as long as the product of their numbers of possible values is below this
 # limit. Rounding errors then have no effect.
@@ -38,8 +39,9 @@ class _Pursuit:
     def __init__(self, program: Program, first, limit, *, integral):
         self.program, self.limit = program, limit
         self.integral, self.n_programs = integral, 0
-        self.high = np.array([objective.high for objective in program.objectives])
-        self.classes = np.array([objective.is_class for objective in program.objectives])
+        self.classes = np.zeros(len(program.high), dtype=bool)
+        if not program.problem.any_required:
+            self.classes[offset_of(program.problem) :][: len(program.problem.classes)] = True
         x = program.variables(first)
         self.x = x if program.holds(x) else None
         self.values = program.reaches(x)
@@ -48,7 +50,7 @@ class _Pursuit:
     def upper(self, values):
         """Return the upper bound of each objective, given the values of all earlier objectives."""
         if self.limit is None:
-            return self.high
+            return self.program.high
         # For every k, no plan has more targets of the first k classes than the best matching.
         before = np.cumsum(self.classes * values) - self.classes * values
         most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
@@ -57,7 +59,7 @@ class _Pursuit:
             # earlier objectives.
             known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
             most = np.where(known, most, np.inf)
-        return np.minimum(self.high, most)
+        return np.minimum(self.program.high, most)
 
     def maximize(self, goal, keep, deadline, gap=0.0):
         """Return the variables that maximize a goal (a weighted sum of objectives), and an upper bound of the goal."""
@@ -78,13 +80,9 @@ class _Pursuit:
 
     def next_pack(self, k, largest):
         """Return the number of objectives, beginning with k, that can form one weighted sum, and their weights."""
-        sizes, product = [], 1.0
-        for objective in self.program.objectives[k:]:
-            product *= objective.high - objective.low + 1.0
-            if sizes and product > largest:
-                break
-            sizes.append(objective.high - objective.low + 1.0)
-        return len(sizes), np.cumprod([1.0, *sizes[:0:-1]])[::-1]
+        sizes = (self.program.high - self.program.low + 1.0)[k:]
+        n = max(int((np.cumprod(sizes) <= largest).sum()), 1)
+        return n, np.cumprod([1.0, *sizes[1:n][::-1]])[::-1]
 
     def prove(self, k, deadline):
         """Optimize objective k, possibly together with later objectives.
@@ -94,7 +92,7 @@ class _Pursuit:
         program, n_solved = self.program, len(self.solved)
         if self.x is not None and self.is_kept(self.values):
             short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
-            n = int(short[0]) if len(short) else len(program.objectives) - k
+            n = int(short[0]) if len(short) else len(program.high) - k
             if n:
                 self.solved += self.values[k : k + n].tolist()
                 return n, self.values[k]
@@ -103,9 +101,7 @@ class _Pursuit:
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
         goal = program.goal(k, weights)
-        lowest = sum(
-            w * objective.low for w, objective in zip(weights[1:], program.objectives[k + 1 : k + n], strict=True)
-        )
+        lowest = weights[1:] @ program.low[k + 1 : k + n]
         for n_soft in dict.fromkeys([min(in_goal, n_solved), 0]):
             first = n_solved - n_soft
             slope = weights[0] * STEEP ** np.arange(n_soft, 0, -1)
@@ -126,7 +122,7 @@ class _Pursuit:
 
     def fill(self, k, deadline):
         """Improve objective k and all later objectives, approximately in order, without proof of an optimum."""
-        worth = np.maximum(STEEP ** -np.arange(len(self.program.objectives) - k, dtype=float), FLATTEST)
+        worth = np.maximum(STEEP ** -np.arange(len(self.program.high) - k, dtype=float), FLATTEST)
         x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
         if x is not None:
             self.take(x)
@@ -146,23 +142,23 @@ def pursue(
     called with the number of proven objectives and the total number of objectives.
     """
     now = _Pursuit(program, first, limit, integral=integral)
-    objectives, k = program.objectives, 0
+    n_objectives, k = len(program.high), 0
     time_left = left(deadline)
-    halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and len(objectives) > 1 else deadline
-    bounds = now.high.copy()
-    while k < len(objectives):
+    halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
+    bounds = program.high.copy()
+    while k < n_objectives:
         if tell is not None:
-            tell(k, len(objectives))
+            tell(k, n_objectives)
         n, bound = now.prove(k, halt)
         if n == 0:
-            if k < len(objectives) - 1:
+            if k < n_objectives - 1:
                 now.fill(k, deadline)
             bounds[k:] = now.upper(now.values)[k:]
             bounds[k] = min(bound, bounds[k])
             break
         bounds[k : k + n] = now.solved[k:]
         k += n
-    if squared_cost and k == len(objectives):
+    if squared_cost and k == n_objectives:
         x, _ = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
         if x is not None:
             now.x = x

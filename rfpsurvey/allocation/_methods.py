@@ -73,15 +73,14 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
     Requirements are ignored.
     """
     reach, rank, _ = _in_order(problem)
-    if problem.subpriority is not None:
-        target_of, owner_of = np.empty(reach.n_positioners, dtype=np.int64), np.empty(len(rank), dtype=np.int64)
-        order = np.argsort(rank, kind="stable")
-        kernels.serve(order, reach.indptr, reach.owner, reach.r2, target_of, owner_of)
-        return AllocationAnswer(with_watched(problem, target_of))
-    indptr, target, r2, _ = _best(problem, reach, rank)
-    m = len(problem.rank)
-    target_of = np.empty(len(indptr) - 1, dtype=np.int64)
-    kernels.nearest(indptr, target, r2, np.empty(m), target_of, np.empty(m, dtype=np.int64))
+    closest = np.arange(len(reach.owner))
+    kernels.sort_by_distance(reach.indptr, reach.r2, closest)
+    target_of, pair = np.empty((2, reach.n_positioners), dtype=np.int64)
+    same, by_distance = np.zeros(len(rank), dtype=np.uint64), problem.subpriority is None
+    cursor = reach.indptr[:-1].copy()
+    kernels.nearest(
+        reach.indptr, reach.owner, reach.r2, closest, rank, same, same, by_distance, cursor, target_of, pair
+    )
     return AllocationAnswer(with_watched(problem, target_of))
 
 

@@ -1,7 +1,5 @@
 """The integer program for positioners that have several candidates, with variables, constraints and objectives."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
@@ -18,23 +16,14 @@ PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 EXTENDED, FOR_CLIQUES = 5000, 0.05
 
 
-class Objective(NamedTuple):
-    """A sum of variables to maximize; its coefficients are a row of `Program.matrix`."""
-
-    low: float
-    high: float
-    """Smallest and largest possible value of the objective."""
-    is_class: bool = False
-    """Whether the objective is the number of assigned targets of a priority class."""
-
-
 class Program:
     """An integer program whose solutions are plans that use candidates from ``rows``, which are sorted by positioner.
 
     ``others`` are the candidates that positioners outside the program use; these candidates also count toward the
     requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a
     candidate is 1 if the candidate is in use, and 0 otherwise. The variable of a requirement is the number of fibers
-    that are missing for its minimum.
+    that are missing for its minimum. The rows of ``matrix`` are the coefficients of the objectives, whose smallest and
+    largest possible values are ``low`` and ``high``.
     """
 
     def __init__(
@@ -58,7 +47,7 @@ class Program:
         self._targets()
         self._requirements(others)
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
-        self.matrix, self.objectives = self._objectives()
+        self.matrix, self.low, self.high = self._objectives()
 
     def variables(self, chosen: np.ndarray) -> np.ndarray:
         """Return the variables of a plan, including the number of missing fibers for each requirement."""
@@ -158,30 +147,21 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _objectives(self):
-        """Return the coefficients and the limits of the objectives, in order of precedence."""
-        problem, n_classes = self.problem, len(self.problem.classes)
-        rank = self.candidates.options.rank[self.candidate]
-        columns, worth, objectives = [], [], []
-
-        def add(used, *, is_class=False):
-            most = min(len(np.unique(self.own[used])), len(np.unique(self.target[used])))
-            columns.append(used)
-            worth.append(1.0)
-            objectives.append(Objective(0.0, float(most), is_class))
-
-        if problem.any_required:
-            add(np.flatnonzero(np.append(problem.is_required, False)[self.target]))
-        if problem.groups:
-            columns.append(self.short)
-            worth.append(-1.0)
-            objectives.append(Objective(-float(sum(g.requirement.minimum for g in problem.groups)), 0.0))
-        if problem.objective == "count" and n_classes > 1:
-            add(np.flatnonzero(rank < n_classes))
+        """Return the coefficients and the smallest and largest values of the objectives, in order of precedence."""
+        problem, rank = self.problem, self.candidates.options.rank[self.candidate]
+        first, stop = problem.objectives.first, problem.objectives.stop
         order = np.argsort(rank, kind="stable")
-        for used in np.split(order, np.searchsorted(rank[order], np.arange(n_classes + 1)))[1:-1]:
-            add(used, is_class=not problem.any_required)
-        if not problem.science.all():
-            add(np.flatnonzero(self.target >= 0))
+        ends = np.searchsorted(rank[order], np.arange(len(problem.classes) + 2))
+        columns = [order[a:b] for a, b in zip(ends[first], ends[stop], strict=True)]
+        if problem.any_required:
+            columns[0] = np.flatnonzero(np.append(problem.is_required, False)[self.target])
+        low, worth = np.zeros(len(columns)), np.ones(len(columns))
+        high = [min(len(np.unique(self.own[used])), len(np.unique(self.target[used]))) for used in columns]
+        if problem.groups:
+            k = int(problem.any_required)
+            columns[k], worth[k], high[k] = self.short, -1.0, 0
+            low[k] = -sum(g.requirement.minimum for g in problem.groups)
         sizes = [len(used) for used in columns]
-        row, column = np.repeat(np.arange(len(objectives)), sizes), np.concatenate(columns)
-        return csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(objectives), self.n)), objectives
+        row, column = np.repeat(np.arange(len(columns)), sizes), np.concatenate(columns)
+        matrix = csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(columns), self.n))
+        return matrix, low, np.array(high, dtype=float)

@@ -72,13 +72,11 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None) -
         target = match(everything)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    names, offset = problem.level_names, offset_of(problem)
-    limits = np.empty(len(names))
-    for k, name in enumerate(names[:offset]):
-        limits[k] = {"requirements": 0.0, "required targets": float(min(problem.is_required.sum(), n))}.get(
-            name, most[n_classes - 1]
-        )
-    limits[offset:] = most[: len(names) - offset]
+    limits = most[problem.objectives.stop - 1]
+    if problem.any_required:
+        limits[0] = min(problem.is_required.sum(), n)
+    if problem.groups:
+        limits[int(problem.any_required)] = 0.0
     return limits
 
 

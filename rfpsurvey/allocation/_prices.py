@@ -12,7 +12,6 @@ from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover_by_pairs, extend
 from rfpsurvey.allocation._clock import left
-from rfpsurvey.allocation._objectives import offset_of
 from rfpsurvey.allocation._problem import AllocationProblem
 
 # The value of a candidate is its weight minus the prices of its cliques. To adjust the prices, the largest value among
@@ -107,16 +106,9 @@ def weights_of(problem: AllocationProblem, options) -> list:
     list of (ndarray of float or None)
         Weights of the candidates: one array, or None, for each objective.
     """
-    n_classes, offset, found = len(problem.classes), offset_of(problem), []
-    for k, name in enumerate(problem.level_names):
-        if name == "required targets":
-            found.append(np.append(problem.is_required, False)[options.target].astype(float))
-        elif name == "requirements":
-            found.append(None)
-        elif k < offset:
-            found.append((options.rank < n_classes).astype(float))
-        elif k < offset + n_classes:
-            found.append((options.rank <= k - offset).astype(float))
-        else:
-            found.append((options.target >= 0).astype(float))
+    found = [(options.rank < stop).astype(float) for stop in problem.objectives.stop]
+    if problem.any_required:
+        found[0] = np.append(problem.is_required, False)[options.target].astype(float)
+    if problem.groups:
+        found[int(problem.any_required)] = None
     return found

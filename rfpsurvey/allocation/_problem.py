@@ -28,6 +28,18 @@ class TargetColumns(NamedTuple):
     subpriority: np.ndarray | None = None
 
 
+class Objectives(NamedTuple):
+    """The objectives of a plan, in order of precedence.
+
+    An objective is the number of assigned targets of the classes ``first`` to ``stop - 1``, unless it has the name
+    ``required targets`` or ``requirements`` (minus the number of fibers that are missing for the requirements).
+    """
+
+    names: tuple[str, ...]
+    first: np.ndarray
+    stop: np.ndarray
+
+
 def _no_start() -> AllocationAnswer:
     raise InputError("the option start must be given for an allocator that improves another plan")
 
@@ -259,12 +271,21 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     @cached_property
+    def objectives(self) -> Objectives:
+        """Names of the objectives, in order of precedence, and the classes that each objective counts."""
+        n, rest = len(self.classes), int(not self.science.all())
+        all_first = int(self.objective == "count" and n > 1)
+        special = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
+        classes = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in self.classes]
+        names = (*special, *["science"] * all_first, *classes, *["any target"] * rest)
+        first = [0] * (len(special) + all_first), np.arange(n), [0] * rest
+        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * rest
+        return Objectives(names, *(np.concatenate(parts).astype(np.int64) for parts in (first, stop)))
+
+    @property
     def level_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order of precedence."""
-        classes = ["science"] if len(self.classes) == 1 else [f"priority {exact_text(value)}" for value in self.classes]
-        first = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
-        first += ["science"] * (self.objective == "count" and len(classes) > 1)
-        return (*first, *classes, *([] if self.science.all() else ["any target"]))
+        return self.objectives.names
 
     def level_values(self, target_of: np.ndarray) -> np.ndarray:
         """Return the value of each objective in `level_names` for a plan; larger values are better.
@@ -280,14 +301,14 @@ class AllocationProblem:
             The values, in order of precedence.
         """
         used = target_of[target_of >= 0]
-        counts = np.bincount(self.rank[used], minlength=len(self.classes) + 1)
-        first = [self.is_required[used].sum()] if self.any_required else []
+        before = np.append(0, np.cumsum(np.bincount(self.rank[used], minlength=len(self.classes) + 1)))
+        values = (before[self.objectives.stop] - before[self.objectives.first]).astype(float)
+        if self.any_required:
+            values[0] = self.is_required[used].sum()
         if self.groups:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self.counts_of(target_of), strict=True)]
-            first.append(-sum(max(n, 0) for n in missing))
-        if self.objective == "count" and len(self.classes) > 1:
-            first.append(counts[:-1].sum())
-        return np.concatenate([first, counts[:-1], [] if self.science.all() else [counts.sum()]]) + 0.0
+            values[int(self.any_required)] = 0.0 - sum(max(n, 0) for n in missing)
+        return values
 
     def values(self, target_of: np.ndarray) -> dict[str, float]:
         """Return the value of each objective of a plan, in order of precedence; larger values are better.

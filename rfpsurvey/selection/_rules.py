@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
+from rfpsurvey._kernels.allocation import sort_by_distance
 from rfpsurvey.allocation import id_numbers
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.pipeline import FieldReach
@@ -87,9 +88,10 @@ def lamost_rule(problem: BlockProblem, chosen: np.ndarray) -> None:
 def nearest(problem: BlockProblem, chosen: np.ndarray) -> None:
     """Assign each target, sorted by class, then by subpriority, to its closest free positioner."""
     pairs = problem.pairs
-    order = np.arange(len(pairs.owner))
-    kernels.sort_by_distance(pairs.indptr, pairs.r2, order)
-    kernels.nearest(pairs.indptr, pairs.owner, order, problem.rank, problem.number, problem.seeds, problem.left, chosen)
+    closest = np.arange(len(pairs.owner))
+    sort_by_distance(pairs.indptr, pairs.r2, closest)
+    of_targets = problem.rank, problem.number, problem.seeds, problem.left
+    kernels.nearest(pairs.indptr, pairs.owner, pairs.r2, closest, *of_targets, chosen)
 
 
 RULES = {"balanced": balanced, "lamost_rule": lamost_rule, "nearest": nearest}
