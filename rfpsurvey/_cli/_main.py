@@ -8,6 +8,7 @@ import sys
 import warnings
 from concurrent.futures import BrokenExecutor
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from typer.core import TyperGroup
 
 import rfpsurvey as rs
 
-__all__ = ["COMMANDS", "app", "run"]
+__all__ = ["COMMANDS", "app", "commands", "run"]
 
 # The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
@@ -65,13 +66,14 @@ class Commands(TyperGroup):
             from rfpsurvey._cli._compiling import announce_compilation
 
             import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
-            if gc.get_freeze_count() == 0:
+            if name not in self.commands:
+                self.commands |= typer.main.get_command(app).commands
                 gc.freeze()
         finally:
             gc.enable()
         warnings.simplefilter("always", rs.RfpsurveyWarning)
         announce_compilation()
-        return typer.main.get_command(app).commands[name]
+        return self.commands[name]
 
     def format_commands(self, ctx, formatter) -> None:
         """Write the list of commands."""
@@ -106,13 +108,19 @@ def _options(
     pass
 
 
+@cache
+def commands() -> Commands:
+    """Return the group of all commands, which keeps the commands that were imported."""
+    return typer.main.get_command(app)
+
+
 def run() -> int:
     """Run the command that the user typed, and return the exit code; for invalid input, print one sentence."""
     warnings.showwarning = _show_warning
     warnings.filterwarnings("ignore", module="astropy")
     code = 0
     try:
-        app()
+        commands()()
     except SystemExit as stop:  # typer raises SystemExit when a command ends, even if a pipe was closed
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except BrokenPipeError:

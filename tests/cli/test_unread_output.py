@@ -113,5 +113,5 @@ def test_a_pipe_that_is_closed_during_a_command_has_its_exit_code(run, monkeypat
     def broken():
         raise BrokenPipeError
 
-    monkeypatch.setattr(_main, "app", broken)
+    monkeypatch.setattr(_main, "commands", lambda: broken)
     assert run("instruments") == (141, "", "")
