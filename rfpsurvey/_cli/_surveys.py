@@ -186,7 +186,7 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     )
     tell_if_interrupted(kept)
     record = None if output.folder is None else output.folder / "survey.json"
-    tables = ("options",) if isinstance(options["order"], str) else ("options", "joint")
+    tables = ("options", "joint") if is_joint else ("options",)
     keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)

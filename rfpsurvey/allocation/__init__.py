@@ -14,7 +14,7 @@ from rfpsurvey.allocation._plugin import find_allocator, packages
 from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
-from rfpsurvey.allocation._uses import given_options, warn_of_parked, warn_of_unused_options
+from rfpsurvey.allocation._uses import given_options, warn_of_lacks, warn_of_parked, warn_of_unused_options
 from rfpsurvey.constraints import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ __all__ = [
     "subpriorities",
     "tie_order",
     "to_subpriorities",
+    "warn_of_lacks",
     "warn_of_parked",
     "warn_of_unused_options",
 ]

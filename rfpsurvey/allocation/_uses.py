@@ -1,14 +1,16 @@
-"""Warnings about options of an allocation without effect."""
+"""Warnings about options of an allocation that have no effect, and about requirements that cannot be met."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
+
+import numpy as np
 
 from rfpsurvey._units import is_seed_given
 from rfpsurvey.allocation._constraints import abilities_of
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._plugin import find_improving
-from rfpsurvey.constraints import ONLY_CHECKED
-from rfpsurvey.errors import listed, warn_no_effect, warn_of_unused
+from rfpsurvey.constraints import KINDS, ONLY_CHECKED, hint_of_name
+from rfpsurvey.errors import listed, warn, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
 
@@ -42,6 +44,31 @@ def warn_of_unused_options(
     _warn_of_only_checked(options, known)
     if plane is not None and not first.parked_obstacles:
         warn_of_parked(plane)
+
+
+def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
+    """Issue a warning for each requirement for which a catalog has no targets.
+
+    Parameters
+    ----------
+    options : AllocationOptions
+        Options with the requirements.
+    column : callable
+        Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
+    """
+    asked = {one.what: one for one in options.counts if one.minimum}
+    if options.sky_separation is not None:
+        asked.pop("sky", None)
+    columns = [column(name) for name in ("kind", "category") if asked]
+    there = {"science", *(name for values in columns if values is not None for name in np.unique(values).tolist())}
+    categories = sorted(there - {*KINDS, ""})
+    for what, one in asked.items():
+        if what not in there:
+            hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
+            if categories and not hint and what not in KINDS:
+                hint = f"the catalog's categories are: {listed(categories, 8)}"
+            text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
+            warn(text + (hint and f"; {hint}"))
 
 
 def _warn_of_only_checked(options: Sequence, known: list) -> None:

@@ -11,7 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import to_seed
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, hint_of_name, warn_of_unused_options
+from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_lacks, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
@@ -221,24 +221,7 @@ def prepare_request(
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
     )
-    _warn_of_lacks(request)
-    return request
-
-
-def _warn_of_lacks(request) -> None:
-    """Warn of repeated identifiers of targets, and of requirements for which the catalog has no targets."""
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
-    asked = {one.what: one for one in request.options.counts if one.minimum}
-    if request.options.sky_separation is not None:
-        asked.pop("sky", None)
-    there = {"science"}
-    for name in ("kind", "category") if asked else ():
-        column = request.source.by_slot(name)
-        there |= set() if column is None else set(np.unique(column).tolist())
-    for what, one in asked.items():
-        if what not in there:
-            hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
-            text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
-            text += hint and "; " + hint
-            warn(text)
+    warn_of_lacks(request.options, request.source.by_slot)
+    return request

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 
 import astropy.units as u
@@ -14,16 +15,15 @@ from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_center, to_generator, to_seed, to_vectors
 from rfpsurvey.allocation import (
     DEFAULT_ALLOCATOR,
-    KINDS,
     AllocationOptions,
     as_options,
-    hint_of_name,
     packages,
     sentences,
+    warn_of_lacks,
     warn_of_unused_options,
 )
 from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
-from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
+from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder, FieldPlan, SelectedRows, field_radius_rad, plan_field
@@ -135,7 +135,7 @@ def plan_tile(
     options = asked.for_instrument(instrument)
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
-    _warn_of_unknown_categories(asked, catalog)
+    warn_of_lacks(asked, partial(getattr, catalog))  # not of those of the instrument
     margin = max([one.margin_rad for one in options.all_constraints], default=0.0)
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
@@ -248,21 +248,6 @@ def _objectives(levels: list) -> list:
         return rows
     rest = rows[MOST_OBJECTIVES - 1 :]
     return [*rows[: MOST_OBJECTIVES - 1], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]]
-
-
-def _warn_of_unknown_categories(options: AllocationOptions, catalog: Catalog) -> None:
-    """Issue a warning for each requirement on a category that no target has.
-
-    There is no warning if the option ``requirements`` is ``"instrument"``.
-    """
-    if not options.counts:
-        return
-    category = np.array([""]) if catalog.category is None else catalog.category
-    for one in options.counts:
-        if one.minimum and one.what not in KINDS and not (category == one.what).any():
-            there = [] if catalog.category is None else np.unique(category).tolist()
-            hint = hint_of_name(one.what, there) or f"the catalog's categories are: {listed(there, 8)}"
-            warn(f"no target of the catalog is {one.what!r}, but the requirement '{one}' needs such targets; {hint}")
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:

@@ -71,7 +71,7 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
         "objective": "count",
         "constraints": ["keep_out 95.0 23.0 0.02"],
         "time_limit": 60,
-        "start": "lamost",
+        "start": "lamost_rule",
         "parked_obstacles": True,
     }
     expected |= {"workers": 1, "processes": False, "order": "color", "lost_in_collision": True}
@@ -123,7 +123,7 @@ def test_a_tile_records_the_plan_file(run, tmp_path, monkeypatch):
 
 def test_the_record_of_a_survey_with_a_report_and_plots_can_be_run_again(run, tmp_path, monkeypatch):
     """Regression: the record named the report and the plots of the first run, which exist."""
-    words = ["survey", "--instrument", "moons", "--allocator", "optimal", "--order", "joint", "--passes", 2]
+    words = ["survey", "--instrument", "moons", "--allocator", "joint", "--passes", 2]
     words += ["--set", "joint.iterations=1", "--workers", 2, "--set", "output.quality=quality.png"]
     monkeypatch.chdir(tmp_path)
     folder, again = Path("first"), Path("second")

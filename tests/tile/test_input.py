@@ -76,12 +76,22 @@ def test_a_requirement_on_an_unknown_category_is_told(run, tmp_path):
         ):
             tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=options)
         assert (hint in tile.summary["unmet"][0]) == ("did you mean" in hint)
-    for what in ("quasar=2", "sky=2", "zz=-2"):  # existing categories, kinds, and limits that are met
+    for what in ("quasar=2", "science=2", "zz=-2"):  # existing categories and kinds, and limits that are met
         rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements=what))
     stars.write(tmp_path / "a.ecsv")
     code, _, err = run("plan", tmp_path / "a.ecsv", "--instrument", "sdss_apo", "--constraint", "skies=20")
     assert code == 0
     assert "did you mean 'sky'?" in err
+
+
+@pytest.mark.parametrize(
+    ("kind", "hint"), [("sky", "; set sky_separation to add blank sky positions"), ("standard", "")]
+)
+def test_a_requirement_on_a_kind_without_targets_is_told(kind, hint):
+    with pytest.warns(rs.RfpsurveyWarning, match=f"no target of the catalog is '{kind}', .* needs such targets{hint}$"):
+        rs.plan_tile(STARS, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements=f"{kind}=2"))
+    options = rs.AllocationOptions(requirements="sky=2", sky_separation=10 * u.arcsec)
+    rs.plan_tile(STARS, "sdss_apo", CENTER, allocator=options)
 
 
 def test_values_are_filled_at_the_command_line(run, tmp_path):
