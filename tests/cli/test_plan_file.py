@@ -339,6 +339,13 @@ def test_constraints_are_those_of_the_library():
     assert found.record == expected.record
 
 
+@pytest.mark.parametrize("command", ["compare", "compare-allocators"])
+def test_comparisons_have_no_second_key_for_the_allocator(run, command):
+    """Regression: the commands accepted the key options.allocator, and ignored its value."""
+    message = "unknown key 'options.allocator'"
+    assert message in sentence(*run(command, "--set", "options.allocator=nearest")[::2])
+
+
 def test_a_name_of_an_object_is_no_path(tmp_path):
     keys = keys_of(plan.PlanKeys)
     (tmp_path / "mine.toml").touch()
