@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import entry_points
 
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,8 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
     """Return the plugin with a given name, or make a plugin from a given function."""
+    if isinstance(given, type):
+        raise InputTypeError(f"the {what} must be a name or a function, got {short(given)}")
     if callable(given):
         return Plugin(what, name_of(given), given)
     plugin = find_plugin(group, given, known, what)

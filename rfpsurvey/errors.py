@@ -241,10 +241,15 @@ def refusal(text: str, value: object, *types: type) -> InputError:
 
 
 def short(value: object) -> str:
-    """Return one short line of text for a value; the text for a table states its type and length."""
+    """Return one short line of text for a value; the text for a table states its type and length.
+
+    The text for a class, which could be given in place of an object of the class, is its name.
+    """
     name = type(value).__name__
     if hasattr(value, "columns") or hasattr(value, "colnames"):  # a table, possibly of another package
         return f"a {name} of {number_of(len(value), 'row')}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # Python does not print integers with thousands of digits

@@ -41,6 +41,25 @@ def sky_table(**columns):
 
 
 CALLS = {
+    "focal_length must be one finite value above 0 mm, got nan mm": lambda: (
+        rs.projection.TangentPlane.from_focal_length(CENTER, np.nan * MM)
+    ),
+    "position_angle must be one finite value above -3600 deg and below 3600 deg, got nan deg": lambda: (
+        rs.Instrument.preset("moons").projection(CENTER, np.nan * DEG)
+    ),
+    "rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None, got -1": lambda: rs.place_tiles(
+        rs.Region.cap(CENTER, 1 * DEG), "moons", rng=-1
+    ),
+    "fixed must be a Survey or the path of its folder, got 3": lambda: rs.JointOptions(fixed=3),
+    "the allocator must be a name or a function, got the class AllocationOptions": lambda: rs.AllocationOptions(
+        rs.AllocationOptions
+    ),
+    "the method of collision probability must be a name or a function, got the class Precision": lambda: (
+        rs.collision_probability(PLANE, method=rs.probability.Precision)
+    ),
+    "of a Generator that returns such a Quantity, got the class RandomTargets": lambda: rs.collision_probability(
+        PLANE, targets=rs.probability.RandomTargets
+    ),
     "coord must have the shape (n,), got (1, 2)": lambda: rs.Catalog(SkyCoord([[1, 2]], [[1, 2]], unit="deg")),
     "epoch must be one time or have the shape (2,), got (3,)": lambda: rs.Catalog(
         TWO, epoch=Time([2000, 2001, 2002], format="jyear")
@@ -206,8 +225,8 @@ def test_fiber_types_that_fits_cannot_hold_are_named(tmp_path):
         ),
         (lambda s: rs.plan_tile(few(), s, CENTER, rng="x"), "rng must be a seed from 0 to 2"),
         (lambda s: rs.plan_tile(few(), s, CENTER, rng=-1), "rng must be a seed from 0 to 2"),
-        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=[1, 2] * u.deg), "rotation must be one value"),
-        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=np.nan * u.deg), "rotation must be one finite value"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=[1, 2] * u.deg), "position_angle must be one value"),
+        (lambda s: rs.plan_tile(few(), s, CENTER, position_angle=np.nan * u.deg), "position_angle must be one finite"),
         (lambda s: few().within(CENTER, -1 * u.deg), "radius must be one finite value of at least 0 rad"),
         (lambda s: few().at_epoch(57388), "a Julian year from 1700 to 2300"),
         (lambda s: few(2, priority=["a", "b"]), "priority must be numbers"),

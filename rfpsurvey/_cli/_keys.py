@@ -97,9 +97,13 @@ class Key:
     @property
     def words(self) -> str:
         """Text that states which values are valid."""
-        words = [KINDS[kind][0] for kind in self.kinds if kind is not u.Quantity]
+        words = [KINDS[kind][0] for kind in self.kinds if kind not in (u.Quantity, list)]
         if self.unit is not None:
             words.insert(0, f"a number ({self.unit}) or text with a unit")
+        if list in self.kinds:
+            inside = [re.sub(r"^an? (.*)", r"\1s", KINDS[kind][0]) for kind in self.inside(list)]
+            words.append(" of ".join(filter(None, ("a list", " or ".join(inside)))))
+            words[-1] += ", such as [1, 2]" if inside in (["whole numbers"], ["numbers"]) else ""
         return " or ".join(dict.fromkeys(words))
 
 

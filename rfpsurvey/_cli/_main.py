@@ -40,7 +40,7 @@ COMMANDS = {
     "probabilities, for the arms of an instrument.",
 }
 """Summary of each command, stored here so that the list of commands is printed without importing the commands."""
-INNER = {"rotation": "position_angle", "standard_error": "precision"}
+INNER = {"standard_error": "precision"}
 """Names in messages of the library that are not the names of options, and the names of these options."""
 
 
@@ -157,10 +157,10 @@ def _with_options(text: str, words: list[str]) -> str:
     typed |= {name.rpartition(".")[2]: name for name in names if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+", name)}
 
     def option(match: re.Match) -> str:
-        return typed.get(match[0], match[0])
+        return typed.get(match[0].rpartition(".")[2], match[0])
 
     text = re.sub(r"[a-z_]+=\S* \(or (--[^)]+)\)", r"\1", text)
-    text = re.sub(r"^[a-z_]+(?= (must|has no effect) )", option, text)
+    text = re.sub(r"^[a-z_.]+(?= (must|has no effect) )", option, text)
     return re.sub(r"(?<![\w'=.-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
 
 

@@ -1,5 +1,6 @@
 """Synthetic catalogs of random points in a circle on the sky."""
 
+from inspect import signature
 from numbers import Number
 
 import astropy.units as u
@@ -9,8 +10,9 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_center, to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_no_effect
 
+CLUSTER_SIZE = 10.0
 MOST = 1e9  # largest number of targets, because larger catalogs would not fit into memory
 
 
@@ -23,7 +25,7 @@ def synthetic_catalog(
     n_targets: int | None = None,
     density: u.Quantity | None = None,
     min_separation: u.Quantity | None = None,
-    cluster_size: float = 10.0,
+    cluster_size: float = CLUSTER_SIZE,
     cluster_scale: u.Quantity | None = None,
     rng: int | np.random.Generator | None = None,
 ) -> Catalog:
@@ -84,6 +86,10 @@ def synthetic_catalog(
     expected = _expected_number(kind, cap, n_targets, density)
     rng = to_generator(rng)
     options = {"min_separation": min_separation, "cluster_size": cluster_size, "cluster_scale": cluster_scale}
+    used, usual = signature(_MAKERS[kind]).parameters, {"cluster_size": CLUSTER_SIZE}
+    for name, value in options.items():
+        if name not in used and value != usual.get(name):
+            warn_no_effect(name, f"with the kind {kind!r}")
     local = _MAKERS[kind](rng, cap, expected, **options)
     xyz = local @ _basis(center)
     lon, lat = to_lonlat(xyz)

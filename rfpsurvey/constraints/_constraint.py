@@ -186,7 +186,7 @@ class Constraint:
     """Whether the methods of the constraint use the positions of targets on the focal plane, or targets around the
     field; if not, these are not computed."""
     margin_rad: float = 0.0
-    """Angle by which ``excluded`` must know targets outside of the field, in radians."""
+    """Angle by which ``excluded`` must know targets outside of the field, in radians, from 0 to pi."""
 
     @classmethod
     def parse(cls, arguments: str) -> "Constraint":

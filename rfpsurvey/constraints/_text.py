@@ -4,7 +4,10 @@ import importlib
 import pkgutil
 from collections.abc import Iterable
 from dataclasses import is_dataclass
+from numbers import Number
 from pathlib import Path
+
+import numpy as np
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
 from rfpsurvey.constraints._constraint import Constraint
@@ -66,6 +69,9 @@ def _as_constraint(one: object) -> Constraint:
     if isinstance(one, Constraint):
         if not is_dataclass(one) and type(one).__str__ is Constraint.__str__:  # the text consists of the fields
             raise InputTypeError(f"a constraint must be a frozen dataclass, got the class {type(one).__name__}")
+        margin = one.margin_rad
+        if not (isinstance(margin, int | float | np.number) and 0 <= margin <= np.pi):
+            raise refusal(f"margin_rad of the constraint '{one}' must be a number from 0 to pi", margin, Number)
         return one
     if not isinstance(one, str):
         text = "a constraint must be a Constraint or text such as 'sky=20/spectrograph'"

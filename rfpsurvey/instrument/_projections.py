@@ -3,6 +3,7 @@
 import astropy.units as u
 from astropy.coordinates import SkyCoord
 
+from rfpsurvey._units import to_scalar
 from rfpsurvey.observing import ObservedField, ObservedPlane, ObservingConditions
 from rfpsurvey.projection import FieldProjection, TangentPlane, field_basis
 
@@ -38,6 +39,7 @@ class Projections:
             If the center is not one direction, if the position angle is not one angle, or if the field is not above the
             horizon.
         """
+        to_scalar(position_angle, u.deg, "position_angle", low=-3600, high=3600)
         if conditions is None:
             return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
         radius = self.field_radius

@@ -278,7 +278,7 @@ def _check_numbers(*, dynamic, most_entries):
 
 def _check_density(density):
     """Raise an error if ``density`` is not a valid density of independent targets."""
-    known = density is None or callable(density) or isinstance(density, Allocation)
+    known = density is None or isinstance(density, Allocation) or (callable(density) and not isinstance(density, type))
     known |= isinstance(density, list | tuple) and len(density) > 0
     if not known and not (isinstance(density, str) and density in DENSITIES):
         names = ", ".join(DENSITIES)

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from rfpsurvey._kernels import simulate
 from rfpsurvey._units import to_points_mm, to_scalar
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, InputTypeError
+from rfpsurvey.errors import InputError, InputTypeError, short
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import project_field
@@ -107,11 +107,11 @@ def make_source(
         return _from_catalog(instrument, targets, center)
     if isinstance(targets, u.Quantity):
         return _given(to_points_mm(targets, "targets"))
-    if callable(targets):
+    if callable(targets) and not isinstance(targets, type):
         return Source("sampler", sampler=targets)
     raise InputTypeError(
         f"targets must be RandomTargets or one of {', '.join(KINDS)}, a Catalog, a Quantity of shape (n, 2), or a "
-        f"function of a Generator that returns such a Quantity, got {type(targets).__name__}"
+        f"function of a Generator that returns such a Quantity, got {short(targets)}"
     )
 
 

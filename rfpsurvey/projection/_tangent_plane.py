@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._units import to_center, to_direction, to_lonlat, to_mm, to_points_mm, to_scalar, to_vectors
+from rfpsurvey._units import to_center, to_direction, to_lonlat, to_points_mm, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_keywords, refusal
 from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._field import FieldProjection, field_basis
@@ -109,7 +109,7 @@ class TangentPlane:
             If the center is not one direction, if the focal length is not one positive length, or if the rotation is
             not one angle.
         """
-        return cls(center, to_mm(focal_length, "focal_length") * _SCALE, rotation)
+        return cls(center, to_scalar(focal_length, u.mm, "focal_length", low=0) * _SCALE, rotation)
 
     @cached_property
     def plain(self) -> FieldProjection:

@@ -39,7 +39,7 @@ OUTCOME = {
     "target_id": "identifier of the target",
     "requested": "number of requested visits",
     "observed": "number of successful visits",
-    "outcome": "code of the outcome; the header cards OUTCOME0, OUTCOME1, ... state the outcome of each code",
+    "outcome": f"code of the outcome: {', '.join(f'{k} {name}' for k, name in enumerate(OUTCOMES))}",
 }
 
 

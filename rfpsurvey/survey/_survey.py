@@ -15,7 +15,8 @@ from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey.errors import InputError, number_of, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import JOINT, TABLES, part_name
-from rfpsurvey.tile import with_unit
+from rfpsurvey.survey._result import OUTCOME, TILES
+from rfpsurvey.tile import describe, with_unit
 
 # Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
 COLUMNS = (
@@ -55,7 +56,7 @@ class Survey:
         all requested visits), ``completeness`` (``n_observed`` divided by ``n_requested``).
     outcomes : QTable
         Table with a row for each target: ``target_id``, ``requested`` (number of requested visits), ``observed``
-        (number of successful visits), ``outcome`` (an index of ``Survey.OUTCOMES``).
+        (number of successful visits), ``outcome`` (an index of ``Survey.OUTCOMES``; see `outcome_names`).
     folder : Path, optional
         Folder that contains the visits.
     parts : tuple of ndarray, optional
@@ -108,15 +109,23 @@ class Survey:
         return self.tiles.meta["provenance"]
 
     @property
+    def outcome_names(self) -> np.ndarray:
+        """Outcome of each target as text, as in the outcomes of a tile; ``outcomes`` contains codes of one byte each.
+
+        For example, ``survey.outcomes["name"] = survey.outcome_names`` adds the names to the table.
+        """
+        return np.array(OUTCOMES)[np.asarray(self.outcomes["outcome"])]
+
+    @property
     def targets(self) -> QTable:
         """Table with a row for each visit of the survey; for large surveys, use `tile`, which reads a single tile.
 
-        Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner``, ``ra``,
-        ``dec``, ``in_collision``, ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the
-        fibers of the instrument have types, ``kind`` if the catalog has kinds or if blank sky positions were added, and
-        ``priority``, ``category`` and the further columns (``extra``) of the catalog, if the catalog has these columns.
-        In the columns from the catalog, blank sky has the value NaN, empty text, False or -1, depending on the type of
-        the column.
+        Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner`` (the
+        identifier of the positioner, which is the column ``id`` of `Tile.table`), ``ra``, ``dec``, ``in_collision``,
+        ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the fibers of the instrument have
+        types, ``kind`` if the catalog has kinds or if blank sky positions were added, and ``priority``, ``category``
+        and the further columns (``extra``) of the catalog, if the catalog has these columns. In the columns from the
+        catalog, blank sky has the value NaN, empty text, False or -1, depending on the type of the column.
         """
         return vstack(list(self), metadata_conflicts="silent") if len(self.tiles) else QTable()
 
@@ -272,6 +281,8 @@ class Survey:
         if JOINT in known:
             check_file(folder, JOINT, known)
             joint = _io.read_table(folder / JOINT)
+        for table, about in ((tables[0], TILES), (tables[2], OUTCOME)):  # FITS files are read without descriptions
+            describe(table, about)
         return cls(*tables, folder, joint=joint)
 
     @cached_property

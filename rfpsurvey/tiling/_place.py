@@ -166,7 +166,7 @@ def place_tiles(
     by_positioners = allocator is not None or (model is not None and radius is None and not fibers.ideal)
     radius = model.field_radius if radius is None else radius
     radius_rad = np.deg2rad(to_scalar(radius, u.deg, "radius", low=0, high=90))
-    passes = check_whole(passes, "passes", high=10_000)
+    passes, seed = check_whole(passes, "passes", high=10_000), to_seed(rng)
     warn_of_unused_passes(chosen, passes, has_goal=not (n_tiles is None and completeness is None))
     if not (fibers.lost_in_collision or (by_positioners and not isinstance(catalog, Region))):
         warn_no_effect("lost_in_collision", "without the positioners of an allocator")
@@ -219,7 +219,6 @@ def place_tiles(
         if allocator is not None:
             raise InputError("min_separation must not be given with an allocator, whose positioners set the separation")
         neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
-    seed = to_seed(rng)
     if by_positioners:
         tiles = given_tiles(where) if chosen.needs_tiles else where.angle_deg
         serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)

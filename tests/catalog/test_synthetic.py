@@ -127,3 +127,11 @@ def test_bad_circles_are_named():
         rs.synthetic_catalog("uniform", SkyCoord(0, 0, unit="deg"), 0 * DEG, n_targets=1)
     with pytest.raises(rs.InputError, match="center must be a SkyCoord"):
         rs.synthetic_catalog("uniform", (0, 0), 1 * DEG, n_targets=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("min_separation", 1 * u.arcmin), ("cluster_size", -1), ("cluster_scale", 1 * u.arcmin)]
+)
+def test_options_of_other_kinds_have_no_effect(name, value):
+    with pytest.warns(rs.RfpsurveyWarning, match=f"{name} has no effect with the kind 'uniform'"):
+        rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 1 * u.deg, n_targets=3, **{name: value})

@@ -250,8 +250,9 @@ def test_the_command_line_overrides_the_file(run, tmp_path, monkeypatch):
         ("rng = 1.5", "rng must be a whole number, got 1.5"),
         ("rng = true", "rng must be a whole number, got True"),
         ('lost_in_collision = "no"', "lost_in_collision must be true or false, got 'no'"),
-        ("[catalog]\nkeep = 3", "catalog.keep must be a list, got 3"),
-        ("[catalog]\nkeep = [3]", "catalog.keep must be a list, got 3"),
+        ("[catalog]\nkeep = 3", "catalog.keep must be a list of text, got 3"),
+        ("[catalog]\nkeep = [3]", "catalog.keep must be a list of text, got 3"),
+        ('[tiles]\npasses = "1,2"', "tiles.passes must be a list of whole numbers, such as [1, 2], got '1,2'"),
         ("[catalog]\nunits = { ra = 1 }", "catalog.units must be a table, got 1"),
         ("[options]\ntime_limit = [1]", ""),
         ("[conditions]\nexposure_time = true", "conditions.exposure_time must be a number (s) or text with a unit"),
@@ -346,6 +347,13 @@ def test_constraints_are_those_of_the_library():
     region = rs.Region.parse("cap 95 23 0.5")
     expected = rs.AllocationOptions(requirements="sky=20", required=["4711", "star 7"], keep_out=region)
     assert found.record == expected.record
+
+
+@pytest.mark.parametrize("command", ["compare", "compare-allocators"])
+def test_comparisons_have_no_second_key_for_the_allocator(run, command):
+    """Regression: the commands accepted the key options.allocator, and ignored its value."""
+    message = "unknown key 'options.allocator'"
+    assert message in sentence(*run(command, "--set", "options.allocator=nearest")[::2])
 
 
 def test_a_name_of_an_object_is_no_path(tmp_path):

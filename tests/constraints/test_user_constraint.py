@@ -305,3 +305,16 @@ def test_a_constraint_that_no_allocator_honors_causes_one_warning(sky, small):
     assert survey.tiles["n_unmet"].tolist() == [1]
     assert survey.tiles["unmet"].tolist() == ["few 3: 1 violation"]
     assert survey.summary["unmet"] == ["constraint few 3: 1 violation in 1 of 1 tile (0)"]
+
+
+@pytest.mark.parametrize("margin", [-0.1, np.nan, np.inf, 4.0, "wide"])
+def test_margins_of_constraints_are_angles(margin):
+    """Regression: a margin that was negative or not a number was accepted."""
+
+    @dataclass(frozen=True)
+    class Wrong(rs.constraints.Constraint):
+        margin_rad = margin
+        name = "wrong"
+
+    with pytest.raises(rs.InputError, match="margin_rad of the constraint 'wrong' must be a number from 0 to pi, got"):
+        rs.AllocationOptions(constraints=Wrong())

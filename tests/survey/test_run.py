@@ -338,7 +338,7 @@ def test_two_runs_in_one_folder_are_refused(case, tmp_path):
 
 def test_another_survey_in_the_folder_is_refused(case, tmp_path, folder):
     sky, small, tiling = case
-    with pytest.raises(rs.InputError, match=r"holds a survey; continue it \(--resume, resume=True\)"):
+    with pytest.raises(rs.InputError, match=r"holds a survey; continue it with resume=True \(or --resume\), or"):
         plan(case, folder)
     for other, name in (
         ((sky[1:], small, tiling), "catalog"),

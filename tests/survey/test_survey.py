@@ -188,6 +188,9 @@ def test_standards_and_sky_are_never_used_up(small):
     assert lacking.summary["n_unmet"] == 2
     codes = survey.outcomes["outcome"][:30]
     assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not requested"}
+    assert set(survey.outcome_names[:30].tolist()) == {"not requested"}
+    names, numbers = np.unique(survey.outcome_names, return_counts=True)
+    assert dict(zip(names.tolist(), numbers.tolist(), strict=True)) == survey.summary["outcomes"]
     assert rs.plan_survey(catalog, small, tiles).summary["n_assigned"] <= 30
 
 
@@ -410,3 +413,12 @@ def test_files_of_a_survey_explain_themselves(small, tmp_path):
     with fits.open(survey.folder / "outcomes.fits") as units:
         codes = [units[1].header[f"OUTCOME{k}"] for k in range(len(rs.Survey.OUTCOMES))]
     assert tuple(codes) == rs.Survey.OUTCOMES
+
+
+def test_the_description_of_the_outcomes_lists_their_codes(sky, small, tmp_path):
+    """Surveys contain codes of outcomes, whereas tiles contain text."""
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), folder=tmp_path / "survey")
+    for found in (survey, rs.Survey.read(tmp_path / "survey")):
+        about = found.outcomes["outcome"].info.description.removeprefix("code of the outcome: ").split(", ")
+        assert about == [f"{k} {name}" for k, name in enumerate(rs.Survey.OUTCOMES)]
+        assert np.array_equal(found.outcome_names, np.array(rs.Survey.OUTCOMES)[survey.outcomes["outcome"]])

@@ -237,7 +237,7 @@ def test_bad_input_is_named(small, sky, presets, tmp_path):
         rs.plan_tile(sky, small, CENTER, allocator="best")
     with pytest.raises(rs.InputError, match="center must be a SkyCoord, got"):
         rs.plan_tile(sky, small, (95, 23))
-    with pytest.raises(rs.InputError, match="rotation must be a Quantity"):
+    with pytest.raises(rs.InputError, match="position_angle must be a Quantity"):
         rs.plan_tile(sky, small, CENTER, position_angle=5)
     with pytest.raises(rs.InputError, match="unknown fiber type 'HERMES'; choose one of: APOGEE, BOSS"):
         rs.plan_tile(rs.Catalog(sky.coord, fiber_type=["HERMES"] * len(sky)), presets["sdss_apo"], CENTER)

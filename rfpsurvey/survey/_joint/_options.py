@@ -83,6 +83,8 @@ class JointOptions:
             raise refusal("gap must be a number of at least 0 and below 1", self.gap, int, float)
         check_whole(self.iterations, "iterations", 0, 100_000)
         check_whole(self.patch_size, "patch_size", 10, 100_000)
+        if not isinstance(self.fixed, Survey | str | os.PathLike | None):
+            raise refusal("fixed must be a Survey or the path of its folder", self.fixed)
         if self.inform is not None and not callable(self.inform):
             raise refusal("inform must be a function", self.inform)
         if self.time_limit is not None:
