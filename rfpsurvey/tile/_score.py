@@ -1,6 +1,5 @@
 """The function that finds the collisions in assignments that another program planned."""
 
-import warnings
 from dataclasses import replace
 from time import perf_counter
 
@@ -10,37 +9,20 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._units import rows_of, to_center, to_direction, to_flags, to_plain
+from rfpsurvey._units import rows_of, to_flags, to_plain
 from rfpsurvey.allocation import warn_of_parked
-from rfpsurvey.catalog import UNITS, Catalog, Finder, as_table, choose_epoch, epoch_text, read_columns
+from rfpsurvey.catalog import UNITS, Finder, as_table
 from rfpsurvey.collision import find_collisions, place_arms
 from rfpsurvey.constraints import Constraint
-from rfpsurvey.errors import (
-    InputError,
-    RfpsurveyWarning,
-    check_choice,
-    check_keywords,
-    check_switch,
-    listed,
-    warn,
-    warn_no_effect,
-)
-from rfpsurvey.focal_plane import accepted_types
-from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, listed, warn
+from rfpsurvey.focal_plane import FocalPlane, accepted_types
+from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._constraints import find_constraints
-from rfpsurvey.tile._field import (
-    field_center,
-    field_value,
-    north_of_date,
-    recorded_equinox,
-    recorded_projection,
-    warn_of_north,
-    where,
-)
-from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, sentence_of, sky_deg_of, warn_of_neglected
+from rfpsurvey.tile._positions import project_rows, read_positions
+from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, sentence_of
 from rfpsurvey.tile._table import status_of
 from rfpsurvey.tile._tile import Tile
 
@@ -169,65 +151,25 @@ def score_tile(
     if positions is None:
         positions = "focal_plane" if None not in xy_names else "sky"
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
-    # a target without a fiber type is observed with the first fiber type of its positioner
-    asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
-    accepted_types(plane, asked, len(part))
-    fibers = plane.arrays.first_type[who]
-    fibers = fibers if asked is None else np.where(asked == "", fibers, asked)
-    others, moved, plain = _without(find, name), None, None
-    ids = others.labels("id")
-    ids = np.arange(len(part)) if ids is None else ids
+    fibers, others = _fibers(find, plane, who), _without(find, name)
+    ids = np.arange(len(part)) if (ids := others.labels("id")) is None else ids
     parameters = {
         "allocator": "scored",
         "positions": positions,
         "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
     }
-    north = center is not None or position_angle is not None or equinox is not None or "north_of" in table.meta
-    warn_of_neglected(part, sky=positions == "sky")
+    given = {
+        "center": center,
+        "position_angle": position_angle,
+        "equinox": equinox,
+        "epoch": epoch,
+        "conditions": conditions,
+    }
     if positions == "sky":
-        form = find.format.name if find.format else "SDSS-V" if part.meta.get("format") == "confsummary" else ""
-        warn_of_north(form, is_given=north)
-        recorded, model = recorded_projection(part), None
-        if conditions is None:
-            model = recorded.get("projection")
-            if recorded.get("conditions") is not None:
-                conditions = ObservingConditions.from_record(recorded["conditions"])
-        catalog, there = _catalog(part, columns, units)
-        of_catalog = table.meta.get("format") == "confsummary" and find.name_of("ra") == "ra"
-        if epoch is None and of_catalog and catalog.epoch is not None:
-            epoch = table.meta.get("epoch")
-        used, moved = choose_epoch(catalog, epoch, None)
-        catalog = catalog if used is None else catalog.at_epoch(used)
-        if center is None:
-            is_recorded = equinox is None and position_angle is None
-            center = north_of_date(field_center(part), recorded_equinox(part) if is_recorded else equinox)
-        center = to_center(center)
-        if position_angle is None:
-            position_angle = field_value(part, "position angle") * u.deg
-        plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
-        icrs, xy, sky_deg = catalog.coord.icrs, np.full((len(part), 2), np.nan), np.full((2, len(part)), np.nan)
-        xy[there] = plain.project(catalog.arrays.vectors, fibers[there])
-        sky_deg[:, there] = icrs.ra.deg, icrs.dec.deg
-        parameters.update(where(center, position_angle), epoch=epoch_text(catalog.epoch))
-        if conditions is not None:
-            parameters.update(conditions=conditions.record)
-        if conditions is not None or chosen["model"] != "radial":
-            parameters.update(projection=chosen["model"])
+        xy, sky_deg, plain, moved, more = project_rows(find, instrument, fibers, columns, units, **given)
     else:
-        if None in xy_names:
-            raise find.missing("x and y")
-        given = {
-            "center": center,
-            "position_angle": position_angle,
-            "equinox": equinox,
-            "epoch": epoch,
-            "conditions": conditions,
-        }
-        for unused in (name for name, value in given.items() if value is not None):
-            remedy = "to use positions on the sky, give positions='sky' (or --positions sky)"
-            warn_no_effect(unused, f"because the table has positions on the focal plane; {remedy}")
-        xy = on_focal_plane(find, xy_names, len(plane), who)[who]
-        sky_deg = sky_deg_of(find)
+        xy, sky_deg, plain, moved, more = read_positions(find, xy_names, who, len(plane), given)
+    parameters |= more
     n, n_rows = len(plane), len(rows)
     has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
     own = on_focal_plane(find, xy_names if has_places else [None], n, who)
@@ -238,10 +180,7 @@ def score_tile(
         checked = find_constraints(constraints, instrument, plain, others, keep, ids, sky_deg, xy, fibers)
         instrument, plane = checked.applied.instrument, checked.applied.instrument.focal_plane
         parameters["constraints"] = [str(one) for one in checked.options.all_constraints]
-    tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
-    tips[who], target_of[who] = xy, np.arange(len(who))
-    types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
-    types[who] = fibers
+    tips, target_of, types = _by_positioner(plane, who, xy, fibers)
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
     recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
     if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
@@ -282,6 +221,24 @@ def score_tile(
     used = ("ra", "dec", "pmra", "pmdec", "epoch") if positions == "sky" else ("x", "y")
     meta["columns"] = f"positioner: {name}, {others.statement(('id', 'fiber_type', *used))}"
     return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
+
+
+def _fibers(find: Finder, plane: FocalPlane, who: np.ndarray) -> np.ndarray:
+    """Return the fiber type of each assigned row; by default, it is the first fiber type of the positioner."""
+    asked = find.labels("fiber_type") if plane.fiber_types != ("",) else None
+    accepted_types(plane, asked, len(who))
+    fibers = plane.arrays.first_type[who]
+    return fibers if asked is None else np.where(asked == "", fibers, asked)
+
+
+def _by_positioner(plane: FocalPlane, who: np.ndarray, xy: np.ndarray, fibers: np.ndarray) -> tuple:
+    """Return the tip, the row of the target, and the fiber type of each positioner."""
+    n = len(plane)
+    tips, target_of = np.full((n, 2), np.nan), np.full(n, -1)
+    tips[who], target_of[who] = xy, np.arange(len(who))
+    types = plane.arrays.first_type.astype(f"U{max(len(t) for t in plane.fiber_types) + 1}")
+    types[who] = fibers
+    return tips, target_of, types
 
 
 def _within_margins(plane, who, xy, fibers, posed) -> int:
@@ -355,16 +312,6 @@ def _without(find: Finder, positioner_column: str) -> Finder:
     names = [c for c in find.table.colnames if c != positioner_column]
     columns = {role: name for role, name in find.columns.items() if name.removeprefix("-") in names}
     return Finder(find.table[names], columns)
-
-
-def _catalog(part: Table, columns: dict, units: dict | None) -> tuple[Catalog, np.ndarray]:
-    """Return the assigned rows with finite coordinates as a catalog, and the numbers of these rows."""
-    found = read_columns(part, columns, units, "icrs", None, None, assume_units=False)
-    place = to_direction(found["coord"]).data
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*have no finite coordinates", RfpsurveyWarning)  # `_placed` names the rows
-        catalog = Catalog(**found)
-    return catalog, np.flatnonzero(np.isfinite(place.lon.value) & np.isfinite(place.lat.value))
 
 
 def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, skip: bool) -> np.ndarray:
