@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
 MOST_ITEMS = 30  # largest number of values that the page shows of a list in the provenance
-NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts that a view requires
+NEEDS = {
+    "focal_plane": ["long_table", "focal_plane_drawing"],
+    "sky_map": ["sky_map_drawing"],
+}  # further scripts that a view requires
 MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey.allocation import METHODS, recorded_constraints
+from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
@@ -193,7 +194,7 @@ def _collisions(tile, where) -> list:
     free = np.flatnonzero(~colliding & np.isfinite(clearance))
     narrow = free[np.argsort(clearance[free], kind="stable")]
     words = "The clearance is the distance to the nearest other arm, minus the minimum separation."
-    blocks = [Text(f"{words}{'' if colliding.any() else ' No arm is in collision.'}")]
+    blocks = [Text(f"{words}{_not_counted(tile)}{'' if colliding.any() else ' No arm is in collision.'}")]
     if colliding.any():
         blocks.append(Rows("Positioners in collision.", table[colliding], where))
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
@@ -202,6 +203,21 @@ def _collisions(tile, where) -> list:
         *blocks,
         Rows("Positioners without a collision that have the smallest clearances.", rest, where, left_out),
     ]
+
+
+def _not_counted(tile) -> str:
+    """Return a sentence on arms in collision that the summary does not count; the text is empty if there are none."""
+    colliding, n = np.asarray(tile.table["in_collision"]), tile.summary["n_colliding"]
+    others = int(colliding.sum()) - n
+    if others <= 0:
+        return ""
+    status = np.asarray(tile.table["status"])[colliding]
+    what = " or ".join(sorted({word for word in status.tolist() if word not in ("assigned", "out_of_reach")}))
+    return (
+        f" The table has {n + others} rows: the {number_of(n, 'positioner')} in collision, and {others} more with the "
+        f"status {what}, which cannot move to a target. The number of positioners in collision and the collision rate "
+        "do not count the latter."
+    )
 
 
 def _view(tile, where, plans, max_rows) -> View:
