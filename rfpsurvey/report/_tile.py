@@ -1,6 +1,7 @@
 """The report page of a tile."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -12,7 +13,11 @@ from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
+from rfpsurvey.report._plans import blocks_of_plans
 from rfpsurvey.tile import Tile, collision_shape
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLUMNS = (
     "id",
@@ -128,7 +133,7 @@ def _completeness(tile) -> list:
 
 
 def _pictures(tile) -> list:
-    whole = _draw(tile)
+    whole = draw_plane(tile)
     dots = whole.get_legend() is not None and "fiber on a target" in {
         t.get_text() for t in whole.get_legend().get_texts()
     }
@@ -156,11 +161,12 @@ def _pictures(tile) -> list:
                 "This part of the focal plane has the most collisions. Arms collide if their shadings overlap; the "
                 "shadings of colliding arms are hatched."
             )
-        pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
+        pictures.append(Picture("Part of the focal plane, enlarged.", draw_plane(tile, corner), words))
     return pictures
 
 
-def _draw(tile, region=None):
+def draw_plane(tile: Tile, region: u.Quantity | None = None) -> "Axes":
+    """Return a plot of the focal plane, or of a part of it, without a title."""
     ax = plot_focal_plane(tile, region=region)
     ax.set_title("")
     width, height = ax.figure.get_size_inches()
@@ -224,7 +230,7 @@ def _view(tile, where, plans, max_rows) -> View:
     """Return the interactive view of all assignments; in browsers that run no scripts, figures replace the view."""
     words = "The interactive view lists all assignments, but it requires a browser that runs scripts."
     words += f" The file {where} also contains all assignments." if where else ""
-    return focal_plane_view(plans, [*_pictures(tile), Text(words)], max_rows)
+    return focal_plane_view(plans, [*_pictures(tile), *blocks_of_plans(plans, draw_plane, 1), Text(words)], max_rows)
 
 
 def _empty(column) -> bool:
