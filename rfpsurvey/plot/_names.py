@@ -10,8 +10,8 @@ DOTS = "\N{HORIZONTAL ELLIPSIS}"
 def short_names(names: Sequence[str], most: int = MOST) -> list[str]:
     """Return names of at most ``most`` characters; different names remain different.
 
-    Dots replace the central part of a long name. If two abbreviations would be equal, more of the beginning or of the end of
-    the names is kept; if they are still equal, the abbreviations end with numbers.
+    Dots replace the central part of a long name. If two abbreviations would be equal, more of the beginning or of the
+    end of the names is kept; if they are still equal, the abbreviations end with numbers.
     """
     names = list(names)
     for head in (most // 2, most // 4, 3 * most // 4, 1, most - 2):

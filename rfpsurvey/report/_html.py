@@ -35,12 +35,16 @@ MOST_LETTERS = 30  # longer cells are broken into several lines
 MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
 
 
-def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as HTML; tables show at most ``max_rows`` rows, or ``MAX_ROWS`` rows if ``max_rows`` is None."""
+def html_of(page: Page, max_rows: int | None, *, framed: bool = False) -> str:
+    """Return a page as HTML; tables show at most ``max_rows`` rows, or ``MAX_ROWS`` rows if ``max_rows`` is None.
+
+    A ``framed`` page contains only an interactive view, which fills the frame of a notebook.
+    """
     kinds = sorted({block.kind for section in page.sections for block in section.blocks if isinstance(block, View)})
     script = _script(tuple(kinds))
     return _template().render(
         page=page,
+        framed=framed,
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         script=script,
         max_rows=max_rows,
