@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
 from rfpsurvey.plot._axes import points_per_unit
+from rfpsurvey.plot._names import short_names
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
 
 COLORINGS = ("outcome", "kind", "category", "priority")
@@ -93,7 +94,8 @@ def _classes(color, columns, n) -> tuple[np.ndarray, list[str]]:
     if values is None:
         raise InputError(f"the catalog must have the column {color} to color targets by it, got none")
     if color == "category":
-        return category_classes(np.asarray(values), np.ones(n, dtype=bool))
+        class_of, names = category_classes(np.asarray(values), np.ones(n, dtype=bool))
+        return class_of, short_names(names)
     class_of, names = priority_classes(np.asarray(values), np.ones(n, dtype=bool))
     return class_of, [f"priority {name}" for name in names]
 

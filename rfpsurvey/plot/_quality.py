@@ -17,6 +17,7 @@ from rfpsurvey.pipeline import Outcome
 from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
 from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
 from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS
+from rfpsurvey.plot._names import short_names
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
 from rfpsurvey.plot._survey_quality import class_rows, draw_survey_quality
 from rfpsurvey.plot._targets import codes_of, outcomes_of
@@ -171,7 +172,7 @@ def _draw_classes(ax, completeness, kwargs):
         (reach - assigned, "in reach not assigned", {"color": PATROL}),
         (total - reach, "out of reach, or not requested", {"color": FADED, "alpha": 0.5}),
     )
-    labels = [class_label(row) for row in by_name(rows)]
+    labels = short_names([class_label(row) for row in by_name(rows)])
     stacked_bars(ax, y, total, pieces, labels, observed, kwargs)
     label = "fraction of the targets in the field"
     if len(rows) < len(completeness):
@@ -214,8 +215,8 @@ def _series_of(tile) -> list[Series]:
         return rows
 
     series = []
-    for one in found[:MOST_SERIES]:
-        label = one.what + (f" ({one.fiber_type})" if one.fiber_type else "")
+    for one, name in zip(found[:MOST_SERIES], short_names([one.what for one in found[:MOST_SERIES]]), strict=True):
+        label = name + (f" ({one.fiber_type})" if one.fiber_type else "")
         series.append(Series(label, counted(one), one.minimum, one.per))
     series = [one for one in series if one.rows.any() or one.minimum]
     return series or [Series("science", np.isin(np.asarray(t["status"]), ("assigned", "out_of_reach")), 0, "tile")]

@@ -9,6 +9,7 @@ from rfpsurvey.pipeline import OUTCOMES, Outcome
 from rfpsurvey.plot._axes import legend_below, legend_line
 from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
 from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS
+from rfpsurvey.plot._names import short_names
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
 from rfpsurvey.survey import Survey
 
@@ -69,7 +70,8 @@ def _draw_visits(ax, survey, kwargs):
     names = by_name(rows)
     groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in names]
     y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=0) != 0)
-    stacked_bars(ax, y, wanted, tuple(pieces), [class_label(row) for row in names], observed, kwargs, columns=3)
+    labels = short_names([class_label(row) for row in names])
+    stacked_bars(ax, y, wanted, tuple(pieces), labels, observed, kwargs, columns=3)
     label, left_out = "fraction of the requested visits", len(_after(survey, -1)) - len(rows)
     label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
     ax.set_xlabel(label, fontsize="small" if left_out else None)

@@ -30,6 +30,33 @@ LARGEST_ERROR = 0.0016
 """Largest error of the surrogate for designs that were not used to make the surrogate (see docs/probability.rst)."""
 DECIMALS = 8
 """Number of decimals of the coefficients of the spline."""
+MEANINGS = {
+    "central_arm": "length of the arm from the center of the positioner to the elbow",
+    "eccentric_arm": "length of the arm from the elbow to the fiber",
+    "ratio": "length of the eccentric arm divided by the length of the central arm",
+    "pitch": "distance between the centers of adjacent positioners",
+    "clearance": "width of the margin around each eccentric arm, which is half of the minimum separation",
+    "min_separation": "smallest distance between two eccentric arms that do not collide",
+    "collision_type": "1: no two arms can touch; 2: arms of adjacent positioners can touch; 3: arms of more distant "
+    "positioners can also touch",
+    "multiplicity": "patrol area divided by the area of the focal plane per positioner",
+    "reach_0": "fraction of the focal plane that no positioner reaches",
+    "reach_1": "fraction of the focal plane that exactly one positioner reaches",
+    "reach_2": "fraction of the focal plane that exactly two positioners reach",
+    "reach_3": "fraction of the focal plane that at least three positioners reach",
+    "coverage": "fraction of the focal plane that at least one positioner reaches",
+    "targets": "number of targets per positioner",
+    "empty": "fraction of the positioners that have no target in reach",
+    "assigned": "number of fibers per positioner that would have a target if arms could pass through each other",
+    "loss": "fraction of the assigned fibers that are lost to collisions",
+    "loss_error": "standard error of the loss",
+    "usable": "number of assigned fibers per positioner that are not lost to collisions",
+    "positioners_per_area": "number of positioners per area of the focal plane",
+    "usable_per_area": "number of usable fibers per area of the focal plane",
+    "n_unproven": "number of realizations of the targets in which the search for a plan ended at the time limit",
+    "loss_gap": "upper limit of the decrease of the loss that better plans could achieve",
+}
+"""Definitions of the columns of numbers (see `explore_designs`)."""
 NEED = {"central_arm", "ratio", "pitch", "clearance", "loss", "pareto"}
 
 
@@ -47,6 +74,8 @@ def page_of_designs(table: Table, where: str) -> Page:
         Section("Calculator", [Text(ABOUT), View("calculator", "Calculator", calculator_data(_start(table)), still)]),
         all_values(table, where),
     ]
+    about = [f"{name.replace('_', ' ')}: {MEANINGS[name]}." for name in table.colnames if name in MEANINGS]
+    sections[-1].blocks.append(Text(about))
     return Page("Designs", number_of(len(table), "design"), "", {}, sections, without_private(table.meta))
 
 
@@ -62,6 +91,7 @@ def _designs(table):
         "n": len(table),
         "columns": columns,
         "units": units,
+        "meanings": {name: MEANINGS.get(name, "") for name in columns},
         "objectives": {str(name): str(aim) for name, aim in table.meta["objectives"].items()},
         "pareto": pack(np.asarray(table["pareto"])),
         "instrument": pack_texts(_names(table)),

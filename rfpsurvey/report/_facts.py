@@ -58,7 +58,12 @@ TILING = {
     "completeness_isolated": "  completeness of these targets",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
-LEVELS = {"requirements": "fibers missing for requirements", "required targets": "required targets assigned"}
+TOTAL = "any target"
+LEVELS = {
+    "requirements": "fibers missing for requirements",
+    "required targets": "required targets assigned",
+    TOTAL: "targets of any kind",
+}
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
 
 
@@ -110,25 +115,29 @@ def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
     """Return, for each class of targets, its name, its number of fibers, and text with a bound of this number.
 
     The text is empty if the number is known to be optimal, or if no bound is known. The list has at most ``most``
-    items; if there are more classes, the last item contains the sum of the remaining classes.
+    items; if there are more classes, one item contains the sum of the remaining classes. The last item can be the
+    number of targets of any kind, which includes all classes.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
         return []
-    found = []
-    for name, value, bound in objectives[: most if len(objectives) <= most else most - 1]:
-        label, limit = LEVELS.get(name, name), "at least" if name == "requirements" else "at most"
-        proof = "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
-        found.append((label, round(abs(value)), proof))
-    rest = objectives[len(found) :]
+    # the total of all kinds of targets is no class
+    classes, total = (objectives[:-1], objectives[-1:]) if objectives[-1][0] == TOTAL else (objectives, [])
+    shown = classes if len(objectives) <= most else classes[: most - 1 - len(total)]
+    rest, found = classes[len(shown) :], [_objective(*one) for one in shown]
     if rest:
-        # the last objective in a summary can itself be the sum of many classes
+        # the last class in a summary can itself be the sum of many classes
         last, _, words = rest[-1][0].partition(" ")
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
-        found.append(
-            (number_of(n_classes, "more class", "more classes"), round(sum(abs(value) for _, value, _ in rest)), "")
-        )
-    return found
+        value = round(sum(abs(value) for _, value, _ in rest))
+        found.append((number_of(n_classes, "more class", "more classes"), value, ""))
+    return found + [_objective(*one) for one in total]
+
+
+def _objective(name: str, value: float, bound: float | None) -> tuple[str, int, str]:
+    """Return the label and the value of an objective, and text with its bound."""
+    limit = "at least" if name == "requirements" else "at most"
+    return LEVELS.get(name, name), round(abs(value)), "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
 
 
 def survey_facts(survey: "Survey") -> dict:

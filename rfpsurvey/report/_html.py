@@ -24,16 +24,27 @@ if TYPE_CHECKING:
 
 BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken into two lines
 MOST_ITEMS = 30  # largest number of values that the page shows of a list in the provenance
-NEEDS = {"focal_plane": ["focal_plane_drawing"]}  # further scripts that a view requires
+NEEDS = {
+    "focal_plane": ["long_table", "focal_plane_drawing"],
+    "sky_map": ["sky_map_drawing"],
+}  # further scripts that a view requires
+PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both A4 and US letter
+LETTER, GAP = 0.66, 2  # width of a letter divided by the size of the text, and number of letters between columns
+LARGE_PRINT, SMALL_PRINT, LEAST_PRINT = 7.5, 6.5, 4.0  # sizes of text (pt); below the second, the paper is wide
+MOST_LETTERS = 30  # longer cells are broken into several lines
 MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
 
 
-def html_of(page: Page, max_rows: int | None) -> str:
-    """Return a page as HTML; tables show at most ``max_rows`` rows, or ``MAX_ROWS`` rows if ``max_rows`` is None."""
+def html_of(page: Page, max_rows: int | None, *, framed: bool = False) -> str:
+    """Return a page as HTML; tables show at most ``max_rows`` rows, or ``MAX_ROWS`` rows if ``max_rows`` is None.
+
+    A ``framed`` page contains only an interactive view, which fills the frame of a notebook.
+    """
     kinds = sorted({block.kind for section in page.sections for block in section.blocks if isinstance(block, View)})
     script = _script(tuple(kinds))
     return _template().render(
         page=page,
+        framed=framed,
         digest=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         script=script,
         max_rows=max_rows,
@@ -64,12 +75,14 @@ def _template() -> "Template":
         "json": json_of,
         "parts": BREAK.split,
         "plain": _plain,
+        "print_size": _print_size,
         "sorting_key": _sorting_key,
         "svg": svg_of,
     }
     return environment.get_template(
         "page.html.jinja",
         globals={
+            "LEAST_PRINT": LEAST_PRINT,
             "groupby": groupby,
             "style": _asset("page.css"),
             "view_style": _asset("scripts/view.css"),
@@ -99,6 +112,18 @@ def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:
         unit, numbers, cells = cells_of(table[name], name)
         columns.append({"name": name, "unit": unit, "numbers": numbers, "cells": cells})
     return len(table), columns
+
+
+def _print_size(columns: list[dict]) -> tuple[float, bool]:
+    """Return the size of the text (pt) at which all columns of a table fit on paper, and whether the paper is wide."""
+    letters = 0
+    for column in columns:
+        head = max(map(len, column["name"].replace("_", " ").split()), default=0)
+        cells = max((len(text) for text, _ in column["cells"]), default=0)
+        letters += GAP + max(head, len(column["unit"]) + 2, min(cells, MOST_LETTERS))
+    sizes = [width / max(letters * LETTER, 1) for width in PAPER]
+    wide = sizes[0] < SMALL_PRINT
+    return round(max(min(sizes[wide], LARGE_PRINT), LEAST_PRINT), 2), wide
 
 
 def _sorting_key(value: object) -> str:

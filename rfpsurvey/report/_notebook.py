@@ -85,4 +85,4 @@ def notebook_view(result: Tile | Survey | Tiling, *, plans: dict | None = None, 
     else:
         raise InputTypeError(f"result must be a Tile, a Survey or a Tiling, got {type(result).__name__}")
     page = Page("View", title[0].upper() + title[1:], "", {}, [Section(view.caption, [view])], {})
-    return NotebookView(title, html_of(page, None), int(height))
+    return NotebookView(title, html_of(page, None, framed=True), int(height))

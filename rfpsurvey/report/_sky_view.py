@@ -37,6 +37,7 @@ def sky_view(table: Table, radius_deg: float, still: list) -> View:
     known = np.hypot(np.hypot(x, y), z) > 1e-9
     center = SkyCoord(np.arctan2(y, x) * u.rad, np.arctan2(z, np.hypot(x, y)) * u.rad)
     whole = not known or bool(centers.separation(center).max() > WIDE * u.deg)
+    columns = [name for name in COLUMNS if name in table.colnames and table[name].ndim == 1]
     data = {
         "n": len(table),
         "radius": float(radius_deg),
@@ -46,8 +47,7 @@ def sky_view(table: Table, radius_deg: float, still: list) -> View:
         "observed": "n_observed" in table.colnames,
         "ra": pack(table["ra"].to_value(u.deg), DECIMALS),
         "dec": pack(table["dec"].to_value(u.deg), DECIMALS),
-        "columns": {
-            name: pack(table[name], DECIMALS) for name in COLUMNS if name in table.colnames and table[name].ndim == 1
-        },
+        "columns": {name: pack(table[name], DECIMALS) for name in columns},
+        "units": {name: str(getattr(table[name], "unit", None) or "") for name in columns},
     }
     return View("sky_map", "Tiles on the sky", data, still)

@@ -12,6 +12,8 @@ from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
 from rfpsurvey.report._facts import estimate_facts
 from rfpsurvey.report._focal_plane_view import focal_plane_view
+from rfpsurvey.report._plans import blocks_of_plans
+from rfpsurvey.report._tile import draw_plane
 from rfpsurvey.tile import Tile, versions
 
 
@@ -66,7 +68,10 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
     blocks = [picture, Rows("Comparison of the allocators.", table, where), Text(notes)]
     sections = [Section("Comparison", blocks)]
     if plans:
-        still = [Text("The interactive view of the plans requires a browser that runs scripts.")]
+        still = [
+            *blocks_of_plans(plans, draw_plane),
+            Text("The interactive view requires a browser that runs scripts."),
+        ]
         sections.append(Section("Focal plane", [focal_plane_view(plans, still, max_rows)]))
     if unmet:
         sections.append(Section("Constraints that are not met", [Text(unmet)]))

@@ -1,17 +1,23 @@
 """The report page of a tile."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey.allocation import METHODS, recorded_constraints
+from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import tile_facts, tile_objectives
 from rfpsurvey.report._focal_plane_view import focal_plane_view
+from rfpsurvey.report._plans import blocks_of_plans
 from rfpsurvey.tile import Tile, collision_shape
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLUMNS = (
     "id",
@@ -127,7 +133,7 @@ def _completeness(tile) -> list:
 
 
 def _pictures(tile) -> list:
-    whole = _draw(tile)
+    whole = draw_plane(tile)
     dots = whole.get_legend() is not None and "fiber on a target" in {
         t.get_text() for t in whole.get_legend().get_texts()
     }
@@ -155,11 +161,12 @@ def _pictures(tile) -> list:
                 "This part of the focal plane has the most collisions. Arms collide if their shadings overlap; the "
                 "shadings of colliding arms are hatched."
             )
-        pictures.append(Picture("Part of the focal plane, enlarged.", _draw(tile, corner), words))
+        pictures.append(Picture("Part of the focal plane, enlarged.", draw_plane(tile, corner), words))
     return pictures
 
 
-def _draw(tile, region=None):
+def draw_plane(tile: Tile, region: u.Quantity | None = None) -> "Axes":
+    """Return a plot of the focal plane, or of a part of it, without a title."""
     ax = plot_focal_plane(tile, region=region)
     ax.set_title("")
     width, height = ax.figure.get_size_inches()
@@ -193,7 +200,7 @@ def _collisions(tile, where) -> list:
     free = np.flatnonzero(~colliding & np.isfinite(clearance))
     narrow = free[np.argsort(clearance[free], kind="stable")]
     words = "The clearance is the distance to the nearest other arm, minus the minimum separation."
-    blocks = [Text(f"{words}{'' if colliding.any() else ' No arm is in collision.'}")]
+    blocks = [Text(f"{words}{_not_counted(tile)}{'' if colliding.any() else ' No arm is in collision.'}")]
     if colliding.any():
         blocks.append(Rows("Positioners in collision.", table[colliding], where))
     rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
@@ -204,11 +211,26 @@ def _collisions(tile, where) -> list:
     ]
 
 
+def _not_counted(tile) -> str:
+    """Return a sentence on arms in collision that the summary does not count; the text is empty if there are none."""
+    colliding, n = np.asarray(tile.table["in_collision"]), tile.summary["n_colliding"]
+    others = int(colliding.sum()) - n
+    if others <= 0:
+        return ""
+    status = np.asarray(tile.table["status"])[colliding]
+    what = " or ".join(sorted({word for word in status.tolist() if word not in ("assigned", "out_of_reach")}))
+    return (
+        f" The table has {n + others} rows: the {number_of(n, 'positioner')} in collision, and {others} more with the "
+        f"status {what}, which cannot move to a target. The number of positioners in collision and the collision rate "
+        "do not count the latter."
+    )
+
+
 def _view(tile, where, plans, max_rows) -> View:
     """Return the interactive view of all assignments; in browsers that run no scripts, figures replace the view."""
     words = "The interactive view lists all assignments, but it requires a browser that runs scripts."
     words += f" The file {where} also contains all assignments." if where else ""
-    return focal_plane_view(plans, [*_pictures(tile), Text(words)], max_rows)
+    return focal_plane_view(plans, [*_pictures(tile), *blocks_of_plans(plans, draw_plane, 1), Text(words)], max_rows)
 
 
 def _empty(column) -> bool:

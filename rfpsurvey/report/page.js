@@ -2,29 +2,32 @@
 // A click or the Enter key on the name of a column sorts the table. Missing values are last in both directions.
 const words = new Intl.Collator(undefined, { numeric: true });
 
-function keysOf(body, column) {
-  const keys = Array.from(body.rows, (row) => {
-    const cell = row.cells[column];
-    return cell.classList.contains("missing") ? null : cell.dataset.value ?? cell.textContent;
-  });
-  const numbers = keys.map((key) => (key === null || key.trim() === "" ? null : Number(key)));
-  return numbers.some(Number.isNaN) ? keys : numbers;
+// The sorting keys of texts: numbers, if all texts are numbers. Null stands for a missing value.
+function sortingKeys(texts) {
+  const numbers = texts.map((text) => (text === null || text.trim() === "" ? null : Number(text)));
+  return numbers.some(Number.isNaN) ? texts : numbers;
+}
+
+function compareKeys(a, b, sign) {
+  if (a === null || b === null) return (a === null) - (b === null);
+  if (typeof a === "string") return sign * words.compare(a, b);
+  return a === b ? 0 : sign * (a < b ? -1 : 1);
 }
 
 function sort(table, column, sign) {
   const body = table.tBodies[0];
-  const keys = keysOf(body, column);
-  const order = Array.from(body.rows, (row, k) => [keys[k], row]);
-  order.sort(([a], [b]) => {
-    if (a === null || b === null) return (a === null) - (b === null);
-    if (typeof a === "string") return sign * words.compare(a, b);
-    return a === b ? 0 : sign * (a < b ? -1 : 1);
-  });
+  const rows = Array.from(body.rows);
+  const keys = sortingKeys(rows.map((row) => {
+    const cell = row.cells[column];
+    return cell.classList.contains("missing") ? null : cell.dataset.value ?? cell.textContent;
+  }));
+  const order = rows.map((row, k) => [keys[k], row]);
+  order.sort(([a], [b]) => compareKeys(a, b, sign));
   body.append(...order.map(([, row]) => row));
 }
 
-function makeSortable(table) {
-  if (table.tBodies[0].rows.length < 2) return;
+// `apply` sorts the table by a column; the sign is 1 or, for descending order, -1.
+function makeSortable(table, apply) {
   const heads = Array.from(table.tHead.rows[0].cells);
   heads.forEach((head, column) => {
     const button = document.createElement("button");
@@ -36,12 +39,14 @@ function makeSortable(table) {
       const up = head.getAttribute("aria-sort") !== "ascending";
       for (const other of heads) other.setAttribute("aria-sort", "none");
       head.setAttribute("aria-sort", up ? "ascending" : "descending");
-      sort(table, column, up ? 1 : -1);
+      apply(column, up ? 1 : -1);
     });
   });
 }
 
-for (const table of document.querySelectorAll("table.rows")) makeSortable(table);
+for (const table of document.querySelectorAll("table.rows")) {
+  if (table.tBodies[0].rows.length > 1) makeSortable(table, (column, sign) => sort(table, column, sign));
+}
 
 // If an element is wider than the page, a text above the element states how many columns are hidden to the right.
 function noteHiddenColumns(region) {

@@ -32,7 +32,7 @@ from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
-# Largest number of objectives in a summary; if there are more, the last item is the sum of all further objectives.
+# Largest number of objectives in a summary; if there are more, one item is the sum of all further classes.
 MOST_OBJECTIVES = 100
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
@@ -241,13 +241,16 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
 def _objectives(levels: list) -> list:
     """Return the name, value and bound of each objective.
 
-    If there are more than ``MOST_OBJECTIVES`` objectives, the last item is the sum of all further objectives.
+    If there are more than ``MOST_OBJECTIVES`` objectives, one item is the sum of all further classes. The number of
+    targets of any kind, which includes all classes, remains the last item.
     """
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows
-    rest = rows[MOST_OBJECTIVES - 1 :]
-    return [*rows[: MOST_OBJECTIVES - 1], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]]
+    rows, total = (rows[:-1], rows[-1:]) if rows[-1][0] == "any target" else (rows, [])
+    n = MOST_OBJECTIVES - 1 - len(total)
+    rest = rows[n:]
+    return [*rows[:n], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None], *total]
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:

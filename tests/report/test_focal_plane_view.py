@@ -71,7 +71,9 @@ def test_the_wheel_the_buttons_and_the_keys_zoom(page):
     at = box["x"] + 200, box["y"] + 150
     before = page.evaluate(f"{VIEW}.stage.toWorld(200, 150)")
     page.mouse.move(*at)
+    page.keyboard.down("Control")
     page.mouse.wheel(0, -300)
+    page.keyboard.up("Control")
     page.wait_for_function(f"{VIEW}.stage.scale > {whole} * 1.2")
     np.testing.assert_allclose(page.evaluate(f"{VIEW}.stage.toWorld(200, 150)"), before, atol=1e-6)
     page.get_by_role("button", name="Show everything").click()
@@ -84,6 +86,30 @@ def test_the_wheel_the_buttons_and_the_keys_zoom(page):
     page.keyboard.press("+")
     page.keyboard.press("0")
     assert scale() == pytest.approx(whole)
+
+
+def test_the_wheel_alone_scrolls_the_page(page):
+    """Regression: the wheel zoomed the plot whenever the mouse was above the plot, so that the page did not scroll."""
+    reset(page)
+    scale, top = page.evaluate(f"[{VIEW}.stage.scale, scrollY]")
+    box = page.locator("canvas").bounding_box()
+    page.mouse.move(box["x"] + 200, box["y"] + 150)
+    page.mouse.wheel(0, 200)
+    page.wait_for_timeout(300)
+    assert page.evaluate("scrollY") > top + 100
+    assert page.evaluate(f"{VIEW}.stage.scale") == scale
+
+
+def test_the_coordinates_under_the_pointer_are_shown(page):
+    reset(page)
+    box = page.locator("canvas").bounding_box()
+    page.mouse.move(box["x"] + 200, box["y"] + 150)
+    x, y = page.evaluate(f"{VIEW}.stage.toWorld(200, 150)")
+    text = page.locator(".place").inner_text().replace("\N{MINUS SIGN}", "-")
+    found = [float(part.split()[1]) for part in text.removesuffix(" mm").split(", ")]
+    np.testing.assert_allclose(found, [x, y], atol=0.5 / page.evaluate(f"{VIEW}.stage.scale"))
+    page.mouse.move(0, 0)
+    assert page.locator(".place").inner_text() == ""
 
 
 def test_dragging_moves_the_plot(page):
@@ -134,9 +160,7 @@ def test_a_click_selects_in_the_table_and_back(page, tiles):
     reset(page)
     row, other = an_assigned(tiles["lamost_rule"]), an_assigned(tiles["lamost_rule"], 200)
     page.get_by_text("All assignments", exact=True).click()
-    assert page.locator("tbody tr", has=page.get_by_role("button", name=": select")).count() == len(
-        tiles["lamost_rule"]
-    )
+    assert page.locator(".long-table").get_attribute("aria-rowcount") == str(len(tiles["lamost_rule"]) + 1)
     page.evaluate(f"(name) => {VIEW}.find(name)", row["id"])
     page.evaluate(f"{VIEW}.choose(-1)")
     page.locator("canvas").scroll_into_view_if_needed()
@@ -144,6 +168,7 @@ def test_a_click_selects_in_the_table_and_back(page, tiles):
     marked = page.locator("tr[aria-selected=true]")
     assert marked.count() == 1
     assert marked.locator("td").first.inner_text() == row["target_id"]
+    page.evaluate(f"(name) => {VIEW}.table.mark({VIEW}.row.get(name), true)", other["id"])
     page.get_by_role("button", name=f"Positioner {other['id']}: select", exact=True).click()
     assert page.evaluate(f"{VIEW}.id[{VIEW}.selected]") == other["id"]
     assert f"Positioner {other['id']}" in page.locator(".panel").inner_text()
@@ -299,7 +324,7 @@ def test_controls_are_large_enough_and_the_page_does_not_scroll_sideways(visit, 
     page.wait_for_function(f"{VIEW}.table")
     sizes = page.evaluate("""[...document.querySelectorAll('.live :is(button, select, input)')].map((e) =>
         [e.textContent || e.type, e.getBoundingClientRect().width, e.getBoundingClientRect().height])""")
-    assert len(sizes) > 500
+    assert len(sizes) > 40
     assert [entry for entry in sizes if min(entry[1:]) < 32] == []
     assert page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") <= 0
 

@@ -57,6 +57,25 @@ def test_a_view_runs_in_its_frame_and_cannot_leave_it(visit, views, tmp_path, na
     assert page.title() == "notebook"
 
 
+@pytest.mark.parametrize("width", [450, 700, 1400])
+@pytest.mark.parametrize("name", ["tile", "survey"])
+def test_the_content_of_a_frame_fits_into_the_frame(visit, views, tmp_path, name, width):
+    """Regression: the content was higher than the frame, so that a part of it was hidden below the edge."""
+    path = tmp_path / "notebook.html"
+    frame = views[name]._repr_html_()
+    path.write_text(f"<!DOCTYPE html><title>notebook</title><link rel=icon href='data:,'><body>{frame}</body>")
+    inside = visit(path, width=width).frames[1]
+    inside.wait_for_function("document.querySelector('.view')?.view")
+    size = inside.evaluate(
+        "(({ scrollHeight, clientHeight, scrollWidth, clientWidth }) => "
+        "[scrollHeight - clientHeight, scrollWidth - clientWidth])(document.documentElement)"
+    )
+    assert max(size) <= 0
+    assert inside.locator(".stage").bounding_box()["height"] > (90 if name == "tile" and width == 450 else 200)
+    if name == "tile":  # the frame of the tile has a height of 700 pixels only
+        assert inside.get_by_text("All assignments", exact=True).is_visible()
+
+
 def test_what_cannot_be_shown_is_refused(tile):
     with pytest.raises(rs.InputTypeError, match="result must be a Tile, a Survey or a Tiling, got int"):
         rs.report.notebook_view(3)

@@ -64,6 +64,100 @@ def test_every_tile_has_the_class_of_its_value(page, survey):
         assert float(low) - 1e-3 * abs(float(low)) <= value <= float(high or low) * 1.001
 
 
+@pytest.fixture
+def three(visit, write_view, tmp_path):
+    """Return the page of three tiles, one of which has no completeness, colored by the completeness."""
+    table = QTable({"tile": [1, 2, 3], "ra": [94, 97, 100] * u.deg, "dec": [20, 22, 21] * u.deg, "pass": [1, 1, 1]})
+    table["position_angle"] = np.zeros(3) * u.deg
+    tiling = rs.Tiling.from_table(table)
+    tiling.table["n_observed"], tiling.table["completeness"] = [10, 20, 30], [0.426, np.nan, 0.426]
+    write_view(tiling, tmp_path / "tiles.html")
+    page = visit(tmp_path / "tiles.html")
+    page.get_by_label("Color", exact=True).select_option("completeness")
+    return page
+
+
+def test_a_constant_column_has_one_value_in_the_legend(three):
+    """Regression: the legend of a column with one value was a range whose upper end was larger by 1."""
+    assert three.evaluate(f"{VIEW}.words") == ["0.426"]
+
+
+def test_tiles_without_a_value_are_drawn_and_counted(three):
+    """Regression: tiles without a value were not drawn, although the page stated that all tiles are shown."""
+    assert three.locator(".count").inner_text() == "Shown: 3 of 3 tiles; 1 of them without a value (dashed)."
+    assert "no value (1)" in three.locator(".legend").inner_text()
+    drawn = three.evaluate(
+        f"(() => {{ const v = {VIEW}, seen = [], keep = v.pathOf; v.pathOf = (c, s, k) => seen.push([k, "
+        "c.getLineDash().length]); v.stage.paint(); v.pathOf = keep; return seen; })()"
+    )
+    assert sorted(drawn) == [[0, 0], [1, 2], [2, 0]]
+
+
+def test_the_map_has_coordinates_a_compass_a_scale_and_a_legend_title(three):
+    """Regression: the map had no coordinates, directions or scale, and the legend did not name the column."""
+    assert three.locator(".legend li").first.inner_text() == "completeness:"
+    texts = three.evaluate(
+        f"(() => {{ const v = {VIEW}, seen = [], own = v.stage.canvas.getContext('2d'), keep = own.fillText;"
+        "own.fillText = (...text) => seen.push(text); v.stage.paint(); own.fillText = keep; return seen; })()"
+    )
+    across = {text: x for text, x, _ in texts}
+    assert {"N", "E", "1\N{DEGREE SIGN}", "97\N{DEGREE SIGN}", "+22\N{DEGREE SIGN}"} <= set(across)
+    assert across["E"] < across["N"]
+    for text, x, y in texts:  # each label is at its line
+        place = three.evaluate(f"{VIEW}.unproject(...{VIEW}.stage.toWorld({x}, {y}))")
+        if text.startswith("+"):
+            assert place[1] == pytest.approx(float(text[1:-1]), abs=0.1)
+        elif text[0].isdigit() and text != "1\N{DEGREE SIGN}":
+            assert place[0] == pytest.approx(float(text[:-1]), abs=0.2)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_adjacent_colors_can_be_told_apart(visit, write_view, survey, tmp_path, scheme):
+    """Regression: the darkest colors, of values above 0.6, differed too little."""
+    write_view(survey, tmp_path / "survey.html")
+    page = visit(tmp_path / "survey.html", scheme=scheme)
+    page.evaluate(f"{VIEW}.words = Array(8).fill('')")
+    colors = [[int(v) for v in page.evaluate(f"{VIEW}.binColor({k})")[4:-1].split()] for k in range(8)]
+    values = lab(np.array(colors) / 255)
+    assert np.linalg.norm(np.diff(values, axis=0), axis=1).min() > 15
+    assert (np.diff(values[:, 0]) * (1 if scheme == "dark" else -1) > 3).all()
+
+
+def lab(rgb):
+    """Return colors in CIELAB."""
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = linear @ np.array([[0.4124, 0.2126, 0.0193], [0.3576, 0.7152, 0.1192], [0.1805, 0.0722, 0.9505]])
+    t = xyz / np.array([0.9505, 1.0, 1.089])
+    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.column_stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])])
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_coordinates_of_a_point_are_the_inverse_of_the_projection(page, whole):
+    rng = np.random.default_rng(2)
+    ra, dec = rng.uniform(0, 360, 200), rng.uniform(-89, 89, 200)
+    for center in ((10.0, 0.0),) if whole else ((10.0, 0.0), (200.0, 60.0), (0.0, -90.0)):
+        found = page.evaluate(
+            "([whole, center, places]) => {"
+            "const there = projection(whole, ...center), back = inverse(whole, ...center);"
+            "return places.map(([ra, dec]) => back(...there(ra, dec))); }",
+            [whole, center, np.column_stack([ra, dec]).tolist()],
+        )
+        found = SkyCoord(*np.transpose(found), unit="deg")
+        assert found.separation(SkyCoord(ra, dec, unit="deg")).max() < 1e-6 * u.deg
+
+
+def test_the_coordinates_under_the_pointer_are_shown(page, survey):
+    page.evaluate(f"{VIEW}.stage.fit()")
+    box = page.locator("canvas").bounding_box()
+    x, y = page.evaluate(f"{VIEW}.stage.toScreen({VIEW}.x[3], {VIEW}.y[3])")
+    page.mouse.move(box["x"] + x, box["y"] + y)
+    text = page.locator(".place").inner_text().replace("\N{DEGREE SIGN}", "").replace("\N{MINUS SIGN}", "-")
+    ra, dec = (float(part.split()[1]) for part in text.split(", "))
+    assert ra == pytest.approx(survey.tiles["ra"][3].value, abs=0.05)
+    assert dec == pytest.approx(survey.tiles["dec"][3].value, abs=0.05)
+
+
 def test_tiles_are_found_and_selected_with_keys(page, survey):
     page.get_by_label("Search for a tile").fill(str(survey.tiles["tile"][5]))
     page.keyboard.press("Enter")

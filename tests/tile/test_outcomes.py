@@ -198,6 +198,25 @@ def test_many_classes_are_summed_up(presets):
     assert sum(value for _, value, _ in lines) == tile.summary["n_assigned"]
 
 
+@pytest.mark.parametrize("n_classes", [14, 130])
+def test_the_sum_of_further_classes_does_not_contain_the_total(presets, n_classes):
+    """Regression: the number of targets of any kind was added to the sum of the classes, which it includes."""
+    sky = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=900, rng=1)
+    kind = np.where(np.arange(900) % 9 == 0, "sky", "science")
+    catalog = rs.Catalog(sky.coord, priority=np.arange(900) % n_classes, kind=kind)
+    asked = rs.AllocationOptions(requirements=["sky=20"])
+    tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator=asked)
+    lines = tile_objectives(tile, 12)
+    science, total = (tile.summary["kinds"]["science"]["n_assigned"], tile.summary["n_assigned"])
+    assert total > science
+    assert len(lines) == 12
+    assert lines[-1] == ("targets of any kind", total, "")
+    assert lines[-2][0].endswith(" more classes")
+    assert sum(value for label, value, _ in lines[:-1] if "fibers missing" not in label) == science
+    values = [value for name, value, _ in tile.summary["objectives"] if name.startswith("priority") or "more" in name]
+    assert sum(values) == science
+
+
 def test_the_short_text_counts_kinds(tile, science_only):
     """Regression: the text '500 of 500 assigned' did not mention sky fibers."""
     kinds = {kind: counts["n_assigned"] for kind, counts in tile.summary["kinds"].items()}

@@ -25,7 +25,7 @@ class Scatter {
   paint(context, stage) {
     const { owner } = this;
     context.font = "12px system-ui, sans-serif";
-    this.paintAxes(context, stage);
+    const labels = this.paintAxes(context, stage);
     const objectives = Object.keys(owner.data.objectives);
     if (objectives.includes(owner.x) && objectives.includes(this.y)) {
       const front = owner.rows.filter((k) => owner.pareto[k] === 1).sort((a, b) => owner.columns[owner.x][a] - owner.columns[owner.x][b]);
@@ -48,12 +48,17 @@ class Scatter {
       }
       context.fill();
     }
-    context.fillStyle = stage.color("ink");
-    context.textAlign = "left";
     for (const k of owner.rows) {
       if (!owner.instrument[k]) continue;
       const [px, py] = stage.toScreen(...this.points[k]);
-      context.fillText(owner.instrument[k], px + 12, py + 4);
+      const right = px > stage.width - 120; // beside the edge, the name is on the left
+      labels.push([owner.instrument[k], right ? px - 12 : px + 12, py, right ? "right" : "left"]);
+    }
+    context.fillStyle = stage.color("ink");
+    context.textBaseline = "middle";
+    for (const [text, px, py, align] of labels) {
+      context.textAlign = align;
+      label(context, stage, text, px, py);
     }
     for (const [k, width] of [[stage.hovered ?? -1, 1], [owner.selected, 2.5]]) {
       if (k < 0) continue;
@@ -73,26 +78,22 @@ class Scatter {
     context.fillStyle = stage.color("soft");
     context.lineWidth = 1;
     context.beginPath();
+    const labels = [];
     for (const [name, low, high, across] of [[owner.x, x0 / 1.6, x1 / 1.6, true], [this.y, y0, y1, false]]) {
       const [zero, range] = owner.ranges[name];
-      const step = niceStep((high - low) * range / (across ? 6 : 4));
+      const step = niceStep((high - low) * range / 3);
       for (let k = Math.ceil((zero + low * range) / step); k * step <= zero + high * range; k += 1) {
         const part = (k * step - zero) / range;
         const [px, py] = stage.toScreen(1.6 * part, part);
         context.moveTo(across ? px : 0, across ? 0 : py);
         context.lineTo(across ? px : stage.width, across ? stage.height : py);
-        context.textAlign = across ? "center" : "left";
         const text = String(+(k * step).toPrecision(6));
-        if (across) context.fillText(text, px, stage.height - 6);
-        else if (py < stage.height - 24 && py > 34) context.fillText(text, 4, py - 3);
+        if (across) labels.push([text, Math.min(px, stage.width - 14), stage.height - 8, "center"]);
+        else if (py < stage.height - 24 && py > 34) labels.push([text, 4, py - 8, "left"]);
       }
     }
     context.stroke();
-    context.fillStyle = stage.color("ink");
-    context.textAlign = "right";
-    context.fillText(owner.words(owner.x), stage.width - 8, stage.height - 22);
-    context.textAlign = "left";
-    context.fillText(owner.words(this.y), 8, 16);
+    return labels.concat([[owner.words(owner.x), stage.width - 8, stage.height - 26, "right"], [owner.words(this.y), 8, 14, "left"]]);
   }
 
   pick(x, y) {
@@ -106,19 +107,20 @@ class Scatter {
 
   card(k) { return this.owner.card(k); }
 
+  where(x, y) {
+    const { owner } = this;
+    const value = (name, part) => `${name.replaceAll("_", " ")} ${+(owner.ranges[name][0] + part * owner.ranges[name][1]).toPrecision(4)}`;
+    return `${value(owner.x, x / 1.6)}, ${value(this.y, y)}`;
+  }
+
   choose(k) { this.owner.choose(k); }
 
   step(dx, dy) {
     const [xs, ys] = [this.points.map(([x]) => x), this.points.map(([, y]) => y)];
     if (this.owner.selected < 0) return this.owner.choose(0);
-    const next = nextItem(xs, ys, this.owner.selected, dx, dy, () => true);
+    const next = this.stage.next(xs, ys, this.owner.selected, dx, dy, () => true);
     return next < 0 ? undefined : this.owner.choose(next);
   }
-}
-
-function niceStep(size) {
-  const power = 10 ** Math.floor(Math.log10(size));
-  return power * [1, 2, 5, 10].find((factor) => factor * power >= size * 0.999);
 }
 
 class DesignsView {
@@ -145,9 +147,10 @@ class DesignsView {
       tools.append(field);
     }
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
-    const keys = make("p", { class: "keys" }, "Wheel, two fingers, + and \u2212: zoom; both plots show the same range of the horizontal axis. Drag, or Shift with arrow keys: " +
+    const keys = make("p", { class: "keys" }, "Ctrl with the wheel, two fingers, + and \u2212: zoom; both plots show the same range of the horizontal axis. Drag, or Shift with arrow keys: " +
       "move. 0: show everything. Arrow keys: select a design. Large points are on the Pareto front: no other design is better in both objectives. Squares are instruments.");
-    live.append(tools, make("div", { class: "panes" }, make("div", { class: "linked" }, ...this.plots.map((plot) => plot.stage.frame), keys), this.panel));
+    this.about = make("dl", { class: "about" });
+    live.append(tools, make("div", { class: "panes" }, make("div", { class: "linked" }, ...this.plots.map((plot) => plot.stage.frame), this.about, keys), this.panel));
     this.update();
     this.choose(-1);
   }
@@ -159,6 +162,8 @@ class DesignsView {
 
   update() {
     for (const plot of this.plots) plot.update();
+    const shown = [...new Set([this.x, ...this.plots.map((plot) => plot.y)])];
+    this.about.replaceChildren(...shown.flatMap((name) => [make("dt", {}, this.words(name)), make("dd", {}, this.data.meanings[name] ?? "")]));
   }
 
   // The other plot shows the same part of the horizontal axis.
@@ -173,9 +178,9 @@ class DesignsView {
 
   card(k, long = false) {
     const show = (value) => (Number.isInteger(value) ? String(value) : Number.isFinite(value) ? String(+value.toPrecision(5)) : "\u2013");
-    const entries = Object.entries(this.columns).slice(0, long ? undefined : 8);
+    const shown = [...new Set([...Object.keys(this.data.objectives), ...Object.keys(this.columns)])].slice(0, long ? undefined : 8);
     return [make(long ? "h3" : "p", {}, make("strong", {}, this.instrument[k] || `Design ${k}`)),
-      ...(this.pareto[k] ? [make("p", {}, "This design is on the Pareto front.")] : []), list(entries.map(([name, values]) => [this.words(name), show(values[k])]))];
+      ...(this.pareto[k] ? [make("p", {}, "This design is on the Pareto front.")] : []), list(shown.map((name) => [this.words(name), show(this.columns[name][k])]))];
   }
 
   choose(k) {

@@ -15,7 +15,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const [[x0, x1], [y0, y1]] = [around(this.x), around(this.y)];
     this.stage = new Stage(this, [x0 - reach, y0 - reach, x1 + reach, y1 + reach], {
       flip: true, label: `Focal plane of ${data.instrument} with ${plural(n, "positioner")}. Arrow keys select positioners.`,
-      keys: "Wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
+      keys: "Ctrl with the wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
         "Enter: show the row in the table. Escape: end the selection." });
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.count = make("p", { class: "count", role: "status" });
@@ -34,7 +34,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     own.elbow_y = own.elbow_dy.map((v, k) => v + this.y[k]);
     const kind = own.kind ?? Array(n).fill("science");
     own.state = own.status.map((status, k) => {
-      if (own.colliding_with[k]) return "collision";
+      if (own.colliding_with[k]) return ["disabled", "stuck", "recorded"].includes(status) ? "struck" : "collision";
       if (status === "assigned") return kind[k] || "science";
       return status === "out_of_reach" ? "reach" : status === "disabled" || status === "stuck" ? "unusable" : "idle";
     });
@@ -83,13 +83,14 @@ class FocalPlaneView extends FocalPlaneDrawing {
     add("State", "assigned", "any target", (k) => plan.target_id[k] !== "");
     if (plan.idle) this.data.reasons.forEach((reason, code) => add("Why idle", `reason ${code}`, reason, (k) => plan.reason[k]?.[0] === code));
     if (compared) {
+      add("State", "other collision", `in collision in the plan ${compared.name}`, (k) => compared.colliding_with[k] !== "");
       add("Differences", "changed", "any difference", (k) => this.change(k) !== "same");
       for (const kind of Object.keys(CHANGES)) add("Differences", kind, this.changeName(kind), (k) => this.change(k) === kind);
     }
     for (const column of ["category", "priority", "fiber_type", "spectrograph"]) {
       const values = plan[column] && [...new Set(plan[column].filter((v, k) => plan.target_id[k] && !Number.isNaN(v)))];
       if (!values || values.length < 2 || values.length > 20) continue;
-      for (const value of values.sort()) add(column.replace("_", " "), `${column} ${value}`, String(value), (k) => plan.target_id[k] && plan[column][k] === value);
+      for (const value of values.sort((a, b) => (typeof a === "number" ? a - b : words.compare(a, b)))) add(column.replace("_", " "), `${column} ${value}`, String(value), (k) => plan.target_id[k] && plan[column][k] === value);
     }
     return groups;
   }
@@ -122,32 +123,52 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.count.textContent = `Shown: ${n} of ${plural(this.n, "positioner")}${this.compared ? `; ${this.plan.name} compared with ${this.compared.name}` : ""}.`;
     this.fillLegend();
     if (this.details.open) this.fillTable();
-    this.table = this.details.open ? this.table : null;
+    else this.table = null;
     this.stage.draw();
   }
 
   fillLegend() {
-    const classes = this.compared ? Object.entries(CHANGES).map(([kind, [, color]]) => [this.changeName(kind), color]) :
-      Object.entries(STATES).filter(([state]) => this.plan.state.includes(state)).map(([, entry]) => entry);
-    this.legend.replaceChildren(...classes.map(([name, color]) => {
-      const dot = make("span", { "aria-hidden": "true" });
-      dot.style.background = `var(--${color})`;
-      return make("li", {}, dot, name);
-    }));
+    const { plan, compared } = this;
+    const entries = compared ? Object.entries(CHANGES).map(([kind, [, color]]) => [this.changeName(kind), color, "dot"]) :
+      Object.entries(STATES).filter(([state]) => plan.state.includes(state)).map(([, [name, color, shape]]) => [name, color, shape ?? "dot"]);
+    if (compared) {
+      entries.push([`arm in the plan ${plan.name} (enlarged plot)`, "ink", "line"], [`arm in the plan ${compared.name}, if different`, "ink", "dashed"],
+        [`in collision in the plan ${plan.name}`, "c-collision", "diamond"], [`in collision in the plan ${compared.name}`, "c-collision", "open diamond"]);
+    }
+    fillLegend(this.legend, entries.map(([name, color, shape]) => [name, `var(--${color})`, shape]));
+  }
+
+  // All rows to which an id belongs, with a sentence for each: a positioner and a target can have the same id.
+  matches(text) {
+    const found = this.row.has(text) ? [[this.row.get(text), `${text} is the id of a positioner.`]] : [];
+    const named = this.compared ? (plan) => ` in the plan ${plan.name}` : () => "";
+    for (const plan of this.compared ? [this.plan, this.compared] : [this.plan]) {
+      const k = plan.target_id.indexOf(text);
+      const free = k >= 0 ? [] : [...plan.free].filter(([, targets]) => targets.some(([name]) => name === text)).map(([own]) => own);
+      if (k >= 0) found.push([k, `${text} is the id of a target, to which the positioner ${this.id[k]} is assigned${named(plan)}.`]);
+      if (free.length) {
+        found.push([free[0], `${text} is the id of a target without a positioner${named(plan)}, in reach of ` +
+          `${plural(free.length, "idle positioner")}: ${free.map((own) => this.id[own]).join(", ")}.`]);
+      }
+    }
+    return found;
   }
 
   find(text) {
     if (!text) return;
-    let k = this.row.get(text) ?? -1;
-    if (k < 0) k = this.plan.target_id.indexOf(text);
-    if (k < 0) k = this.compared?.target_id.indexOf(text) ?? -1;
-    const free = k < 0 ? [...this.plan.free].find(([, targets]) => targets.some(([name]) => name === text))?.[0] ?? -1 : -1;
-    if (k < 0 && free < 0) {
-      this.panel.replaceChildren(make("p", {}, `This view contains no positioner and no target with the id ${text}.`));
+    const found = this.matches(text);
+    if (!found.length) {
+      this.panel.replaceChildren(make("p", {}, `This view contains no positioner and no target with the id ${text}. Targets without a ` +
+        "positioner are in the view only if an idle positioner reaches them."));
       return;
     }
-    this.choose(k < 0 ? free : k);
-    this.stage.show(this.x[this.selected], this.y[this.selected], 70 / this.outer[this.selected]);
+    this.choose(found[0][0]);
+    this.found = [...new Set(found.map(([k]) => k))];
+    const sentences = found.map(([, words]) => make("p", { class: "why" }, words));
+    this.panel.replaceChildren(...sentences, ...this.found.flatMap((k) => this.card(k, true)));
+    const [xs, ys] = [this.found.map((k) => this.x[k]), this.found.map((k) => this.y[k])];
+    const around = 4 * this.outer[this.selected];
+    this.stage.fit([Math.min(...xs) - around, Math.min(...ys) - around, Math.max(...xs) + around, Math.max(...ys) + around]);
   }
 
   // ---- differences
@@ -178,6 +199,8 @@ class FocalPlaneView extends FocalPlaneDrawing {
     }
     return best;
   }
+
+  where(x, y) { return `x ${fixed(x, 2)}, y ${fixed(y, 2)} mm`; }
 
   why(k, plan = this.plan) {
     if (plan.target_id[k]) return [];
@@ -222,9 +245,10 @@ class FocalPlaneView extends FocalPlaneDrawing {
 
   choose(k, show = true) {
     this.selected = k;
+    this.found = [];
     const hint = "Click a positioner, or search for its id, to see its target, its angles, its clearance, and why it is idle.";
     this.panel.replaceChildren(...(k < 0 ? [make("p", {}, hint)] : this.card(k, true)));
-    this.markRow(show);
+    if (this.details.open) this.table?.mark(k, show);
     this.stage.draw();
   }
 
@@ -234,7 +258,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
       const distances = this.x.map((x, k) => (this.visible[k] ? Math.hypot(x - this.stage.x, this.y[k] - this.stage.y) : Infinity));
       return this.choose(distances.indexOf(Math.min(...distances)));
     }
-    from = nextItem(this.x, this.y, from, dx, dy, (k) => this.visible[k]);
+    from = this.stage.next(this.x, this.y, from, dx, dy, (k) => this.visible[k]);
     if (from < 0) return undefined;
     this.choose(from);
     const [px, py] = this.stage.toScreen(this.x[from], this.y[from]);
@@ -255,12 +279,14 @@ class FocalPlaneView extends FocalPlaneDrawing {
 
   columns() {
     const { plan } = this;
-    const number = (name, unit, decimals) => [name.replace("_", " "), unit, (k) => [fixed(plan[name][k], decimals), plan[name][k]]];
-    const text = (name, values) => [name, "", (k) => [values[k], undefined]];
+    const number = (name, unit, decimals) => ({ name: name.replace("_", " "), unit, text: (k) => fixed(plan[name][k], decimals), value: (k) => plan[name][k] });
+    const text = (name, values) => ({ name, unit: "", text: (k) => values[k] });
+    const shown = (value) => (Number.isNaN(value) ? "" : String(value));
+    const others = ["kind", "fiber_type", "spectrograph", "category", "priority"].filter((name) => plan[name] && !("c" in plan.has[name]));
     return [
-      ["id", "", null], text("target id", plan.target_id), text("status", plan.status.map((word) => word.replaceAll("_", " "))),
-      ...["kind", "fiber_type", "spectrograph", "category", "priority"].filter((name) => plan[name] && !("c" in plan.has[name]))
-        .map((name) => text(name.replace("_", " "), plan[name].map((value) => (Number.isNaN(value) ? "" : String(value))))),
+      text("id", this.id), text("target id", plan.target_id), text("status", plan.status.map((word) => word.replaceAll("_", " "))),
+      ...others.map((name) => ({ ...text(name.replace("_", " "), plan[name].map(shown)),
+        ...(plan[name].every((v) => typeof v === "number") && { value: (k) => plan[name][k] }) })),
       number("ra", "deg", 6), number("dec", "deg", 6), number("tip_x", "mm", 3), number("tip_y", "mm", 3),
       number("theta", "deg", 3), number("phi", "deg", 3), number("clearance", "mm", 3), text("colliding with", plan.colliding_with),
       text("why idle", this.id.map((_, k) => this.why(k)[0] ?? "")),
@@ -268,31 +294,16 @@ class FocalPlaneView extends FocalPlaneDrawing {
   }
 
   fillTable() {
-    const columns = this.columns();
+    if (this.table?.plan !== this.plan) {
+      this.table = new LongTable(this.scroll, this.columns(), { n: this.n, label: "Positioner", choose: (k) => this.fromTable(k) });
+      this.table.plan = this.plan;
+    }
     const rows = this.id.map((_, k) => k).filter((k) => this.visible[k]);
     const shown = this.data.max_rows === null ? rows : rows.slice(0, this.data.max_rows);
-    const heads = columns.map(([name, unit]) => make("th", { scope: "col" }, name, unit ? " " : "", unit ? make("span", { class: "unit" }, unit) : ""));
-    const body = make("tbody");
-    this.rowElements = new Map();
-    for (const k of shown) {
-      const cells = columns.map(([, , value]) => {
-        if (value === null) return make("th", { scope: "row" }, make("button", { type: "button", "aria-label": `Positioner ${this.id[k]}: select` }, this.id[k]));
-        const [words, number] = value(k);
-        const missing = words === "" || words === "\u2013";
-        const cell = make("td", { class: missing ? "missing" : number === undefined ? "text" : "number" }, missing ? "\u2013" : words);
-        if (number !== undefined && !missing) cell.dataset.value = number;
-        return cell;
-      });
-      const row = make("tr", { onclick: () => this.fromTable(k) }, ...cells);
-      this.rowElements.set(k, row);
-      body.append(row);
-    }
     this.note.textContent = shown.length < rows.length ? `Shown: ${shown.length} of ${plural(rows.length, "row")}.` : plural(rows.length, "row") + ".";
-    this.table = make("table", { class: "rows rounded" }, make("thead", {}, make("tr", {}, ...heads)), body);
-    this.scroll.replaceChildren(this.table);
-    makeSortable(this.table);
+    this.table.show(shown);
     this.scroll.dispatchEvent(new Event("scroll")); // updates the note on hidden columns
-    this.markRow(true);
+    this.table.mark(this.selected, true);
   }
 
   fromTable(k) {
@@ -300,21 +311,11 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.stage.show(this.x[k], this.y[k], 70 / this.outer[k]);
   }
 
-  markRow(show) {
-    this.marked?.removeAttribute("aria-selected");
-    this.marked = this.details?.open ? this.rowElements?.get(this.selected) : null;
-    this.marked?.setAttribute("aria-selected", "true");
-    if (!this.marked || !show) return;
-    const top = this.marked.offsetTop - this.scroll.clientHeight / 2;
-    this.scroll.scrollTop = top; // the page itself does not scroll
-  }
-
   enter() {
     if (this.selected < 0) return;
     this.details.open = true;
     if (!this.table) this.fillTable();
-    this.markRow(true);
-    this.marked?.querySelector("button").focus();
+    this.table.mark(this.selected, true)?.querySelector("button").focus();
   }
 }
 VIEWS.focal_plane = FocalPlaneView;

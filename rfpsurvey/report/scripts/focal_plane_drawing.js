@@ -2,7 +2,7 @@
 
 const STATES = {
   science: ["science target", "c-arm"], standard: ["standard star", "c-star"], sky: ["blank sky", "c-sky"],
-  collision: ["in collision", "c-collision"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle"],
+  collision: ["in collision", "c-collision", "diamond"], struck: ["in collision, not counted (disabled, stuck or at a recorded pose)", "c-obstacle", "diamond"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle"],
   unusable: ["disabled or stuck", "c-obstacle"],
 };
 const CHANGES = { same: ["same target", "c-idle"], other: ["different target", "c-star"], first: ["", "c-arm"], second: ["", "c-other"] };
@@ -36,14 +36,31 @@ class FocalPlaneDrawing {
       if (!large) this.paintDots(context, stage, members);
       else this.paintArms(context, stage, members, this.plan);
     }
-    if (large && this.compared) {
-      context.strokeStyle = context.fillStyle = stage.color("c-other");
+    if (this.compared) this.paintCompared(context, stage, sorted, large);
+    this.paintSelection(context, stage);
+    const compass = this.compass();
+    if (compass) paintCompass(context, stage, compass);
+    paintScale(context, stage, " mm");
+  }
+
+  // The arms of the second plan where they differ, as dashed lines in the color of the difference, and the collisions of both plans.
+  paintCompared(context, stage, groups, large) {
+    for (const [name, members] of large ? groups : []) {
+      const rows = members.filter((k) => this.visible[k] && this.change(k) !== "same");
+      context.fillStyle = context.strokeStyle = stage.color(name);
       context.setLineDash([4, 3]);
-      this.paintArms(context, stage, rows.filter((k) => this.visible[k] && this.change(k) !== "same"), this.compared);
+      this.paintArms(context, stage, rows, this.compared);
       context.setLineDash([]);
     }
-    this.paintSelection(context, stage);
-    this.paintCompass(context, stage);
+    const shown = groups.flatMap(([, members]) => members).filter((k) => this.visible[k]);
+    const size = large ? 5 : 4;
+    context.fillStyle = context.strokeStyle = stage.color("c-collision");
+    context.lineWidth = 1.5;
+    for (const [plan, radius] of [[this.plan, size], [this.compared, size + 3]]) {
+      context.beginPath();
+      for (const k of shown) if (plan.colliding_with[k]) diamond(context, ...stage.toScreen(this.x[k], this.y[k]), radius);
+      if (plan === this.plan) context.fill(); else context.stroke();
+    }
   }
 
   paintDots(context, stage, rows) {
@@ -51,13 +68,8 @@ class FocalPlaneDrawing {
     context.beginPath();
     for (const k of rows) {
       const [px, py] = stage.toScreen(this.x[k], this.y[k]);
-      if (this.plan.state[k] === "collision") { // a diamond
-        context.moveTo(px, py - 2 * size);
-        context.lineTo(px + 2 * size, py);
-        context.lineTo(px, py + 2 * size);
-        context.lineTo(px - 2 * size, py);
-        context.closePath();
-      } else context.rect(px - size, py - size, 2 * size, 2 * size);
+      if (!this.compared && this.plan.colliding_with[k]) diamond(context, px, py, 2 * size);
+      else context.rect(px - size, py - size, 2 * size, 2 * size);
     }
     context.fill();
   }
@@ -145,7 +157,7 @@ class FocalPlaneDrawing {
     };
     if (stage.hovered >= 0) ring(stage.hovered, 1);
     if (this.selected < 0) return;
-    ring(this.selected, 2.5);
+    for (const k of new Set([this.selected, ...this.found])) ring(k, 2.5);
     for (const [, x, y, , possible] of this.plan.free.get(this.selected) ?? []) { // crosses are free targets
       const [px, py] = stage.toScreen(x, y);
       context.strokeStyle = stage.color(possible ? "c-good" : "c-collision");
@@ -166,28 +178,12 @@ class FocalPlaneDrawing {
     const [s, c] = [Math.sin(angle * Math.PI / 180), Math.cos(angle * Math.PI / 180)];
     return { N: [-this.stage.flip * s, c], E: [this.stage.flip * c, s] }; // (right, up) on the screen
   }
+}
 
-  paintCompass(context, stage) {
-    const [left, bottom] = [44, stage.height - 44];
-    context.strokeStyle = context.fillStyle = stage.color("ink");
-    context.lineWidth = 1.5;
-    context.font = "12px system-ui, sans-serif";
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    for (const [name, [dx, dy]] of Object.entries(this.compass() ?? {})) {
-      context.beginPath();
-      context.moveTo(left, bottom);
-      context.lineTo(left + 22 * dx, bottom - 22 * dy);
-      context.stroke();
-      context.fillText(name, left + 31 * dx, bottom - 31 * dy);
-    }
-    const length = 10 ** Math.floor(Math.log10(120 / stage.scale));
-    const [right, low] = [stage.width - 14, stage.height - 16];
-    context.beginPath();
-    context.moveTo(right, low);
-    context.lineTo(right - length * stage.scale, low);
-    context.stroke();
-    context.textAlign = "right";
-    context.fillText(`${length} mm`, right, low - 11);
-  }
+function diamond(context, x, y, size) {
+  context.moveTo(x, y - size);
+  context.lineTo(x + size, y);
+  context.lineTo(x, y + size);
+  context.lineTo(x - size, y);
+  context.closePath();
 }

@@ -40,10 +40,67 @@ function list(entries) {
     .map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value))));
 }
 
+// Entries of a legend: text, color, and shape, which is a class of the style sheet.
+function fillLegend(box, entries) {
+  box.replaceChildren(...entries.map(([text, color, shape]) => {
+    const mark = make("span", { class: `mark ${shape}`, "aria-hidden": "true" });
+    mark.style.setProperty("--color", color);
+    return make("li", {}, mark, text);
+  }));
+}
+
+// The largest of the numbers 1, 2, 5, 10, 20, ... that is not above a size.
+function niceStep(size) {
+  const power = 10 ** Math.floor(Math.log10(size) + 1e-9);
+  return power * [5, 2, 1].find((factor) => factor * power <= size * 1.001);
+}
+
+// Text that remains legible above other drawings.
+function label(context, stage, text, x, y) {
+  context.lineJoin = "round";
+  context.lineWidth = 3;
+  context.strokeStyle = stage.color("c-field");
+  context.strokeText(text, x, y);
+  context.fillText(text, x, y);
+}
+
+// Lines toward the directions, which are given by name as [right, up] on the screen.
+function paintCompass(context, stage, directions) {
+  const [left, bottom] = [44, stage.height - 44];
+  context.font = "12px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillStyle = stage.color("ink");
+  for (const [name, [dx, dy]] of Object.entries(directions)) {
+    context.strokeStyle = stage.color("ink");
+    context.lineWidth = 1.5;
+    context.beginPath();
+    context.moveTo(left, bottom);
+    context.lineTo(left + 22 * dx, bottom - 22 * dy);
+    context.stroke();
+    label(context, stage, name, left + 31 * dx, bottom - 31 * dy);
+  }
+}
+
+function paintScale(context, stage, unit) {
+  const length = niceStep(120 / stage.scale);
+  const [right, low] = [stage.width - 14, stage.height - 16];
+  context.strokeStyle = context.fillStyle = stage.color("ink");
+  context.lineWidth = 1.5;
+  context.beginPath();
+  context.moveTo(right, low);
+  context.lineTo(right - length * stage.scale, low);
+  context.stroke();
+  context.font = "12px system-ui, sans-serif";
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  label(context, stage, `${+length.toPrecision(1)}${unit}`, right, low - 11);
+}
+
 // A canvas that can be zoomed and dragged with mouse, fingers, buttons and keys. The owner has these methods:
 // paint(context, stage); pick(x, y), which returns the item at a point in world coordinates, or -1; card(item), which
-// returns the HTML elements that describe an item, or null; choose(item), which selects an item, or none for -1; and
-// step(dx, dy), which selects the next item in a direction.
+// returns the HTML elements that describe an item, or null; choose(item), which selects an item, or none for -1; where(x, y),
+// which returns the coordinates of a point as text; and step(dx, dy), which selects the next item in a direction.
 class Stage {
   constructor(owner, box, { flip = false, label, keys, equal = true }) {
     Object.assign(this, { owner, box, flip: flip ? -1 : 1, equal, x: 0, y: 0, scale: 1, width: 1, height: 1 });
@@ -55,7 +112,8 @@ class Stage {
       button("+", "Zoom in", () => this.zoom(1.6)),
       button("\u2212", "Zoom out", () => this.zoom(1 / 1.6)),
       button("\u2922", "Show everything", () => this.fit()));
-    this.frame = make("div", { class: "stage" }, this.canvas, this.buttons, this.tip);
+    this.place = make("div", { class: "place", "aria-hidden": "true" });
+    this.frame = make("div", { class: "stage" }, this.canvas, this.buttons, this.place, this.tip);
     this.pointers = new Map();
     this.listen();
     new ResizeObserver(() => this.resize()).observe(this.frame);
@@ -154,6 +212,7 @@ class Stage {
   listen() {
     const { canvas, pointers } = this;
     canvas.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && !event.metaKey) return; // the wheel alone scrolls the page
       event.preventDefault();
       this.zoom(Math.exp(-Math.sign(event.deltaY) * Math.min(Math.abs(event.deltaY), 120) / 400), event.offsetX, event.offsetY);
     }, { passive: false });
@@ -164,6 +223,7 @@ class Stage {
     });
     canvas.addEventListener("pointermove", (event) => {
       const [px, py] = [event.offsetX, event.offsetY];
+      this.place.textContent = this.owner.where(...this.toWorld(px, py));
       const before = pointers.get(event.pointerId);
       if (!before) return this.hover(px, py);
       const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
@@ -184,7 +244,10 @@ class Stage {
     };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
-    canvas.addEventListener("pointerleave", () => { this.tip.hidden = true; });
+    canvas.addEventListener("pointerleave", () => {
+      this.tip.hidden = true;
+      this.place.textContent = "";
+    });
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
@@ -199,18 +262,23 @@ class Stage {
     else if (event.shiftKey) this.pan(-60 * arrow[0], 60 * arrow[1]);
     else this.owner.step(this.flip * arrow[0], arrow[1]);
   }
-}
 
-// The nearest item in a direction from another item; distances perpendicular to this direction count twice.
-function nextItem(xs, ys, from, dx, dy, allowed) {
-  let best = -1, least = Infinity;
-  for (let k = 0; k < xs.length; k += 1) {
-    const along = (xs[k] - xs[from]) * dx + (ys[k] - ys[from]) * dy;
-    const across = Math.abs((xs[k] - xs[from]) * dy) + Math.abs((ys[k] - ys[from]) * dx);
-    const distance = along + 2 * across;
-    if (k !== from && along > 1e-9 && across <= 2 * along && distance < least && allowed(k)) [best, least] = [k, distance];
+  // The next item in a direction, for which the distance along the direction is small, and the distance across is small compared
+  // with it. Repeated steps follow a straight line and visit each row of a lattice, even if the lattice has holes.
+  next(xs, ys, from, dx, dy, allowed) {
+    const [x, y] = [xs[from], ys[from]];
+    if (this.last?.item !== from || (dx === 0) !== this.last.upward) this.last = { upward: dx === 0, x, y };
+    const [x0, y0] = dx === 0 ? [this.last.x, y] : [x, this.last.y];
+    let best = -1, least = Infinity;
+    for (let k = 0; k < xs.length; k += 1) {
+      const along = (xs[k] - x) * dx + (ys[k] - y) * dy;
+      const across = Math.hypot(xs[k] - x0, ys[k] - y0) ** 2 - along ** 2;
+      const size = along + 0.75 * Math.max(across, 0) / along;
+      if (k !== from && along > 1e-9 && across <= 4 * along ** 2 && size < least && allowed(k)) [best, least] = [k, size];
+    }
+    this.last.item = best;
+    return best;
   }
-  return best;
 }
 
 const VIEWS = {};
