@@ -1,3 +1,4 @@
+import gc
 import os
 import sys
 from pathlib import Path
@@ -13,6 +14,8 @@ from packages import HERS
 from rfpsurvey import _cli, _plugins
 from rfpsurvey._cli import _process
 
+# The imported modules and the collected tests exist until the end. Excluding them from garbage collection saves time.
+gc.disable()
 matplotlib.use("agg")
 # the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced
 settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database=None)
@@ -38,6 +41,11 @@ def pytest_collection_modifyitems(items):
             tests.remove(test)
         for test in tests:
             test.add_marker("exhaustive")
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

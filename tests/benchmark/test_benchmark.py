@@ -201,4 +201,5 @@ def test_the_benchmark_of_probabilities_omits_methods_without_outlines(presets):
     unit = presets["desi"].focal_plane.positioner
     plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=10.4 * u.mm)
     table = rs.benchmark.benchmark_probability(plane, repeats=1, precision=1e-2)
-    assert set(table["method"]) == {"overlap_ratio", "quadrature", "monte_carlo", "conditional"}
+    assert {"overlap_ratio", "quadrature", "monte_carlo", "conditional"} <= set(table["method"])
+    assert not {"closed_form", "close_pair"} & set(table["method"])

@@ -83,14 +83,13 @@ class Ended:
 
 
 def make_input(folder: Path) -> None:
-    """Write the targets and the tiles of the surveys, and a tile, to a folder."""
+    """Write the targets and the tiles of the surveys to a folder."""
     center, rng = SkyCoord(95 * u.deg, 23 * u.deg), np.random.default_rng(0)
     folder.mkdir()
     sky = rs.synthetic_catalog("poisson", center, 0.7 * u.deg, density=500 / u.deg**2, rng=0)
     rs.Catalog(sky.coord, visits=rng.integers(1, 3, len(sky))).write(folder / "stars.fits")
     tiles = center.spherical_offsets_by(*rng.uniform(-0.3, 0.3, (2, 6)) * u.deg)
     QTable({"ra": tiles.ra, "dec": tiles.dec}).write(folder / "tiles.ecsv")
-    run(("plan", "--instrument", "moons", "--output", "tile.fits"), folder)
 
 
 def run(words, folder: Path) -> Ended:
@@ -209,6 +208,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as room:
         room = Path(room)
         make_input(room / "input")
+        run(("plan", "--instrument", "moons", "--output", "tile.fits"), room / "input")
         for k in range(options.number):
             name = names[k % len(names)]
             words = COMMANDS[name]

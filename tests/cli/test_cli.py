@@ -382,14 +382,7 @@ def test_benchmark_of_probabilities(run, tmp_path):
     assert code == 0
     assert "empirical" in out
     table = QTable.read(tmp_path / "chart.ecsv")
-    assert set(table["method"]) == {
-        "overlap_ratio",
-        "close_pair",
-        "closed_form",
-        "quadrature",
-        "monte_carlo",
-        "conditional",
-    }
+    assert set(table["method"]) == set(rs.probability.METHODS)
     assert chart.exists()
 
 

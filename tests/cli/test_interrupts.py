@@ -16,30 +16,24 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process
 KEPT = "rfpsurvey: interrupted; the finished tiles are stored in the folder; continue with --resume"
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Return a folder for surveys, and the files of a survey that was not interrupted."""
-    room = tmp_path_factory.mktemp("surveys")
-    interrupts.make_input(room / "input")
-    folder = room / "whole"
-    folder.mkdir()
-    ended = interrupts.run(interrupts.COMMANDS["survey optimal"], folder)
-    assert ended.code == 0
-    return room, interrupts.content(folder)
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["survey optimal", "survey processes"])
-def test_an_interrupted_survey_ends_with_a_message_and_can_be_resumed(name, whole):
+def test_an_interrupted_survey_ends_with_a_message_and_can_be_resumed(name, run, tmp_path, monkeypatch):
     """Regression: threads of HiGHS aborted the process after the message."""
-    words, (room, expected) = interrupts.COMMANDS[name], whole
-    folder = room / name
-    folder.mkdir()
+    interrupts.make_input(tmp_path / "input")
+    whole, folder = tmp_path / "whole", tmp_path / "interrupted"
+    for path in (folder, whole):
+        path.mkdir()
+        monkeypatch.chdir(path)
+    assert run(*interrupts.COMMANDS["survey optimal"])[0] == 0
+    words = interrupts.COMMANDS[name]
     ended = interrupts.interrupt(words, folder, lambda: any((folder / "out").glob("tiles/**/*.fits")))
     assert not ended.faults
     assert (ended.code, ended.errors.splitlines()[-1]) == (130, KEPT)
     assert ended.seconds < 10
-    assert interrupts.resume(words, folder, expected) == []
+    monkeypatch.chdir(folder)
+    assert run(*words, "--resume")[0] == 0
+    assert interrupts.content(folder) == interrupts.content(whole)
 
 
 def test_an_interrupt_during_the_imports_has_a_message(tmp_path):

@@ -11,11 +11,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey.allocation import METHODS
 
 CENTER = SkyCoord("6h20m +23d")
-ALLOCATORS = ("balanced", "nearest", "lamost_rule", "network_flow", "optimal", "repair")
-
-
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "plugin" / "rfpsurvey_example" / "constraints.py"
 SPEC = importlib.util.spec_from_file_location("example_constraints", EXAMPLE)
 example = importlib.util.module_from_spec(SPEC)
@@ -61,7 +59,7 @@ def rows_of(tile, sky):
     return np.flatnonzero(np.isin(sky.id, ids[ids >= 0]))
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 def test_no_tile_uses_an_excluded_target(sky, small, allocator):
     wrong = excluded(sky)
     tile = rs.plan_tile(sky, small, CENTER, allocator=options(allocator))
@@ -111,7 +109,7 @@ def test_bright_stars_outside_the_field_count_too(small):
     assert all(one == [True, False] for one in seen)
 
 
-@pytest.mark.parametrize("allocator", ALLOCATORS)
+@pytest.mark.parametrize("allocator", METHODS)
 def test_surveys_and_tiles_exclude_the_same_targets(sky, small, tiles, allocator, tmp_path):
     wrong = excluded(sky)
     survey = rs.plan_survey(sky, small, tiles, allocator=options(allocator), folder=tmp_path / "survey")

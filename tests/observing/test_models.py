@@ -67,7 +67,7 @@ def patrol_edges(instrument):
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("name", ["lamost", "sdss_apo", "sdss_lco", "moons", "desi", "pfs"])
+@pytest.mark.parametrize("name", rs.available_instruments())
 def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets, name):
     """Regression: the maxima were taken over the centers of positioners, and were up to 23 % too small."""
     instrument = presets[name]

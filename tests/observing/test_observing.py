@@ -156,7 +156,7 @@ def test_without_air_the_projection_is_the_static_one(presets):
         np.testing.assert_allclose(seen, static, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["lamost", "sdss_apo", "moons", "desi", "pfs"])
+@pytest.mark.parametrize("name", rs.available_instruments())
 @pytest.mark.parametrize("hours", [0, 4.2])
 def test_the_round_trip_is_exact_and_the_center_stays(presets, name, hours):
     instrument = presets[name]

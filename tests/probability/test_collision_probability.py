@@ -362,7 +362,7 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "magic"}, "unknown method of collision probability 'magic'; choose one of: auto, close_pair"),
+        ({"method": "magic"}, "unknown method of collision probability 'magic'; choose one of: auto, "),
         ({"estimand": "both"}, "unknown estimand 'both'"),
         (
             {"method": "quadrature", "estimand": "allocated"},

