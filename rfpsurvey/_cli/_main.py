@@ -67,7 +67,7 @@ class Commands(TyperGroup):
 
             import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
             if name not in self.commands:
-                self.commands |= typer.main.get_command(app).commands
+                self.commands[name] = typer.main.get_command(app).commands[name]
                 gc.freeze()
         finally:
             gc.enable()

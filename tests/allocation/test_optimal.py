@@ -86,7 +86,7 @@ def judge(plane, xy, options):
     return value
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("quotas", [False, True])
 @pytest.mark.parametrize("method", ["network_flow", "optimal"])
 @pytest.mark.parametrize("chunk", [*range(6), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(6, N_CASES // CHUNK))])

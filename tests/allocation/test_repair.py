@@ -40,6 +40,7 @@ def ladder(found, priority):
     return [int((priority[used] >= p).sum()) for p in sorted(set(priority.tolist()), reverse=True)]
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_arm_collides_whatever_the_start(name, start):
@@ -221,6 +222,7 @@ def test_a_start_within_the_margins_of_broken_arms_is_an_error():
     assert (found.target_of_positioner >= 0).any()
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("n", [30, 110, 600])
 def test_the_plan_is_the_same_as_if_all_collisions_of_candidates_were_known(name, n, monkeypatch):

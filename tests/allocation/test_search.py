@@ -27,6 +27,7 @@ def sparse_targets(plane, seed):
     return plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.normal(size=(m, 2)) * rng.choice([3, 6]), rng
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("seed", [324, 5, 11])
 @pytest.mark.parametrize("milliseconds", [1e-6, 1, 5, 50])
 def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
@@ -129,6 +130,7 @@ def test_the_bound_of_a_repair_is_what_arms_could_reach_that_pass_through_each_o
             break
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("largest", [10, 1e6])
 @pytest.mark.parametrize("steep", [1.0, 8.0])
 @pytest.mark.parametrize("seed", range(4))

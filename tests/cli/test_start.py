@@ -7,6 +7,7 @@ import sys
 from importlib import import_module
 
 import pytest
+import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli._main import COMMANDS
@@ -39,6 +40,13 @@ def test_the_list_contains_the_first_sentence_of_each_command(name, run):
 def test_garbage_is_collected_again_after_the_import_of_a_command(run):
     run("plan", "--help")
     assert gc.isenabled()
+
+
+def test_a_command_is_built_once_in_a_process(run, monkeypatch):
+    """Each call built all commands that were called before, which took longer than most tests of commands."""
+    run("convert", "--help")
+    monkeypatch.setattr(typer.main, "get_command", None)
+    assert run("convert", "--help")[0] == 0
 
 
 def test_every_command_has_its_help(run):

@@ -36,6 +36,7 @@ def sky():
     return rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=300, rng=1)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("orientation", ["sky", "focal plane"])
 @pytest.mark.parametrize("position_angle", [0, 30, 200])
 def test_the_compass_points_where_the_projection_puts_north_and_east(presets, sky, position_angle, orientation):

@@ -107,7 +107,7 @@ def test_threads_and_processes(case, tmp_path, undisturbed):
     with ThreadPoolExecutor(3) as executor:
         compute(case, tmp_path / "threads", executor=executor)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=context) as executor:
+    with ProcessPoolExecutor(1, mp_context=context) as executor:
         compute(case, tmp_path / "processes", executor=executor)
     assert content(tmp_path / "threads") == undisturbed
     assert content(tmp_path / "processes") == undisturbed
