@@ -13,7 +13,9 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to,
 
 KINDS = ("science", "standard", "sky")
 PERS = ("tile", "spectrograph")
-FORM = re.compile(r"([^@=/<>]+)(?:@([^@=/<>]+))?=\s*(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))\s*(?:/\s*(.+))?")
+NUMBERS = r"(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))"
+FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*(.+))?")
+PLAIN = re.compile(r"[^'\s@=/<>](?:[^@=/<>]*[^\s@=/<>])?")
 MOST = 10**9
 
 
@@ -119,7 +121,8 @@ class Requirement(Constraint):
         ----------
         text : str
             ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, optionally with ``@FIBER`` after WHAT, and with
-            ``/spectrograph`` at the end if the numbers apply to each spectrograph.
+            ``/spectrograph`` at the end if the numbers apply to each spectrograph. WHAT is in single quotes if it
+            contains one of the characters ``@=/<>`` or is the name of a constraint.
 
         Returns
         -------
@@ -137,14 +140,17 @@ class Requirement(Constraint):
                 f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
                 f"got {short(text)}"
             )
-        what, fiber, least, low, high, per = found.groups()
+        quoted, what, fiber, least, low, high, per = found.groups()
         most = None if high is None else int(high)
-        return cls(what.strip(), int(least or low or 0), most, per or "tile", (fiber or "").strip())
+        return cls(quoted or what.strip(), int(least or low or 0), most, per or "tile", (fiber or "").strip())
 
     def __str__(self):
         most = "" if self.maximum is None else f"-{self.maximum}"
         fiber = f"@{self.fiber_type}" if self.fiber_type else ""
-        return f"{self.what}{fiber}={self.minimum}{most}" + ("/spectrograph" if self.per == "spectrograph" else "")
+        named = {one.name for one in Constraint.__subclasses__()} - {*KINDS}
+        plain = PLAIN.fullmatch(self.what) and self.what.split()[0] not in named
+        what = self.what if plain else f"'{self.what}'"
+        return f"{what}{fiber}={self.minimum}{most}" + ("/spectrograph" if self.per == "spectrograph" else "")
 
     def __repr__(self):
         return f"Requirement({str(self)!r})"

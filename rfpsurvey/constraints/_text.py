@@ -51,7 +51,7 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     ------
     InputError
         If an object is no constraint, if text does not have one of these forms, or if the category of a requirement has
-        the name of a constraint, as in ``required=1003``; `AllocationOptions.requirements` accepts such categories.
+        the name of a constraint, as in ``required=1003``; write ``'required'=1003``.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def _as_constraint(one: object) -> Constraint:
     if sign and word in {*BUILT_IN, *names} - {*KINDS}:
         raise InputError(
             f"the text of the constraint {word!r} must have a space after its name, got {short(one)}; to require a "
-            f"number of targets of a category with the name {word!r}, use the option requirements"
+            f"number of targets of a category of this name, write the name in single quotes: '{word}'=..."
         )
     if name not in names and ("=" in one or FORM.fullmatch(one.strip())):
         return Requirement.parse(one)

@@ -121,7 +121,7 @@ class Survey:
         """Table with a row for each visit of the survey; for large surveys, use `tile`, which reads a single tile.
 
         Columns: ``tile``, ``target_id``, ``target_row`` (row in the catalog, -1 for blank sky), ``positioner`` (the
-        identifier of the positioner, which is the column ``id`` of `Tile.table`), ``ra``, ``dec``, ``in_collision``,
+        identifier of the positioner, which is the column ``id`` of ``Tile.table``), ``ra``, ``dec``, ``in_collision``,
         ``observed`` (whether the visit counts as an observation), ``fiber_type`` if the fibers of the instrument have
         types, ``kind`` if the catalog has kinds or if blank sky positions were added, and ``priority``, ``category``
         and the further columns (``extra``) of the catalog, if the catalog has these columns. In the columns from the

@@ -43,11 +43,21 @@ def test_constraints_are_read_as_they_are_written(text, kind):
     assert str(pickle.loads(pickle.dumps(one))) == text
 
 
-def test_a_category_may_have_the_name_of_a_constraint_in_requirements():
-    (one,) = rs.AllocationOptions(requirements="required=3").requirements
-    assert (one.what, one.minimum) == ("required", 3)
+def test_a_category_may_have_the_name_of_a_constraint():
+    for given in ({"requirements": "required=3"}, {"constraints": "'required'=3"}):
+        (one,) = rs.AllocationOptions(**given).requirements
+        assert (one.what, one.minimum, str(one)) == ("required", 3, "'required'=3")
     (one,) = as_constraints("required a=5 b@c=6")  # identifiers can contain these signs
     assert one.ids == ("a=5", "b@c=6")
+
+
+@pytest.mark.parametrize("what", ["QSO/LyA", "a=b", "a@b", "keep_out", "two words", "required a", "z<2", "it's"])
+@pytest.mark.parametrize("others", [{}, {"fiber_type": "BOSS"}, {"per": "spectrograph", "maximum": 7}])
+def test_the_text_of_a_requirement_is_read_again(what, others):
+    """Regression: the text of a category with special characters could not be read again."""
+    one = rs.Requirement(what, 3, **others)
+    (again,) = as_constraints(str(one))
+    assert again == one
 
 
 @pytest.mark.parametrize("empty", [None, [], ()])
