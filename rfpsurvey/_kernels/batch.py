@@ -45,41 +45,39 @@ class Workspace(NamedTuple):
 
 
 @kernel
-def find_pairs(setup, workspace):
-    """List the colliding and the borderline pairs of the arms in the workspace, as `find_colliding` does."""
-    w = workspace
-    if setup.runs.shape[0] == 0:
-        return np.int64(0), np.int64(0)
-    halve(w.segments, w.halves)
-    return find_colliding(w.segments, w.halves, setup.runs, setup.limits, w.first, w.second, w.squared)
+def mark_colliding(setup, workspace, slack):
+    """Mark the arms of the workspace that collide with other arms or with obstacles.
 
-
-@kernel
-def find_hits(setup, workspace, slack, hits, gaps):
-    """List the arms of the workspace that touch obstacles, as `colliding_obstacles` does, and return their number."""
-    if setup.obstacle_pairs.shape[0] == 0:
-        return 0
-    own, circles = np.arange(workspace.assigned.size), setup.obstacles
-    pairs, limits, clearance = setup.obstacle_pairs, setup.limits, setup.clearance
-    return colliding_obstacles(workspace.segments, own, limits, pairs, circles, clearance, slack, hits, gaps)
+    Returns the number of colliding pairs of arms, the number of pairs of an arm and an obstacle, and the number of
+    borderline pairs. Arms that are farther away from obstacles than the clearance, by less than ``slack``, are also
+    marked; they and the arms that are closer than the clearance by at most ``slack`` form borderline pairs.
+    """
+    w, circles, pairs = workspace, setup.obstacles, setup.obstacle_pairs
+    w.colliding[:] = False
+    n_pairs = n_hits = borderline = 0
+    if setup.runs.shape[0] > 0:
+        halve(w.segments, w.halves)
+        n, borderline = find_colliding(w.segments, w.halves, setup.runs, setup.limits, w.first, w.second, w.squared)
+        limit = setup.limits.separation**2
+        for k in range(n):
+            if w.squared[k] < limit:
+                n_pairs += 1
+                w.colliding[w.first[k]] = w.colliding[w.second[k]] = True
+    if pairs.shape[0] > 0:
+        own, hits, gaps = np.arange(w.assigned.size), np.empty_like(pairs), np.empty(pairs.shape[0])
+        n_hits = colliding_obstacles(w.segments, own, setup.limits, pairs, circles, setup.clearance, slack, hits, gaps)
+        for k in range(n_hits):
+            i, j = hits[k, 0], hits[k, 1]
+            radius = circles[j, 2] if j < circles.shape[0] else 0.0
+            borderline += gaps[k] >= radius + setup.clearance - slack
+            w.colliding[i] = True
+    return n_pairs, n_hits, borderline
 
 
 @kernel
 def count(setup, workspace, counts, times):
     """Count the collisions of the arms in the workspace, and add 1 to ``times[i]`` for each colliding positioner i."""
-    n, borderline = find_pairs(setup, workspace)
-    workspace.colliding[:] = False
-    limit = setup.limits.separation**2
-    counts[:] = 0
-    counts[BORDERLINE] = borderline
-    for k in range(n):
-        if workspace.squared[k] < limit:
-            counts[PAIRS] += 1
-            workspace.colliding[workspace.first[k]] = workspace.colliding[workspace.second[k]] = True
-    hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
-    counts[OBSTACLE_PAIRS] = find_hits(setup, workspace, 0.0, hits, gaps)
-    for k in range(counts[OBSTACLE_PAIRS]):
-        workspace.colliding[hits[k, 0]] = True
+    counts[PAIRS], counts[OBSTACLE_PAIRS], counts[BORDERLINE] = mark_colliding(setup, workspace, 0.0)
     assigned = colliding = both = counted = 0
     for i in range(workspace.assigned.size):
         counts_too = workspace.assigned[i] | setup.parked[i]

@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels import allocation
 from rfpsurvey._kernels.allocation import nominate, precedes
-from rfpsurvey._kernels.batch import find_hits, find_pairs
+from rfpsurvey._kernels.batch import mark_colliding
 from rfpsurvey._kernels.hashing import mix
 
 # Largest number of realizations in one call.
@@ -24,11 +24,9 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
     ``segments`` contains, for each pair, the segment of the arm that can collide; ``idle`` contains the segments of
     the idle arms. ``uncertain`` marks realizations in which rounding could change the result.
     """
+    lost[:] = False
     n = chosen.shape[1]
-    hits, gaps = np.empty_like(setup.obstacle_pairs), np.empty(setup.obstacle_pairs.shape[0])
-    limit = setup.limits.separation**2
     for r in range(chosen.shape[0]):
-        lost[r, :] = False
         uncertain[r] = False
         assigned = False
         for i in range(n):
@@ -38,18 +36,9 @@ def find_lost(chosen, segments, idle, setup, obstacle_slack, workspace, lost, un
                 workspace.segments[row, i] = segments[row, k] if k >= 0 else idle[row, i]
         if not assigned:
             continue
-        m, borderline = find_pairs(setup, workspace)
-        uncertain[r] = borderline > 0
-        for p in range(m):
-            if workspace.squared[p] < limit:
-                lost[r, workspace.first[p]] = lost[r, workspace.second[p]] = True
-        for p in range(find_hits(setup, workspace, obstacle_slack, hits, gaps)):
-            i, j = hits[p, 0], hits[p, 1]
-            radius = setup.obstacles[j, 2] if j < setup.obstacles.shape[0] else 0.0
-            uncertain[r] |= gaps[p] >= radius + setup.clearance - obstacle_slack
-            lost[r, i] = True
+        uncertain[r] = mark_colliding(setup, workspace, obstacle_slack)[2] > 0
         for i in range(n):
-            lost[r, i] &= chosen[r, i] >= 0
+            lost[r, i] = workspace.colliding[i] and chosen[r, i] >= 0
 
 
 @kernel

@@ -149,7 +149,7 @@ class Program:
     def _objectives(self):
         """Return the coefficients and the smallest and largest values of the objectives, in order of precedence."""
         problem, rank = self.problem, self.candidates.options.rank[self.candidate]
-        first, stop = problem.objectives.first, problem.objectives.stop
+        first, stop = problem._objectives.first, problem._objectives.stop
         order = np.argsort(rank, kind="stable")
         ends = np.searchsorted(rank[order], np.arange(len(problem.classes) + 2))
         columns = [order[a:b] for a, b in zip(ends[first], ends[stop], strict=True)]

@@ -72,7 +72,7 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None) -
         target = match(everything)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
-    limits = most[problem.objectives.stop - 1]
+    limits = most[problem._objectives.stop - 1]
     if problem.any_required:
         limits[0] = min(problem.is_required.sum(), n)
     if problem.groups:

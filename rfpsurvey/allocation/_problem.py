@@ -271,7 +271,7 @@ class AllocationProblem:
         return self.pairs if targets.all() else self.pairs.where(targets[self.pairs.target])
 
     @cached_property
-    def objectives(self) -> Objectives:
+    def _objectives(self) -> Objectives:
         """Names of the objectives, in order of precedence, and the classes that each objective counts."""
         n, rest = len(self.classes), int(not self.science.all())
         all_first = int(self.objective == "count" and n > 1)
@@ -285,7 +285,7 @@ class AllocationProblem:
     @property
     def level_names(self) -> tuple[str, ...]:
         """Names of the objectives, in order of precedence."""
-        return self.objectives.names
+        return self._objectives.names
 
     def level_values(self, target_of: np.ndarray) -> np.ndarray:
         """Return the value of each objective in `level_names` for a plan; larger values are better.
@@ -302,7 +302,7 @@ class AllocationProblem:
         """
         used = target_of[target_of >= 0]
         before = np.append(0, np.cumsum(np.bincount(self.rank[used], minlength=len(self.classes) + 1)))
-        values = (before[self.objectives.stop] - before[self.objectives.first]).astype(float)
+        values = (before[self._objectives.stop] - before[self._objectives.first]).astype(float)
         if self.any_required:
             values[0] = self.is_required[used].sum()
         if self.groups:

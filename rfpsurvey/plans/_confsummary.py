@@ -18,7 +18,7 @@ from rfpsurvey._readers import content_of, head_of, is_number, sentence
 from rfpsurvey._units import check_columns
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
-from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
 INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
@@ -133,12 +133,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
-    found = text_of_lost([name for name in plan.colnames if name not in names])
-    if _is_nominal(plan):
-        found.append("the joint angles computed from nominal arm lengths")
-    if plan.meta["format"] not in ("confsummary", "tile") and plan.meta["header"]:
-        found.append("the keywords of the header")
-    return found
+    found = texts_of_lost(plan, [name for name in plan.colnames if name not in names], "confsummary")
+    return found + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
 
 
 def to_wok(x, y, position_angle: float) -> tuple:

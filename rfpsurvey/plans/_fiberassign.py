@@ -17,7 +17,7 @@ from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import head_of, read_tables, sentence
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
-from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
 NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
@@ -149,7 +149,8 @@ def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
     names = [name for name in plan.colnames if name not in known]
-    return text_of_lost([name for name in names if not _is_own(plan) or name in ("theta", "phi")])
+    names = [name for name in names if not _is_own(plan) or name in ("theta", "phi")]
+    return texts_of_lost(plan, names, "fiberassign")
 
 
 def _column(table, name, path) -> np.ndarray:

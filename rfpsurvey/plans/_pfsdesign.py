@@ -27,7 +27,7 @@ from rfpsurvey.plans._pfsdesign_write import (
     wrapped,
     write,
 )
-from rfpsurvey.plans._plan import make_plan, own_name, text_of_lost
+from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords
 
 __all__ = ["lost", "read", "recognizes", "write"]
@@ -127,10 +127,7 @@ def lost(plan: QTable) -> list[str]:
         names |= {*FORMATS, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
     else:
         names |= {*FROM_TILE, "spectrograph"}
-    found = text_of_lost([name for name in plan.colnames if name not in names])
-    if plan.meta["format"] not in ("pfsdesign", "tile") and plan.meta["header"]:
-        found.append("the keywords of the header")
-    return found
+    return texts_of_lost(plan, [name for name in plan.colnames if name not in names], "pfsdesign")
 
 
 def _cobras(rows: np.ndarray) -> np.ndarray:

@@ -318,11 +318,12 @@ def own_name(name: str) -> str:
     return f"{name}_in_file" if name in COLUMNS else name
 
 
-def text_of_lost(names: list[str]) -> list[str]:
-    """Return a list with one text that names the columns that a file format cannot represent, or an empty list."""
-    if not names:
-        return []
-    return [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"]
+def texts_of_lost(plan: QTable, names: list[str], format: str) -> list[str]:  # noqa: A002
+    """Return texts on the columns ``names`` of a plan and on its header, if a file format cannot represent them."""
+    found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
+    if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
+        found.append("the keywords of the header")
+    return found
 
 
 def _filled(ids, has_target) -> np.ndarray:

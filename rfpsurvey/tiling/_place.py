@@ -30,11 +30,12 @@ from rfpsurvey.errors import (
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
+from rfpsurvey.tiling._account import account_of, warn_of_rest
 from rfpsurvey.tiling._centers import Centers, Declinations, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
-from rfpsurvey.tiling._problem import TilingProblem, TilingState
+from rfpsurvey.tiling._problem import TilingProblem
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
@@ -188,15 +189,9 @@ def place_tiles(
         unused |= {"min_separation": fibers.min_separation, "rng": rng if is_seed_given(rng) else None}
         check_region_options(chosen, goals, unused)
         return _place_on_region(catalog, chosen, radius_rad, passes, where, exclude, summary)
-    if not (isinstance(catalog, Catalog | PartitionedCatalog | SkyCoord) or is_table(catalog)):
-        raise InputTypeError(f"catalog must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(catalog)}")
-    catalog = as_catalog(catalog)
     times = times_of_tiles(where.tiling) if chosen.needs_tiles and by_positioners else None
-    reference, moved = choose_epoch(catalog, None, times)
-    catalog = catalog if reference is None else catalog.at_epoch(reference)
+    catalog, reference, moved = _targets(catalog, times)
     summary.update({} if moved is None else {"epoch": moved})
-    if len(catalog) == 0:
-        raise InputError("the catalog must have at least one target with finite coordinates, got none")
     options = as_options(DEFAULT_ALLOCATOR if allocator is None else allocator)
     if by_positioners:
         options.check_for_fields("place_tiles")
@@ -204,29 +199,20 @@ def place_tiles(
         options = options.for_instrument(model)
     index = SkyIndex(catalog.arrays.vectors)
     builder = FieldBuilder(CatalogTargets(catalog, index), options, visits)
-    wanted = _wanted(builder, exclude)
-    beyond = where.limits.distance(index.vectors) > radius_rad
-    n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
-    wanted[beyond] = 0
-    if not wanted.any():
-        raise InputError(f"at least one target must be within reach{where.limits.words}, got none")
+    wanted, n_away, n_beyond = _wanted(builder, exclude, where.limits, radius_rad)
     n_tiles = None if n_tiles is None else check_whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):
         raise refusal("completeness must be a number above 0 and at most 1", completeness, Number)
-    number = _number_of_fibers(fibers, model)
-    neighbors = None
-    if fibers.min_separation is not None:
-        if allocator is not None:
-            raise InputError("min_separation must not be given with an allocator, whose positioners set the separation")
-        neighbors = neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
+    number, priority = _number_of_fibers(fibers, model), builder.source.by_slot("priority")
+    neighbors = _neighbors(fibers, index, allocator)
     if by_positioners:
         tiles = given_tiles(where) if chosen.needs_tiles else where.angle_deg
         serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
         reach = serve.radius + serve.margin
     else:
+        serve, reach = FreeFibers(number, priority, neighbors), radius_rad
         if is_seed_given(rng):
             warn_no_effect("rng", "without the positioners of an allocator")
-        serve, reach = FreeFibers(number, builder.source.by_slot("priority"), neighbors), radius_rad
     goal = n_tiles or completeness or 1.0
     with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
         problem = TilingProblem(
@@ -241,12 +227,12 @@ def place_tiles(
             n_tiles=n_tiles,
             completeness=completeness,
             n_beyond=n_beyond,
-            level=_levels(builder.source.by_slot("priority"), wanted),
+            level=_levels(priority, wanted),
             tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
         )
         state = chosen.place(problem)
-    summary.update(fibers=number, **_account(state, neighbors, n_away), completeness_means=serve.means)
-    _warn(state, n_away, where.limits)
+    summary.update(fibers=number, **account_of(state, neighbors, n_away), completeness_means=serve.means)
+    warn_of_rest(state, n_away, where.limits)
     rows = state.table
     table = given_tiles(where).table[: len(rows)] if chosen.needs_tiles else _table(rows["center"], rows["pass"], where)
     return _finish(table, summary, {name: rows[name] for name in ("n_targets", "n_new", "completeness")})
@@ -273,28 +259,32 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
     return _finish(table, summary, {})
 
 
+def _targets(given, times) -> tuple:
+    """Return the targets at the epoch of the tiles, this epoch, and a sentence on the epoch."""
+    if not (isinstance(given, Catalog | PartitionedCatalog | SkyCoord) or is_table(given)):
+        raise InputTypeError(f"catalog must be a Catalog, SkyCoord, Table, DataFrame or Region, got {short(given)}")
+    catalog = as_catalog(given)
+    reference, moved = choose_epoch(catalog, None, times)
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    return catalog if reference is None else catalog.at_epoch(reference), reference, moved
+
+
+def _neighbors(fibers: Fibers, index: SkyIndex, allocator):
+    """Return the targets closer to each target than the minimum separation of fibers; None without this minimum."""
+    if fibers.min_separation is None:
+        return None
+    if allocator is not None:
+        raise InputError("min_separation must not be given with an allocator, whose positioners set the separation")
+    return neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
+
+
 def _regions(exclude) -> tuple[Region, ...]:
     """Return a tuple of regions from one region, several regions, or None."""
     regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
     if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
         raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
     return tuple(regions)
-
-
-def _warn(state: TilingState, n_away: int, limits: Declinations) -> None:
-    """Issue a warning for goals that are not reached, and for targets that no tile reaches."""
-    problem, n = state.problem, len(state.rows)
-    sentences = []
-    goal = problem.completeness
-    if goal is not None and state.completeness < goal - 1e-12:
-        limit = "" if problem.n_tiles is None or n < problem.n_tiles else f"; n_tiles={n} allows no more tiles"
-        sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
-    if n_away:
-        sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
-    if not n:
-        sentences.append("no tile observes any target")
-    for sentence in sentences:
-        warn(sentence)
 
 
 def _number_of_fibers(fibers: Fibers, model: Instrument | None) -> int:
@@ -307,15 +297,24 @@ def _number_of_fibers(fibers: Fibers, model: Instrument | None) -> int:
     return usable if fibers.number is None else int(fibers.number)
 
 
-def _wanted(builder: FieldBuilder, exclude) -> np.ndarray:
-    """Return the requested visits of each target outside of the excluded regions, in the order of the spatial index."""
-    wanted = builder.wanted.astype(np.int64)
-    wanted[in_any(exclude, builder.source.index.vectors)] = 0
+def _wanted(builder: FieldBuilder, exclude, limits: Declinations, radius_rad: float) -> tuple[np.ndarray, int, int]:
+    """Return the requested visits of each target outside of the excluded regions, in the order of the spatial index.
+
+    The visits of targets beyond the declination limits are set to 0; the numbers of these targets and of their visits
+    are also returned.
+    """
+    vectors, wanted = builder.source.index.vectors, builder.wanted.astype(np.int64)
+    wanted[in_any(exclude, vectors)] = 0
     if not wanted.any():
         raise InputError(
             "the catalog must have at least one science target that requires a visit and is not in a region of exclude"
         )
-    return wanted
+    beyond = limits.distance(vectors) > radius_rad
+    n_away, n_beyond = int(np.count_nonzero(wanted[beyond])), int(wanted[beyond].sum())
+    wanted[beyond] = 0
+    if not wanted.any():
+        raise InputError(f"at least one target must be within reach{limits.words}, got none")
+    return wanted, n_away, n_beyond
 
 
 def _levels(priority, wanted):
@@ -329,34 +328,6 @@ def _levels(priority, wanted):
     rank = np.clip(np.searchsorted(values, priority), 0, len(values) - 1)
     number = min(len(values), MOST_LEVELS)
     return number - 1 - rank * number // len(values)
-
-
-def _account(state: TilingState, neighbors, n_away: int) -> dict:
-    """Return the summary of a tiling; ``n_away`` targets cannot be reached within the declination limits."""
-    problem = state.problem
-    wanted, made = problem.wanted, problem.wanted - state.left
-    n = len(state.rows)
-    depth = SkyIndex(state.table["center"]).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
-    account = {
-        "n_targets": int(np.count_nonzero(wanted)) + n_away,
-        **({} if problem.where.limits.anywhere else {"n_beyond_declination": n_away}),
-        "n_on_tiles": int(np.count_nonzero(depth)),
-        "n_requested": int(wanted.sum()) + problem.n_beyond,
-        "n_observed": int(made.sum()),
-        "completeness": float(state.completeness),
-        "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
-    }
-    if neighbors is not None:
-        some = np.flatnonzero(wanted > 0)
-        indptr, other = neighbors
-        # only neighbors with requested visits can be too close
-        near = (
-            np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
-        )
-        alone = some[~near[some]]
-        account["n_isolated"] = len(alone)
-        account["completeness_isolated"] = float(made[alone].sum() / max(wanted[alone].sum(), 1))
-    return account
 
 
 def _table(vectors, number, where: Centers) -> QTable:

@@ -68,7 +68,7 @@ def test_a_tile_is_planned_at_the_time_of_its_conditions(table, catalog, presets
         catalog, presets["sdss_apo"], CENTER, allocators=["lamost_rule"], conditions=conditions_at(), return_tiles=True
     )
     assert comparison.meta["parameters"]["epoch"] == "J2026.039"
-    assert tiles["lamost"].summary["epoch"] == tile.summary["epoch"]
+    assert tiles["lamost_rule"].summary["epoch"] == tile.summary["epoch"]
 
 
 @pytest.mark.parametrize(

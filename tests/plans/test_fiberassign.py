@@ -256,6 +256,14 @@ def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     assert "extensions" in plan.meta
 
 
+def test_the_keywords_of_another_format_are_lost(path, tmp_path):
+    """They were left out without a warning."""
+    plan = plans.read_plan(path)
+    plan.meta["format"] = "confsummary"
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="the keywords of the header, which this format"):
+        plans.write_plan(plan, tmp_path / "new.fits", format="fiberassign")
+
+
 def without(name):
     return lambda table: table.remove_column(name)
 

@@ -220,6 +220,7 @@ def test_many_classes_and_passes_of_a_survey_share_bars_and_colors(presets, sky)
     np.testing.assert_allclose(last, 1)
 
 
+@pytest.mark.filterwarnings("ignore:no target of the catalog is 'sky'")
 @pytest.mark.parametrize("kind", ["science", "sky"])
 def test_a_tile_with_one_target_is_drawn(presets, kind):
     one = rs.Catalog(SkyCoord([95.05] * u.deg, [23.05] * u.deg), kind=[kind])

@@ -102,7 +102,7 @@ def test_the_command_writes_the_plans_of_all_allocators(run, tmp_path):
     code, _, err = run("compare-allocators", *options, "--report", tmp_path / "page.html")
     assert (code, err) == (0, "")
     text = Reader((tmp_path / "page.html").read_text()).text("script")[0]
-    assert '"name":"lamost"' in text
+    assert '"name":"lamost_rule"' in text
     assert '"name":"repair"' in text
 
 
