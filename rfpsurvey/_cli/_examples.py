@@ -83,7 +83,7 @@ Examples:
   rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection
   rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection --resume
   rfpsurvey select galaxies.fits --tiles tiles.ecsv --plot selection.png --report selection.html
-  rfpsurvey select galaxies.fits --tiles tiles.ecsv --set order=given --set lost_in_collision=false --output selection.fits
+  rfpsurvey select galaxies.fits --tiles tiles.ecsv --set lost_in_collision=false --output selection.fits
 """
 
 POTENTIAL_EXAMPLES = """\b
