@@ -72,6 +72,7 @@ def write_help(app):
         "tile",
         "survey",
         "select",
+        "potential",
         "probability",
         "design",
         "instruments",

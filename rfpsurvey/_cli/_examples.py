@@ -83,7 +83,14 @@ Examples:
   rfpsurvey select --n-realizations 64 --output selection.fits
   rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection
   rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv --workers 2 --folder selection --resume
-  rfpsurvey select galaxies.fits --tiles tiles.ecsv --order given --set lost_in_collision=false --output selection.fits
+  rfpsurvey select galaxies.fits --tiles tiles.ecsv --plot selection.png --report selection.html
+  rfpsurvey select galaxies.fits --tiles tiles.ecsv --set lost_in_collision=false --output selection.fits
+"""
+
+POTENTIAL_EXAMPLES = """\b
+Examples:
+  rfpsurvey potential random.fits --instrument desi --tiles tiles.ecsv --output potential.fits
+  rfpsurvey potential random.fits --instrument desi --survey plan --workers 2 --output potential.fits
 """
 
 BENCHMARK_EXAMPLES = """\b

@@ -29,6 +29,7 @@ COMMANDS = {
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
+    "potential": "Find the tiles and positioners that reach each point of a catalog of random points.",
     "probability": "Estimate the probability that arms collide, with a confidence interval.",
     "score": "Find the collisions in an assignment that was made by another program.",
     "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "

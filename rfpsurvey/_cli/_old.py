@@ -44,6 +44,7 @@ OPTIONS: dict[str, str | Callable[[str], tuple[str, str]]] = {
     "--seed": "rng",
     "--pass": "tiles.passes",
     "--realizations": "n_realizations",
+    "--order": "order",
     "--targets": "output.targets targets_per_positioner",
     "--unit": "catalog.units",
     "--hdu": "catalog.hdu",

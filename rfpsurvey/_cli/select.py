@@ -8,27 +8,14 @@ from typing import Annotated
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _process, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print, _process, _surveys
 from rfpsurvey._cli._command import Given, command
-from rfpsurvey._outputs import check_output, check_separate
-
-LINES = {
-    "n_realizations": "realizations",
-    "n_tiles": "tiles",
-    "n_targets": "targets with requested visits",
-    "n_unreachable": "targets that no tile can reach",
-    "n_never_observed": "targets never observed",
-    "n_sometimes_observed": "targets sometimes observed",
-    "n_always_observed": "targets always observed",
-    "mean_probability": "mean selection probability",
-    "n_assigned": "assigned fibers, all realizations",
-    "n_lost": "  lost to collisions",
-    "n_observed": "visits observed, all realizations",
-}
+from rfpsurvey._outputs import check_separate
+from rfpsurvey.report import selection_facts
 
 
 @dataclass(frozen=True)
-class SelectOutputKeys:
+class SelectOutputKeys(_groups.OutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -40,14 +27,14 @@ class SelectOutputKeys:
         Folder for checkpoints and for the result, selection.fits.
     resume : bool, optional
         Continue the unfinished computation in the folder.
-    overwrite : bool, optional
-        Replace existing files.
+    plot : Path, optional
+        Plot a histogram of the selection probabilities (.png, .pdf or .svg).
     """
 
     path: Path | None = None
     folder: Path | None = None
     resume: bool = False
-    overwrite: bool = False
+    plot: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +61,9 @@ class SelectKeys(_groups.WorkerKeys):
 
 @command(
     SelectKeys,
-    "tiles.path instrument.name n_realizations options.allocator options.constraints catalog.visits tiles.passes epoch "
-    "order output.path output.folder output.resume workers rng catalog.columns output.overwrite",
+    "tiles.path instrument.name n_realizations options.allocator options.constraints catalog.visits epoch "
+    "output.path output.folder output.resume workers rng catalog.columns output.plot output.report "
+    "output.overwrite",
     argument="catalog.path",
     epilog=_examples.SELECT_EXAMPLES,
 )
@@ -83,10 +71,9 @@ def select(keys: SelectKeys, _: Given) -> None:
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"
-    if output is not None:
-        paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
-        check_separate([output, stored], paths)
-        check_output(output, (".fits",), overwrite=keys.output.overwrite)
+    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
+    check_separate([output, stored], paths)
+    _app.check_outputs(keys.output, paths, (".fits",))
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
     targets = _surveys.targets_of(keys.catalog, model, keys.rng)
@@ -110,11 +97,16 @@ def select(keys: SelectKeys, _: Given) -> None:
         found = rs.selection_probabilities(
             targets, model, tiling, keys.n_realizations, executor=executor, progress=True, **options
         )
-    if output is not None:
-        found.write(output, overwrite=keys.output.overwrite)
-    _print_selection(found, options["allocator"].name, perf_counter() - begin)
-    for path in filter(None, (output, stored)):
-        print(f"wrote {path}")
+    seconds = perf_counter() - begin
+    with _print.files(
+        keys.output,
+        write=found.write,
+        draw=lambda: rs.plot.plot_selection(found).figure,
+        report=(found, {"data": output or stored}),
+    ):
+        _print_selection(found, options["allocator"].name, seconds)
+        if stored is not None:
+            print(f"wrote {stored}")
 
 
 def _with_visits(targets, visits: int):
@@ -129,8 +121,7 @@ def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds
     s = found.summary
     print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
     print(f"model: {s['model']}")
-    for name, label in LINES.items():
-        value = s[name]
+    for label, value in selection_facts(found).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     plans = s["n_tiles"] * s["n_realizations"]
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")

@@ -13,6 +13,7 @@ from rfpsurvey.plot._focal_plane import plot_focal_plane
 from rfpsurvey.plot._instruments import draw_instruments, plot_instruments
 from rfpsurvey.plot._probability import plot_probability, plot_residuals
 from rfpsurvey.plot._quality import plot_quality
+from rfpsurvey.plot._selection import plot_selection
 from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
 from rfpsurvey.plot._targets import plot_targets
@@ -34,6 +35,7 @@ __all__ = [
     "plot_probability_accuracy",
     "plot_quality",
     "plot_residuals",
+    "plot_selection",
     "plot_speed_accuracy",
     "plot_targets",
     "plot_tiling",

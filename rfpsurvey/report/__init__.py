@@ -4,7 +4,14 @@ from typing import TYPE_CHECKING
 
 from rfpsurvey._lazy import importer
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
-from rfpsurvey.report._facts import estimate_facts, survey_facts, tile_facts, tile_objectives, tiling_facts
+from rfpsurvey.report._facts import (
+    estimate_facts,
+    selection_facts,
+    survey_facts,
+    tile_facts,
+    tile_objectives,
+    tiling_facts,
+)
 
 if TYPE_CHECKING:
     from rfpsurvey.report._notebook import NotebookView, notebook_view
@@ -24,6 +31,7 @@ __all__ = [
     "check_report",
     "estimate_facts",
     "notebook_view",
+    "selection_facts",
     "survey_facts",
     "tile_facts",
     "tile_objectives",

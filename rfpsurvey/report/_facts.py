@@ -8,6 +8,7 @@ from rfpsurvey.errors import number_of
 
 if TYPE_CHECKING:
     from rfpsurvey.probability import Estimate
+    from rfpsurvey.selection import SelectionProbabilities
     from rfpsurvey.survey import Survey
     from rfpsurvey.tile import Tile
     from rfpsurvey.tiling import Tiling
@@ -56,6 +57,19 @@ TILING = {
     "fiber_use": "fraction of the fibers used",
     "n_isolated": "targets with no other target too close",
     "completeness_isolated": "  completeness of these targets",
+}
+SELECTION = {
+    "n_realizations": "realizations",
+    "n_tiles": "tiles",
+    "n_targets": "targets with requested visits",
+    "n_unreachable": "targets that no tile can reach",
+    "n_never_observed": "targets never observed",
+    "n_sometimes_observed": "targets sometimes observed",
+    "n_always_observed": "targets always observed",
+    "mean_probability": "mean selection probability",
+    "n_assigned": "assigned fibers, all realizations",
+    "n_lost": "  lost to collisions",
+    "n_observed": "visits observed, all realizations",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 TOTAL = "any target"
@@ -165,6 +179,11 @@ def survey_facts(survey: "Survey") -> dict:
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+
+
+def selection_facts(found: "SelectionProbabilities") -> dict:
+    """Return the counts of selection probabilities."""
+    return {label: found.summary[key] for key, label in SELECTION.items()}
 
 
 def tiling_facts(tiling: "Tiling") -> dict:

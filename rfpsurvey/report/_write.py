@@ -16,9 +16,11 @@ from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._designs import is_designs, page_of_designs
 from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
+from rfpsurvey.report._selection import page_of_selection
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
 from rfpsurvey.report._tables import page_of_allocators, page_of_estimate, page_of_instruments, page_of_table
 from rfpsurvey.report._tile import page_of_tile
+from rfpsurvey.selection import SelectionProbabilities
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 from rfpsurvey.tiling import Tiling
@@ -28,6 +30,7 @@ PAGES: dict[type, Callable[..., Page]] = {
     Survey: page_of_survey,
     Tiling: page_of_tiling,
     Estimate: page_of_estimate,
+    SelectionProbabilities: page_of_selection,
     Table: page_of_table,
 }
 """For each type of result, the function that makes its page.
@@ -51,7 +54,7 @@ def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
 
 @check_keywords
 def write_report(
-    result: "Tile | Survey | Tiling | Estimate | Table",
+    result: "Tile | Survey | Tiling | Estimate | SelectionProbabilities | Table",
     path: str | os.PathLike,
     *,
     overwrite: bool = False,
@@ -68,7 +71,7 @@ def write_report(
 
     Parameters
     ----------
-    result : Tile, Survey, Tiling, Estimate, Table or QTable
+    result : Tile, Survey, Tiling, Estimate, SelectionProbabilities, Table or QTable
         Result to show. A table is shown with its ``meta``; tables of `compare_allocators` and `compare_instruments`
         have special pages.
     path : str or path-like

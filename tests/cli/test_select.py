@@ -7,6 +7,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from pages import Reader
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 
@@ -44,9 +45,24 @@ def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp
         assert found.summary == expected.summary
 
 
+def test_a_plot_and_a_report_are_written(run, files, tmp_path):
+    folder, _, _ = files
+    words = words_of(folder, "--n-realizations", 4, "--allocator", "nearest", "--output", tmp_path / "selection.fits")
+    code, out, err = run(*words, "--plot", tmp_path / "plot.png", "--report", tmp_path / "page.html")
+    assert code == 0, err
+    for name in ("plot.png", "page.html"):
+        assert f"wrote {tmp_path / name}" in out
+    summary = rs.SelectionProbabilities.read(tmp_path / "selection.fits").summary
+    page = Reader((tmp_path / "page.html").read_text())
+    assert page.facts()["targets never observed"] == str(summary["n_never_observed"])
+    assert "selection.fits contains all rows" in " ".join(page.text("caption"))
+
+
 def test_visits_and_passes(run, files, tmp_path):
     folder, _, _ = files
-    words = words_of(folder, "--n-realizations", 2, "--visits", 2, "--passes", 1, "--set", "lost_in_collision=false")
+    words = words_of(
+        folder, "--n-realizations", 2, "--visits", 2, "--set", "tiles.passes=[1]", "--set", "lost_in_collision=false"
+    )
     code, _, err = run(*words, "--output", tmp_path / "selection.fits")
     assert code == 0, err
     found = rs.SelectionProbabilities.read(tmp_path / "selection.fits")
@@ -59,6 +75,8 @@ def test_visits_and_passes(run, files, tmp_path):
     ("words", "message"),
     [
         (("--output", "selection.csv"), "selection.csv: the name of this output file must end in .fits"),
+        (("--report", "page.txt"), "page.txt: the name of this output file must end in .html or .htm"),
+        (("--plot", "plot.txt"), "plot.txt: the name of this output file must end in .png or .pdf or .svg"),
         (("--resume",), "the folder of the computation to resume must be given with --folder"),
         (("--visits", 300), "--visits must be whole numbers from 0 to 255"),
         (("--allocator", "nearer"), "unknown allocator 'nearer'"),

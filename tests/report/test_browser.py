@@ -220,3 +220,17 @@ def test_the_page_itself_runs_its_script_under_its_policy(browse, tmp_path):
     dom, console = browse(tmp_path / "page.html")
     assert "<title>Untitled table</title>" in dom
     assert len(console) == 1
+
+
+def test_heads_and_numbers_of_a_table_end_at_the_same_place(visit, tmp_path):
+    """Regression: the symbol of the sorting order moved the heads away from the ends of their numbers."""
+    values = {"number": [1.0, 20.5] * u.mm, "a longer name": [1, 2], "n": [100_000, 2], "word": ["a", "b"]}
+    rs.write_report(QTable(values), tmp_path / "page.html")
+    ends = visit(tmp_path / "page.html").evaluate("""[...document.querySelectorAll("thead th.number")].map((head) => {
+        const end = (element) => { const range = document.createRange(); range.selectNodeContents(element);
+          return Math.max(...[...range.getClientRects()].map((box) => box.right)); };
+        return [end(head.firstChild), end(document.querySelector("tbody tr").cells[head.cellIndex])];
+    })""")
+    assert len(ends) == 3
+    for head, cell in ends:
+        assert head == pytest.approx(cell, abs=1)

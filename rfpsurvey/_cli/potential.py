@@ -1,0 +1,87 @@
+"""The command ``rfpsurvey potential``."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _process, _surveys
+from rfpsurvey._cli._command import Given, command
+from rfpsurvey._outputs import check_output, check_separate
+from rfpsurvey.errors import number_of
+
+
+@dataclass(frozen=True)
+class PotentialOutputKeys:
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Write all pairs of a positioner and a point in reach, with the tile of each pair (.fits).
+    overwrite : bool, optional
+        Replace existing files.
+    """
+
+    path: Path | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PotentialKeys(_groups.WorkerKeys):
+    """The keys of the command.
+
+    Parameters
+    ----------
+    survey : Path, optional
+        Folder of a survey that was planned with these tiles. In each tile, positioners whose target is lost to a
+        collision reach no point. Without a table of tiles, the tiles of the survey are used.
+    """
+
+    catalog: _groups.CatalogKeys
+    instrument: _groups.InstrumentKeys
+    tiles: _groups.TilesKeys
+    output: PotentialOutputKeys
+    survey: Path | None = None
+    epoch: _groups.Epoch = None
+    rng: _groups.Seed = 0
+
+
+@command(
+    PotentialKeys,
+    "tiles.path instrument.name survey tiles.passes epoch workers rng catalog.columns output.path output.overwrite",
+    argument="catalog.path",
+    epilog=_examples.POTENTIAL_EXAMPLES,
+)
+def potential(keys: PotentialKeys, _: Given) -> None:
+    """Find the tiles and positioners that reach each point of a catalog of random points."""
+    output = keys.output.path
+    if output is not None:
+        paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.survey
+        check_separate([output], paths)
+        check_output(output, (".fits",), overwrite=keys.output.overwrite)
+    survey, tiles = None, keys.tiles
+    if keys.survey is not None:
+        survey = rs.Survey.read(keys.survey)
+        tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
+    tiling = _surveys.read_tiles(tiles)
+    model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
+    points = _surveys.targets_of(keys.catalog, model, keys.rng)
+    tiling = _surveys.tiles_of(tiling, points, model)
+    options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
+    begin = perf_counter()
+    _process.tell_if_interrupted("no results were stored")
+    with _surveys.workers(keys) as executor:
+        found = rs.selection.potential_assignments(points, model, tiling, executor=executor, **options)
+        n_tiles = found.n_tiles()
+        written = None if output is None else found.write(output, overwrite=keys.output.overwrite)
+    print(f"{model.name}, {number_of(len(found), 'tile')}, {number_of(len(n_tiles), 'point')}")
+    for n, number in enumerate(np.bincount(n_tiles).tolist()):
+        if number:
+            print(f"{'points in reach in ' + number_of(n, 'tile'):<34}{number:>12}")
+    print(f"{'mean number of tiles per point':<34}{n_tiles.mean():>12.4f}")
+    print(f"computing time {perf_counter() - begin:.1f} s")
+    if written is not None:
+        print(f"wrote {output}: {number_of(written, 'pair')} of a positioner and a point")

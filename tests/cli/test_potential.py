@@ -1,0 +1,67 @@
+"""The command ``potential``, called with its options."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("potential")
+    points = rs.synthetic_catalog("uniform", CENTER, 0.3 * u.deg, n_targets=1500, rng=3)
+    points.write(folder / "points.fits")
+    tiles = QTable({"ra": [94.9, 95.1, 95.0] * u.deg, "dec": [23, 23, 23.1] * u.deg, "pass": [0, 0, 1]})
+    tiles.write(folder / "tiles.ecsv")
+    tiling = rs.Tiling.from_table(tiles)
+    survey = rs.plan_survey(points, "moons", tiling, allocator="nearest", folder=folder / "plan")
+    return folder, points, tiling, survey
+
+
+def words_of(folder, *others):
+    return ("potential", folder / "points.fits", "--instrument", "moons", *others)
+
+
+@pytest.mark.parametrize("with_survey", [False, True])
+def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp_path, with_survey):
+    folder, points, tiles, survey = files
+    source = ("--survey", folder / "plan") if with_survey else ("--tiles", folder / "tiles.ecsv")
+    output = tmp_path / "potential.fits"
+    code, out, err = run(*words_of(folder, *source, "--workers", 2, "--output", output))
+    assert code == 0, err
+    expected = rs.selection.potential_assignments(points, "moons", tiles, survey=survey if with_survey else None)
+    table = QTable.read(output)
+    assert len(table) == len(expected.table)
+    for name in ("tile", "positioner", "point"):
+        np.testing.assert_array_equal(table[name], expected.table[name])
+    lines = {line[:34].strip(): line[34:].strip() for line in out.splitlines()}
+    for n, number in enumerate(np.bincount(expected.n_tiles())):
+        assert lines.get(f"points in reach in {n} tile{'s' * (n != 1)}", "0") == str(number)
+    assert f"wrote {output}: {len(table)} pairs" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--output", "potential.csv"), "potential.csv: the name of this output file must end in .fits"),
+        (("--survey", "nothing"), "there is no survey.json"),
+        (("--tiles", "tiles.ecsv"), "tiles.ecsv"),
+    ],
+)
+def test_refusals_are_one_sentence(run, files, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(*words_of(files[0], *words))
+    assert code == 2
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_a_survey_with_another_instrument_is_refused(run, files):
+    code, _, err = run("potential", files[0] / "points.fits", "--instrument", "desi", "--survey", files[0] / "plan")
+    assert code == 2
+    assert "survey must be a plan for desi, got one for moons" in err
