@@ -1,4 +1,4 @@
-"""The class `AllocationAnswer`, which every allocator returns, and the class `Level` for the objectives of a plan."""
+"""The class `AllocationAnswer`, which every allocator returns, and classes for the objectives of a plan."""
 
 from typing import NamedTuple
 
@@ -30,6 +30,18 @@ class Level(NamedTuple):
     name: str
     value: float
     bound: float
+
+
+class Objectives(NamedTuple):
+    """The objectives of a plan, in order of precedence.
+
+    An objective is the number of assigned targets of the classes ``first`` to ``stop - 1``, unless it has the name
+    ``required targets`` or ``requirements`` (minus the number of fibers that are missing for the requirements).
+    """
+
+    names: tuple[str, ...]
+    first: np.ndarray
+    stop: np.ndarray
 
 
 class AllocationAnswer(NamedTuple):

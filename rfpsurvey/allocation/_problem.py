@@ -10,7 +10,7 @@ import scipy  # its subpackages are imported on first use
 
 from rfpsurvey import allocation  # its names are used later, because the options import the allocators
 from rfpsurvey._units import exact_text, locked
-from rfpsurvey.allocation._answer import AllocationAnswer
+from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
@@ -26,18 +26,6 @@ class TargetColumns(NamedTuple):
     fiber_type: np.ndarray | None = None
     is_required: np.ndarray | None = None
     subpriority: np.ndarray | None = None
-
-
-class Objectives(NamedTuple):
-    """The objectives of a plan, in order of precedence.
-
-    An objective is the number of assigned targets of the classes ``first`` to ``stop - 1``, unless it has the name
-    ``required targets`` or ``requirements`` (minus the number of fibers that are missing for the requirements).
-    """
-
-    names: tuple[str, ...]
-    first: np.ndarray
-    stop: np.ndarray
 
 
 def _no_start() -> AllocationAnswer:
