@@ -27,7 +27,7 @@ def test_commands_write_pages(run, tmp_path, monkeypatch, command):
     assert out.endswith("wrote page.html\n")
     text = (tmp_path / "page.html").read_text()
     page = Reader(text)
-    assert len(page.all("svg")) == {"plan": 3, "survey": 2}.get(command.split()[0], 1)
+    assert len(page.all("svg")) == {"plan": 3, "survey": 2, "compare-allocators": 3}.get(command.split()[0], 1)
     if command.startswith("plan"):
         assert run("score", "t.ecsv", "--report", "score.html")[0] == 0
         scored = Reader((tmp_path / "score.html").read_text()).facts()

@@ -22,7 +22,7 @@ def results(presets, small):
     many = rs.Catalog(
         sky.coord,
         priority=np.arange(len(sky)) % 19,
-        category=np.array([f"A_LONG_CATEGORY_{k % 23}" for k in range(len(sky))]),
+        category=np.array([f"A_CATEGORY_WHOSE_NAME_HAS_40_CHARACTERS_{k % 23}" for k in range(len(sky))]),
     )
     instruments = QTable(
         {
@@ -81,6 +81,9 @@ def results(presets, small):
         "tile with classes": rs.plan_tile(many, presets["sdss_apo"], CENTER, allocator="lamost_rule"),
         "targets": sky,
         "survey": rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost_rule"),
+        "selection": rs.selection_probabilities(
+            sky, small, rs.place_tiles(sky, small, passes=2), 16, allocator="nearest"
+        ),
         "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
         "instruments": instruments,
         "allocators": allocators,
@@ -132,6 +135,7 @@ PLOTS = {
     "tiles of the whole sky": lambda r: rs.plot.plot_tiling(r["sky"], color="tile"),
     "passes of a tiling": lambda r: rs.plot.draw_tiling(r["strip"], region=rs.Region.parse("box 100 150 20 26")),
     "completeness": lambda r: rs.plot.plot_completeness(r["survey"]),
+    "selection": lambda r: rs.plot.plot_selection(r["selection"]),
     "survey": lambda r: draw_survey(r["survey"]),
     "instruments": lambda r: rs.plot.plot_instruments(r["instruments"]),
     "comparison": lambda r: draw_instruments(r["instruments"]),

@@ -361,7 +361,10 @@ def test_ids_of_figures_never_clash():
         ({"path": "page.pdf"}, "must end in .html or .htm"),
         ({"path": "no/page.html"}, "does not exist"),
         ({"path": "there.html"}, "exists; to replace it, use overwrite=True"),
-        ({"result": [1, 2]}, "result must be one of Tile, Survey, Tiling, Estimate, Table, got list"),
+        (
+            {"result": [1, 2]},
+            "result must be one of Tile, Survey, Tiling, Estimate, SelectionProbabilities, Table, got list",
+        ),
         ({"figures": ["x"]}, "figures must be Figures or Axes of matplotlib, got str"),
         ({"max_rows": 0}, "max_rows must be a whole number of at least 1, got 0"),
         ({"title": 3}, "title must be text, got 3"),
