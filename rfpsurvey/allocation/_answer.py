@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey._units import exact_text
+
 
 class Level(NamedTuple):
     """One objective of a plan; earlier objectives take precedence over all later ones.
@@ -42,6 +44,19 @@ class Objectives(NamedTuple):
     names: tuple[str, ...]
     first: np.ndarray
     stop: np.ndarray
+
+    @classmethod
+    def of(cls, special: list[str], classes: np.ndarray, *, all_first: bool, any_last: bool) -> "Objectives":
+        """Return the objectives ``special``, the science targets by class, and others before and after the classes.
+
+        Before the classes, the number of all science targets can be an objective; after them, that of all targets.
+        """
+        n, rest = len(classes), int(any_last)
+        numbers = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in classes]
+        names = (*special, *["science"] * all_first, *numbers, *["any target"] * rest)
+        first = [0] * (len(special) + all_first), np.arange(n), [0] * rest
+        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * rest
+        return cls(names, *(np.concatenate(parts).astype(np.int64) for parts in (first, stop)))
 
 
 class AllocationAnswer(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 
 from rfpsurvey import allocation  # its names are used later, because the options import the allocators
-from rfpsurvey._units import exact_text, locked
+from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
@@ -260,15 +260,9 @@ class AllocationProblem:
 
     @cached_property
     def _objectives(self) -> Objectives:
-        """Names of the objectives, in order of precedence, and the classes that each objective counts."""
-        n, rest = len(self.classes), int(not self.science.all())
-        all_first = int(self.objective == "count" and n > 1)
+        all_first = self.objective == "count" and len(self.classes) > 1
         special = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
-        classes = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in self.classes]
-        names = (*special, *["science"] * all_first, *classes, *["any target"] * rest)
-        first = [0] * (len(special) + all_first), np.arange(n), [0] * rest
-        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * rest
-        return Objectives(names, *(np.concatenate(parts).astype(np.int64) for parts in (first, stop)))
+        return Objectives.of(special, self.classes, all_first=all_first, any_last=not self.science.all())
 
     @property
     def level_names(self) -> tuple[str, ...]:

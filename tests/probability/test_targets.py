@@ -245,7 +245,7 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
         ({"targets": "random"}, "unknown kind of targets 'random'; choose one of: poisson, poisson_disc, uniform"),
         ({"targets": 3}, "targets must be RandomTargets or one of uniform, poisson, poisson_disc, a Catalog"),
         ({"targets": [[0, 1]]}, r"targets must be RandomTargets or .* got \[\[0, 1\]\]"),
-        ({"targets": np.zeros((3, 2))}, "got ndarray"),
+        ({"targets": np.zeros((3, 2))}, r"got array\(\[\[0"),
         ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
         ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
         ({"targets": np.zeros((0, 2)) * MM}, "at least one row .*, got none"),
