@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from rfpsurvey._lazy import importer
-from rfpsurvey.allocation._allocate import allocate, assign
+from rfpsurvey.allocation._allocate import TargetColumns, allocate, assign
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import end_on_interrupt
@@ -11,7 +11,7 @@ from rfpsurvey.allocation._constraints import recorded_constraints
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, OPTIONS, Allocator, name_of_best
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator, packages
-from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
 from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import given_options, warn_of_lacks, warn_of_parked, warn_of_unused_options

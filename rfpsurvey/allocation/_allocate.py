@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
+from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -15,7 +16,7 @@ from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
-from rfpsurvey.allocation._problem import AllocationProblem, TargetColumns
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
@@ -33,6 +34,17 @@ from rfpsurvey.errors import (
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 NO_POINTS = np.empty((0, 2))
+
+
+class TargetColumns(NamedTuple):
+    """Columns of the targets, shape (n_targets,); a column that is not given is None."""
+
+    priority: np.ndarray | None = None
+    kind: np.ndarray | None = None
+    category: np.ndarray | None = None
+    fiber_type: np.ndarray | None = None
+    is_required: np.ndarray | None = None
+    subpriority: np.ndarray | None = None
 
 
 @check_keywords

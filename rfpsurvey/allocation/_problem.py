@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy  # its subpackages are imported on first use
@@ -15,17 +14,6 @@ from rfpsurvey.allocation._clock import now
 from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
-
-
-class TargetColumns(NamedTuple):
-    """Columns of the targets, shape (n_targets,); a column that is not given is None."""
-
-    priority: np.ndarray | None = None
-    kind: np.ndarray | None = None
-    category: np.ndarray | None = None
-    fiber_type: np.ndarray | None = None
-    is_required: np.ndarray | None = None
-    subpriority: np.ndarray | None = None
 
 
 def _no_start() -> AllocationAnswer:
