@@ -76,7 +76,7 @@ def plot_quality(
         fractions of the visits that were observed in each pass; the numbers of observed and requested visits are on the
         right. The second panel shows the number of targets with each outcome. The third panel shows the number of
         fibers on science targets, standard stars and sky in each pass. The fourth panel shows, for each tile, the
-        fraction of the fibers that are in use and the collision rate.
+        fraction of the fibers that are in use and the collision rate of assigned arms.
 
     Raises
     ------

@@ -192,8 +192,9 @@ def test_the_other_panels_of_a_survey_show_its_own_counts(survey):
     use, rate = tiles.lines
     order = np.argsort(t["round"], kind="stable")
     assert use.get_ydata().tolist() == t["fiber_use"][order].tolist()
-    assert rate.get_ydata().tolist() == t["collision_rate"][order].tolist()
-    assert f"collision rate (all tiles together: {s['collision_rate']:.3f})" in words(tiles)
+    assert rate.get_ydata().tolist() == (t["n_colliding_assigned"] / t["n_assigned"])[order].tolist()
+    together = f"all tiles together: {s['collision_rate_assigned']:.3f}"
+    assert f"collision rate of assigned arms ({together})" in words(tiles)
 
 
 def test_a_survey_of_one_pass_and_no_class_is_drawn(presets, sky):
