@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey._cli._print import PICTURES
+from rfpsurvey._cli._print import PICTURES, print_text
 from rfpsurvey._io import check_fits_text, read_table, suffix_of
 from rfpsurvey._outputs import WRITABLE, check_output, check_separate
 from rfpsurvey._units import to_center
@@ -39,7 +39,7 @@ def model_of(keys, known_time: Callable[[], Time | None] | None = None) -> "rs.I
     model = as_instrument(keys.name, time if described else asked)
     model = model if keys.broken is None else model.with_states(keys.broken, time=time)
     if states := describe_states(model):
-        print(states)
+        print_text(states)
     elif asked is not None:
         warn_no_effect("state_time", "because no states of positioners are given")
     return with_margins(model if keys.arm_model is None else model.with_arm_model(keys.arm_model), keys.margins)
@@ -100,10 +100,10 @@ def read_catalog(keys):
         parts = rs.catalog.PartitionedCatalog(keys.path, **options)
         for name in ("collection", "columns"):
             if name in parts.meta:
-                print(f"{name}: {parts.meta[name]}")
+                print_text(f"{name}: {parts.meta[name]}")
         return parts
     catalog = rs.Catalog.read(keys.path, **options, hdu=keys.hdu)
-    print(f"columns: {catalog.meta['columns']}")
+    print_text(f"columns: {catalog.meta['columns']}")
     return catalog if keys.epoch is None else replace(catalog, epoch=keys.epoch)
 
 

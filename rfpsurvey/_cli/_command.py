@@ -33,6 +33,7 @@ SPELLINGS = {
     "objectives": "--objective",
 }
 """Options of keys whose names are not the last part of the name of the key."""
+ABOUT_PATHS = "Paths are relative to the folder of this file."
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Given:
 
     def to_toml(self, folder: Path | None, *, documented: bool = False) -> str:
         """Return the text of a plan file in a folder."""
-        title = f"Run this file with: rfpsurvey {self.command} FILE. Paths are relative to the folder of this file."
+        title = f"Run this file with: rfpsurvey {self.command} FILE\n# {ABOUT_PATHS}"
         return _plan_file.to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
 
     def record(self, folder: Path, tables: Collection[str] = ("options",), outputs: Collection[str] = ()) -> str:
@@ -53,7 +54,7 @@ class Given:
         values = _plan_file.complete(self.keys, self.values, tables, outputs)
         text = Given(self.command, self.keys, values).to_toml(folder)
         version = f"# rfpsurvey {__version__}; keys without a value have the default values of this version.\n"
-        return text.replace("\n", f"\n{version}", 1)
+        return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
 
 
 class Command(TyperCommand):

@@ -5,7 +5,7 @@ import numpy as np
 from astropy.table import vstack
 
 import rfpsurvey as rs
-from rfpsurvey._cli._print import files
+from rfpsurvey._cli._print import files, print_text
 from rfpsurvey.design import AXES
 
 __all__ = ["axes", "finish"]
@@ -67,7 +67,7 @@ def finish(table, output) -> None:
     with files(output, draw=lambda: rs.plot.plot_designs(table).figure, report=(table, page)):
         front = table[table["pareto"]]
         wanted = ", ".join(f"{name} {aim}" for name, aim in table.meta["objectives"].items())
-        print(
+        print_text(
             f"{len(table)} designs, definition of the loss (fraction of lost fibers): {table['estimand'][0]}; "
             f"on the Pareto front ({wanted}): {len(front)}"
         )
@@ -80,9 +80,9 @@ def finish(table, output) -> None:
         try:
             found = rs.design.design_sensitivities(table)
         except rs.InputError as error:  # there are too few designs
-            print(f"no sensitivities: {error}")
+            print_text(f"no sensitivities: {error}")
         else:
-            print(
+            print_text(
                 "sensitivities: figure is the name of a result; share is the fraction of the variance of this result "
                 "that a parameter explains; slope is the change of this result in percent if the parameter grows by "
                 "one percent:"
@@ -123,7 +123,7 @@ def _print_improvements(table) -> None:
     try:
         found = rs.design.design_improvements(table)
     except rs.InputError as error:
-        print(f"  no comparison: {error}")
+        print_text(f"  no comparison: {error}", "    ")
         return
     print("  " + ", ".join(f"{_words(row['objective'])} {row['value']:.5g}" for row in found))
     for row, other in zip(found, reversed(list(objectives)), strict=True):
@@ -131,9 +131,10 @@ def _print_improvements(table) -> None:
         limit = "at least" if objectives[other] == "max" else "at most"
         text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(other)}: "
         changes = ", ".join(filter(None, (_change(name, own[name], row[name], table[name]) for name in AXES)))
-        print(
+        print_text(
             text
-            + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "the value of this instrument")
+            + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "the value of this instrument"),
+            "    ",
         )
 
 

@@ -17,7 +17,7 @@ from rfpsurvey.errors import InputError, warn
 
 __all__ = ["add_file", "add_text", "complete", "default_text", "is_plan_file", "to_toml"]
 
-WIDTH = 100
+WIDTH = 80
 # Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
 OF_ONE_RUN = ("output.resume", "output.overwrite")
 

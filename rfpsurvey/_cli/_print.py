@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from textwrap import fill
 
 import numpy as np
 from astropy.table import QTable
@@ -20,16 +21,23 @@ __all__ = [
     "finish_table",
     "finish_tiling",
     "print_table",
+    "print_text",
 ]
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
+WIDTH = 100  # largest number of characters in a line of text
 MAP = (
     "The color gives the collision probability of each positioner. The probabilities of single positioners "
     "scatter, since the number of random trials is finite. The expected probability is the same everywhere "
     "inside a regular lattice without gaps; positioners at edges and beside gaps have fewer neighbors. "
     "Dashed circles mark positioners that are not counted in the mean."
 )
+
+
+def print_text(text: str, indent: str = "  ") -> None:
+    """Print text in lines of at most ``WIDTH`` characters; all lines except the first one begin with ``indent``."""
+    print(fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
 
 
 @contextmanager
@@ -101,14 +109,14 @@ def finish_comparison(table, plans: dict, output) -> None:
         report=(table, {"data": output.path, "plans": plans}),
     ):
         kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
-        print(
+        print_text(
             f"{table.meta['instrument']}, arm model {table.meta['arm_model']}{kept}; {table.meta['blind_science']} "
             "science targets could be assigned if arms did not collide"
         )
         print_table(table)
         for name, sentences in table.meta["unmet"].items():
             for sentence in sentences:
-                print(f"{name}: not met: {sentence}")
+                print_text(f"{name}: not met: {sentence}")
 
 
 def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
@@ -127,11 +135,11 @@ def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
         page["figures"] = {MAP: draw()}
     with files(output, write=partial(write_table, table), draw=draw, report=(estimate, page)):
         kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
-        print(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
+        print_text(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
         for label, value in estimate_facts(estimate).items():
             print(f"{label:<34}{value}")
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
-        print(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
+        print_text(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
 
 
 def finish_table(table, draw, output) -> None:
@@ -157,33 +165,35 @@ def print_summary(tile: "rs.Tile") -> None:
     if "ra_deg" in values:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
-        print(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
+        print_text(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
         if tile.summary.get("epoch") and values.get("epoch_asked") is None:
-            print(f"epoch: {tile.summary['epoch']}")
+            print_text(f"epoch: {tile.summary['epoch']}")
     elif "positions" in values:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     if "model" in tile.summary:
-        print(f"model: {tile.summary['model']}")
+        print_text(f"model: {tile.summary['model']}")
     if tile.summary.get("poses_without_target"):
-        print(f"poses: {tile.summary['poses_without_target']}")
+        print_text(f"poses: {tile.summary['poses_without_target']}")
     projection = tile.summary.get("projection", {})
     if "sentence" in projection:
-        print(f"projection: {projection['model']}; {projection['sentence']}")
+        print_text(f"projection: {projection['model']}; {projection['sentence']}")
     for label, value in tile_facts(tile).items():
         print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
     _print_objectives(tile)
     kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
     if kinds and not values["requirements"]:
         example = " ".join(f"--constraint {kind}=20" for kind in sorted(kinds))
-        print(f"standard stars and sky positions are assigned only if numbers of them are required, such as {example}")
+        text = f"standard stars and sky positions are assigned only if numbers of them are required, such as {example}"
+        print_text(text)
     if tile.completeness is not None and len(tile.completeness) > 1:
-        print(
+        print_text(
             "number of targets of the field by kind, category and priority; a target is observed if it is assigned "
             "and its positioner does not collide:"
         )
         print_table(tile.completeness)
     seconds = tile.summary["seconds"]
-    print(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  " + ", ".join(f"{k} {v:.3f}" for k, v in seconds.items()))
+    each = ", ".join(f"{name} {value:.3f}" for name, value in seconds.items())
+    print_text(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  {each}", " " * 46)
 
 
 def _print_objectives(tile: "rs.Tile") -> None:
@@ -193,9 +203,9 @@ def _print_objectives(tile: "rs.Tile") -> None:
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
     if summary.get("gap") is not None:
         model = summary["search"].get("model", "")
-        print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}")
+        print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}".rstrip())
     for sentence in summary.get("unmet", []):
-        print(f"not met: {sentence}")
+        print_text(f"not met: {sentence}")
 
 
 def print_table(table) -> None:

@@ -10,7 +10,7 @@ from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _groups
-from rfpsurvey._cli._print import files, print_table
+from rfpsurvey._cli._print import files, print_table, print_text
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
@@ -21,7 +21,7 @@ from rfpsurvey.tiling import warn_of_targets
 
 __all__ = ["allocator_of", "read_tiles", "run", "targets_of", "tiles_of", "workers"]
 
-MANY = 0.05  # the collision rate above which a hint is printed
+MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
 
 LITTLE = 0.001  # the fraction of visits below which the text before a search advises against a long search
@@ -52,7 +52,7 @@ def read_tiles(keys) -> "rs.Tiling | None":
     meta = tiling.table.meta
     if any(role != name for role, name in meta["columns"].items()):
         said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
-        print(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
+        print_text(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
     return tiling
 
 
@@ -137,20 +137,20 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     s, name = survey.summary, survey.provenance["instrument"]["name"]
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
     if "model" in s:  # the value is missing in surveys that earlier versions wrote
-        print(f"model: {s['model']}")
+        print_text(f"model: {s['model']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     if survey.joint is not None:
         last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
-        print(
+        print_text(
             "joint plan: for each priority, the number of visits to targets of at least this priority, and its "
             "upper bound:"
         )
         print_table(last)
     print("visits and completeness after each pass:")
     print_table(survey.completeness)
-    if s["collision_rate"] > MANY:
-        print(f"many arms collide; these allocators avoid collisions: {_groups.AVOIDING}")
+    if s.get("collision_rate_assigned", s["collision_rate"]) > MANY:
+        print_text(f"many arms collide; these allocators avoid collisions: {_groups.AVOIDING}")
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 

@@ -4,7 +4,6 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from textwrap import fill as wrap
 from typing import Annotated
 
 import astropy.units as u
@@ -102,11 +101,12 @@ def compare(keys: CompareKeys) -> None:
 
 def _print_comparison(table, *, with_margins: bool) -> None:
     """Print a comparison of instruments."""
-    print(table.meta["way"])
+    _print.print_text(table.meta["way"])
     for name, model in table.meta["instruments"].items() if with_margins else ():
         values = ", ".join(f"{key} {value:g}" for key, value in model.get("margins", {}).items())
         print(f"margins of {name}: {values or 'none'}")
     for title, part in parts_of(table).items():
         print(f"\n{title}")
         _print.print_table(part)
-    print(f"\n{wrap(table.meta['comparable'], 100)}")
+    print()
+    _print.print_text(table.meta["comparable"], "")

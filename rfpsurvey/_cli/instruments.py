@@ -6,6 +6,7 @@ from typing import Annotated
 from rfpsurvey._cli import _app, _groups
 from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located
+from rfpsurvey._cli._print import print_text
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument, every_instrument, fact_texts
 
@@ -56,21 +57,24 @@ def _print_list() -> None:
     print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
     for known, model in every_instrument().items():
         kind, field = model.focal_plane.collision_type, f"{2 * model.field_radius.to_value('deg'):.3f} deg"
-        print(f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}")
+        text = f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}"
+        print_text(text, " " * 50)
 
 
 def _print_one(model: Instrument) -> None:
     """Print the description of an instrument, quantities derived from its design, and the source of every value."""
-    notes = model.notes.strip()
-    print(f"{model.name}: {model.title}" if model.title else model.name)
+    print_text(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
-    print(f"{notes}\n" if notes else "")
+    for paragraph in model.notes.strip().split("\n\n"):
+        print_text(paragraph, "")
+        if paragraph:
+            print()
     for label, text in fact_texts(model.facts()).items():
-        print(f"{label:<22}{text}")
+        print_text(f"{label:<22}{text}", " " * 22)
     print()
     for row in model.to_table():
-        print(f"{row['name']} = {row['value']} {row['unit']}".rstrip())
-        print(f"    {row['status']}: {row['source']}")
+        print_text(f"{row['name']} = {row['value']} {row['unit']}".rstrip(), "    ")
+        print_text(f"    {row['status']}: {row['source']}", "        ")
 
 
 def _print_columns(models: list[Instrument]) -> None:

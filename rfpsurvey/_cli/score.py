@@ -111,7 +111,7 @@ def score(keys: ScoreKeys, _: Given) -> None:
 
     model = _app.instrument_of(table, keys.instrument.name, read)
     tile = rs.score_tile(table, model, **options, constraints=keys.options.constraints)
-    print(f"columns: {tile.provenance['catalog']['columns']}")
+    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
     _print.finish(tile, keys.output)
 
 

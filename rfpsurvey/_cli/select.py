@@ -120,7 +120,7 @@ def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds
     """Print the summary of selection probabilities, one value per line."""
     s = found.summary
     print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
-    print(f"model: {s['model']}")
+    _print.print_text(f"model: {s['model']}")
     for label, value in selection_facts(found).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     plans = s["n_tiles"] * s["n_realizations"]

@@ -24,8 +24,10 @@ SYNTHETIC = ("poisson", "uniform")
 CONFIDENCE = 0.95
 COMPARABLE = {
     "same targets per positioner": (
-        "Each instrument observes its own synthetic targets; the number of targets per positioner in the "
-        "footprint is the same for all instruments. Fractions of the positioners, probabilities, pairs per positioner "
+        "Each instrument observes its own synthetic targets; the expected number of targets in the footprint, per "
+        "positioner, is the same for all instruments. The column targets_per_positioner contains the number of "
+        "targets in reach, which differs: random numbers of targets scatter, arms reach beyond the footprint, and "
+        "parts of the footprint are out of reach. Fractions of the positioners, probabilities, pairs per positioner "
         "and losses can be compared; numbers of targets and values per field or solid angle cannot be compared."
     ),
     "same density": (

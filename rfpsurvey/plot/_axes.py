@@ -18,6 +18,8 @@ from rfpsurvey.plot._compass import ORIENTATIONS
 
 WIDTH = 7.0  # inches, width of a page
 PAD = 0.08  # inches, margin around all parts of a figure
+EQUAL_AREA, RARE = np.sqrt(np.pi) / 2, 0.2
+"""Ratio of the sizes of a diamond and a dot of equal area, and the fraction below which diamonds have larger areas."""
 LEFT, ABOVE_AND_BELOW = 0.8, 1.4  # inches, space around the axes for labels, the title and a legend
 
 
@@ -84,6 +86,15 @@ def points_per_unit(ax: Axes) -> float:
     low, high = limits_of(ax)
     size = ax.get_window_extent()
     return 72 / ax.figure.dpi * float(np.min(np.array([size.width, size.height]) / (high - low)))
+
+
+def diamond_size(size: float, fraction: float, most: float) -> float:
+    """Return the size of diamonds among dots of the given size, of which ``fraction`` are diamonds instead.
+
+    A few diamonds are up to ``most`` times as large as dots. Many diamonds have the same area as dots, so that they
+    cover the part of the plot that corresponds to their fraction.
+    """
+    return size * float(np.clip(EQUAL_AREA * np.sqrt(RARE / max(fraction, 1e-9)), EQUAL_AREA, most))
 
 
 def spacing_of(centers: np.ndarray, outer: np.ndarray) -> float:

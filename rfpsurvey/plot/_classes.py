@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
-from rfpsurvey.plot._axes import points_per_unit
+from rfpsurvey.plot._axes import diamond_size, limits_of, points_per_unit
 from rfpsurvey.plot._names import short_names
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
 
@@ -27,6 +27,9 @@ KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
 """Sizes of the dots of unassigned targets (first tuple) and of assigned targets (second tuple). Each tuple contains the
 ratio of the size to the mean distance between dots, and the smallest and the largest size in points."""
+LOST = 1.3  # largest ratio of the size of a diamond to the size of a dot
+LEAST_SPREAD = 0.05
+"""Smallest extent of the targets from which the sizes of dots are computed, as a fraction of the extent of the axes."""
 ON_ARMS = 7.0  # points, largest size of a dot that is drawn on an arm, with a white edge
 MANY = 3000
 """If a layer has more than this number of targets, its dots are stored as an image in vector files."""
@@ -117,22 +120,26 @@ def draw_layers(
     """Draw a dot for each target, and yield legend entries.
 
     Targets that are not assigned are small dots with the zorder ``below``; assigned targets are larger dots with the
-    zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots. The more targets there
-    are, the smaller are the dots. If ``on_arms`` is true, the dots are drawn on arms and have white edges.
+    zorder ``above``. Targets lost to a collision are drawn as diamonds, on top of all dots; if they are few, the
+    diamonds are larger than the dots. The more targets there are, the smaller are the dots. If ``on_arms`` is true, the
+    dots are drawn on arms and have white edges.
     """
-    spread = np.ptp(xy, axis=0) * points_per_unit(ax) if len(xy) else np.ones(2)
+    spread = np.maximum(np.ptp(xy, axis=0) if len(xy) else 0.0, LEAST_SPREAD * np.ptp(limits_of(ax), axis=0))
+    spread = spread * points_per_unit(ax)
     left = np.count_nonzero(np.any([layer.rows for layer in layers if not layer.assigned], axis=0))
     for layer in layers:
         number = len(xy) - left if layer.assigned else left
         part, least, most = MARKED if layer.assigned else LEFT
         edge, width = "none", 0.0
-        if layer.lost:
-            edge, width = "black", 0.3
-        elif on_arms and layer.assigned:
+        if on_arms and layer.assigned and not layer.lost:
             edge, width, most = "white", 0.8, ON_ARMS
         size = float(np.clip(part * np.sqrt(spread.prod() / max(number, 1)), least, most))
         zorder = (above + 0.5 * layer.lost if layer.assigned else below) - 0.001 * layer.place
-        style = {"s": (1.3 * size if layer.lost else size) ** 2, "marker": layer.marker, "facecolor": layer.color}
+        if layer.lost:
+            size = diamond_size(size, np.count_nonzero(layer.rows) / number, LOST)
+            edge, width = "black", min(0.3, 0.1 * size)
+            size -= width  # the edge is outside
+        style = {"s": size**2, "marker": layer.marker, "facecolor": layer.color}
         style |= {"edgecolor": edge, "linewidths": width, "alpha": 1.0 if layer.assigned else 0.75, "zorder": zorder}
         style |= {"label": layer.label or "_left", "rasterized": np.count_nonzero(layer.rows) > MANY}
         ax.scatter(*xy[layer.rows].T, **{**style, **kwargs})

@@ -4,10 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rfpsurvey.plot._axes import add_circles, legend_line, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import add_circles, diamond_size, legend_line, points_per_unit, spacing_of
 from rfpsurvey.plot._scene import Scene
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, FAINT
 
+LARGEST = 2.0  # largest ratio of the size of a diamond to the size of a dot
 SHORTEST = 5.0
 """Smallest length of arms that are drawn, in points (1/72 inch)."""
 
@@ -30,8 +31,8 @@ def draw_cells(ax, scene: Scene) -> None:
 def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     """Draw a dot for each positioner, colored by its state, and yield legend entries.
 
-    The dot of a positioner is at its fiber or, if it has no target, at its center. Positioners in collision are larger
-    diamonds, on top of all other dots.
+    The dot of a positioner is at its fiber or, if it has no target, at its center. Positioners in collision are
+    diamonds, on top of all other dots; if they are few, the diamonds are larger than the dots.
     """
     spacing = spacing_of(scene.centers, scene.outer)
     draw_cells(ax, scene)
@@ -40,13 +41,17 @@ def draw_dots(ax, scene: Scene, kwargs: dict) -> Iterator:
     groups = (
         (moving & ~target & ~scene.colliding, scene.centers, "no target", 2.5, (0.3, 1.2), ("o", FADED, FADED)),
         (target & ~scene.colliding, scene.tips, "fiber on a target", 3, (0.5, 1.8), ("o", ARM, ARM)),
-        (scene.colliding, scene.tips, "in collision", 5, (0.9, 3.8), ("D", COLLISION, "black")),
+        (scene.colliding, scene.tips, "in collision", 5, (0.5, 1.8), ("D", COLLISION, "black")),
     )
     for rows, points, label, zorder, (part, least), (marker, face, edge) in groups:
         if not rows.any():
             continue
         size = max(part * spacing * points_per_unit(ax), least)
-        width = 0 if face == edge else 0.4
+        width = 0.0
+        if marker == "D":
+            size = diamond_size(size, np.count_nonzero(rows) / len(rows), LARGEST)
+            width = min(0.4, 0.1 * size)
+            size -= width  # the edge is outside
         style = {"s": size**2, "marker": marker, "facecolor": face, "edgecolor": edge, "linewidths": width}
         ax.scatter(*points[rows].T, label=label, zorder=zorder, **{**style, **kwargs})
         look = {"markersize": max(size, 4), "markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": width}

@@ -30,6 +30,8 @@ LONGEST = 50  # largest number of letters in a row of a legend
 MOST_VALUES, N_BINS = 20, 24
 """A histogram of whole numbers has a bar for each number if their range is below ``MOST_VALUES``; other histograms have
 ``N_BINS`` bins."""
+DECADES = 100.0
+"""Ratio of the largest value to the median of positive values above which the bins of a histogram are logarithmic."""
 FEW_PER_RING, MOST_RINGS = 40, 12
 UNEVEN = 20.0
 """Ratio of available to assigned targets above which the scale of the histogram is logarithmic."""
@@ -64,8 +66,9 @@ def plot_quality(
         sky and on standard stars in each spectrograph. If the tile has requirements, the panel instead shows the
         number of fibers that count toward each requirement, with a dashed line at the required minimum. If there are
         no requirements and no fibers on sky or standard stars, the panel shows the number of fibers on science targets.
-        The third panel is a histogram of ``column`` for all science targets and for assigned science targets. The third
-        panel is empty if there is no column of numbers. The fourth panel shows the fractions of science targets that
+        The third panel is a histogram of ``column`` for all science targets and for assigned science targets. Its scale
+        is logarithmic if the values extend over several powers of ten. The third panel is empty if there is no column
+        of numbers. The fourth panel shows the fractions of science targets that
         are in reach and that are assigned, in rings of equal area around the center of the focal plane, with 68 %
         confidence intervals.
 
@@ -73,7 +76,7 @@ def plot_quality(
         fractions of the visits that were observed in each pass; the numbers of observed and requested visits are on the
         right. The second panel shows the number of targets with each outcome. The third panel shows the number of
         fibers on science targets, standard stars and sky in each pass. The fourth panel shows, for each tile, the
-        fraction of the fibers that are in use and the collision rate.
+        fraction of the fibers that are in use and the collision rate of assigned arms.
 
     Raises
     ------
@@ -268,25 +271,35 @@ def _draw_histogram(ax, table, name, assigned):
         ax.text(0.5, 0.5, "The targets have no column of numbers.", ha="center", transform=ax.transAxes)
         return
     values = values_of(table, name)
-    known = np.isfinite(values)
-    levels = np.unique(values[known])
+    known, label = np.isfinite(values), labeled(table, name)
+    levels, positive = np.unique(values[known]), known & (values > 0)
     if len(levels) > 0 and (levels == np.rint(levels)).all() and np.ptp(levels) < MOST_VALUES:
         edges = np.arange(levels[0], levels[-1] + 2) - 0.5
         ax.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+    elif _spans_decades(values[known], values[positive]):
+        edges = np.geomspace(values[positive].min(), levels[-1], N_BINS + 1)
+        ax.set_xscale("log")
+        n_others = np.count_nonzero(known & ~positive)
+        label += f"; {number_of(n_others, 'value')} of 0 or less not shown" if n_others else ""
     else:
         edges = np.histogram_bin_edges(values[known], N_BINS)
     look = {"bins": edges, "histtype": "stepfilled"}
     handles = []
-    for rows, label, color in ((known, "available", FADED), (known & assigned, "assigned", ARM)):
+    for rows, words, color in ((known, "available", FADED), (known & assigned, "assigned", ARM)):
         ax.hist(values[rows], **look, facecolor=color, edgecolor="none", alpha=0.5 if rows is known else 0.9)
         ax.hist(values[rows], **{**look, "histtype": "step"}, edgecolor=OUTLINE, linewidth=0.8)
-        handles.append(_patch(color, 0.5 if rows is known else 0.9, f"{label}: {np.count_nonzero(rows)}"))
+        handles.append(_patch(color, 0.5 if rows is known else 0.9, f"{words}: {np.count_nonzero(rows)}"))
     if np.count_nonzero(known) > UNEVEN * max(np.count_nonzero(known & assigned), 1):
         ax.set_yscale("log")
         ax.set_ylim(bottom=0.7)
-    ax.set_xlabel(labeled(table, name))
+    ax.set_xlabel(label)
     ax.set_ylabel("number of science targets")
     legend_below(ax, handles)
+
+
+def _spans_decades(values, positive) -> bool:
+    """Return whether most values are positive, and bins of equal width would put most values into the first bin."""
+    return 2 * len(positive) > len(values) and positive.max() > DECADES * np.median(positive)
 
 
 def _patch(color, alpha, label):
@@ -313,7 +326,7 @@ def _draw_radius(ax, table, outcome):
         value, bars = _fraction(np.bincount(ring[rows], minlength=n_rings)[some], number[some])
         style = {"color": color, "marker": MARKERS[1 - k], "markersize": 4, "linewidth": 1.2, "capsize": 2}
         handles.append(ax.errorbar(x, value, bars, label=label, linestyle=":" if k == 0 else "-", **style))
-    ax.set_xlim(0, 1.03 * edges[-1] or 1.0)
+    ax.set_xlim(0, (1.03 if len(x) > 1 else 2.0) * edges[-1] or 1.0)
     ax.set_ylim(0, 1.05)
     ax.set_xlabel("distance from the center of the focal plane [mm]")
     ax.set_ylabel("fraction of science targets")

@@ -124,21 +124,26 @@ def _draw_fibers(ax, survey):
 
 
 def _draw_tiles(ax, survey):
-    """Draw the fiber use and the collision rate of each tile, in the order of planning."""
+    """Draw the fiber use and the collision rate of the assigned arms of each tile, in the order of planning."""
     tiles = survey.tiles
     order = np.lexsort((np.arange(len(tiles)), np.asarray(tiles["round"])))
     x, handles = np.arange(1, len(tiles) + 1), []
     size = float(np.clip(120 / np.sqrt(max(len(tiles), 1)), 2, 6))
-    for name, label, color, marker in (
-        ("fiber_use", "fraction of the fibers used", ARM, "o"),
-        ("collision_rate", "collision rate", COLLISION, "D"),
+    name, rate = "collision_rate", np.asarray(tiles["collision_rate"], float)
+    among = "assigned and parked arms"
+    if "n_colliding_assigned" in tiles.colnames:  # surveys of earlier versions have no such column
+        rate = np.asarray(tiles["n_colliding_assigned"]) / np.maximum(tiles["n_assigned"], 1)
+        name, among = "collision_rate_assigned", "assigned arms"
+    use = np.asarray(tiles["fiber_use"], float)
+    for values, total, label, color, marker in (
+        (use, survey.summary["fiber_use"], "fraction of the fibers used", ARM, "o"),
+        (rate, survey.summary[name], f"collision rate of {among}", COLLISION, "D"),
     ):
         style = {"color": color, "marker": marker, "linestyle": "none", "markersize": size, "markeredgecolor": OUTLINE}
-        values = np.asarray(tiles[name], float)[order]
         style |= {"markeredgewidth": 0.3, "clip_on": False, "rasterized": len(tiles) > MOST_DOTS}
-        ax.plot(x, values, **style)
-        total = f"{label} (all tiles together: {survey.summary[name]:.3f})"
-        handles.append(legend_line(total, color=color, marker=marker, linestyle="none", markersize=5))
+        ax.plot(x, values[order], **style)
+        text = f"{label} (all tiles together: {total:.3f})"
+        handles.append(legend_line(text, color=color, marker=marker, linestyle="none", markersize=5))
     ax.set_xlim(0.5, len(tiles) + 0.5)
     ax.set_ylim(0, 1.02)
     ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))

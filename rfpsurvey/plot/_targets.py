@@ -17,6 +17,8 @@ from rfpsurvey.tile import Tile
 
 LARGEST = 6.2  # inches: longer side of the axes
 MARGIN = 0.03  # empty margin, as a fraction of the extent of the targets
+SMALLEST, NARROWEST = 0.1, 0.1
+"""Smallest extent of the axes in deg, and smallest ratio of the shorter side to the longer side."""
 ROW = 0.23  # inches, height of a row of the legend
 
 
@@ -148,7 +150,8 @@ def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
     if len(points) == 0:
         return np.full(2, -1.0), np.full(2, 1.0)
     low, high = points.min(axis=0), points.max(axis=0)
-    return low, np.maximum(high, low + 1e-3)
+    half = np.maximum(high - low, max(SMALLEST, NARROWEST * np.max(high - low))) / 2
+    return (low + high) / 2 - half, (low + high) / 2 + half
 
 
 def _new_axes(sky_map, xy, rims, rows):

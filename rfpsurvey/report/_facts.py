@@ -35,8 +35,8 @@ TILE = {
     "arm_model": "    arm model",
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
-    "collision_rate": "collision rate",
-    "collision_rate_assigned": "  of assigned positioners only",
+    "collision_rate_assigned": "collision rate of assigned arms",
+    "collision_rate": "  of assigned and parked arms",
 }
 TILING = {
     "n_tiles": "tiles",
@@ -78,7 +78,7 @@ LEVELS = {
     "required targets": "required targets assigned",
     TOTAL: "targets of any kind",
 }
-ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate")
+ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate_assigned")
 
 
 ZERO_IS_LEFT_OUT = (
@@ -93,9 +93,10 @@ def tile_facts(tile: "Tile") -> dict:
     """Return the counts and rates of a tile; most counts that are 0 are omitted."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
     facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
-    if np.isnan(tile.summary["collision_rate"]):
-        facts |= {TILE["collision_rate"]: "undefined, because no arm is counted"}
-        facts.pop(TILE["collision_rate_assigned"], None)
+    if np.isnan(values["collision_rate_assigned"]):
+        facts |= {TILE["collision_rate_assigned"]: "undefined, because no arm is assigned"}
+    if np.isnan(values["collision_rate"]) or values["collision_rate"] == values["collision_rate_assigned"]:
+        facts.pop(TILE["collision_rate"], None)
     facts |= _required(tile.summary) | _checked(tile.summary)
     kinds = tile.summary.get("kinds", {})
     if len(kinds) < 2:
@@ -170,15 +171,24 @@ def survey_facts(survey: "Survey") -> dict:
         "  to standard stars": s.get("n_standard", 0),
         "  to sky": s.get("n_sky", 0),
         "  fraction of all fibers": s["fiber_use"],
+        **_assigned_in_collision(s),
         "positioners in collision": s["n_colliding"],
         **({"  margins": s["margins"]} if "margins" in s else {}),
         "  arm model": s.get("arm_model", "unknown"),  # surveys of earlier versions have no arm model
-        "  collision rate": s["collision_rate"],
+        "  fraction of assigned and parked": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
         "unmet requirements, sum over tiles": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+
+
+def _assigned_in_collision(summary: dict) -> dict:
+    """Return the number and the fraction of assigned arms in collision, which surveys of earlier versions lack."""
+    if "n_colliding_assigned" not in summary:
+        return {}
+    number, rate = summary["n_colliding_assigned"], summary["collision_rate_assigned"]
+    return {"  in collision": number, "  collision rate of assigned arms": rate}
 
 
 def selection_facts(found: "SelectionProbabilities") -> dict:

@@ -20,7 +20,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         f"of {s['n_visits_requested']} visits observed": s["n_visits_observed"],
         "completeness": s["completeness"],
         "fraction of the fibers used": s["fiber_use"],
-        "collision rate": s["collision_rate"],
+        "collision rate of assigned arms": s.get("collision_rate_assigned", "unknown"),
     }
     pictures = [
         Picture("The tiles on the sky.", plot_tiling(survey), _about_tiles(survey.tiles, "completeness of the field")),

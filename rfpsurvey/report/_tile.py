@@ -55,7 +55,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     highlights = {
         f"of {summary['n_positioners']} positioners assigned": summary["n_assigned"],
         "in collision": summary["n_colliding"],
-        "collision rate": summary["collision_rate"],
+        "collision rate of assigned arms": summary.get("collision_rate_assigned", np.nan),
     }
     if "n_in_field" in summary:
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
@@ -95,7 +95,8 @@ def _asked(tile) -> dict:
         asked["minimum distance of sky positions from targets"] = f"{p['sky_separation_mm']:.4g} mm"
     if p["allocator"] in METHODS and METHODS[p["allocator"]].searches:
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
-    asked["idle arms are obstacles"] = p.get("parked_obstacles", True)
+    parked = "those that are parked, with two arms of equal length"
+    asked["idle arms that are obstacles"] = parked if p.get("parked_obstacles", True) else "none"
     if "model" in tile.summary:
         asked["model"] = tile.summary["model"]
     if tile.summary.get("poses_without_target"):

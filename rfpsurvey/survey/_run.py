@@ -18,7 +18,7 @@ from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import N_FIELD, Done, cards_of, reach_of, work
+from rfpsurvey.survey._work import LOST, N_FIELD, Done, cards_of, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
@@ -43,7 +43,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         state = request.open_state()
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]
-        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}
+        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, LOST, "n_observed")}
         finished = 0
         with Progress(progress, n, "tiles") as tell:
             for k, tiles in enumerate(request.rounds):
@@ -139,7 +139,7 @@ def _read(folder, tile, job) -> Done | None:
         return None
     try:
         visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
-        lacking = [name for name in ("target_row", "observed") if name not in visits.dtype.names]
+        lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
         counted = cards_of(job.model.options)
         lacking += [card for card in counted if not isinstance(cards.get(card), int)]
         if lacking:
@@ -155,12 +155,14 @@ def _read(folder, tile, job) -> Done | None:
         folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
         return None
     counts = {name: cards[card] for card, (name, _) in counted.items()}
+    counts[LOST] = int(visits["in_collision"].sum())
     return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)
 
 
 def _check_part(visits: np.ndarray, cards: dict) -> None:
     """Raise an error if the stored visits of a tile, or their numbers, have other types or are impossible."""
-    for name, kind, words in (("target_row", "i", "integers"), ("observed", "b", "booleans")):
+    for name, kind in (("target_row", "i"), ("in_collision", "b"), ("observed", "b")):
+        words = {"i": "integers", "b": "booleans"}[kind]
         if visits.dtype[name].kind != kind:
             raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
     wrong = [card for card, number in cards.items() if not 0 <= number < 2**53]

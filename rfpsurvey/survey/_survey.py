@@ -38,7 +38,8 @@ class Survey:
         ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets in the field that still
         require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
         (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
-        ``n_colliding`` (positioners in collision), ``n_counted`` (positioners that have a target or are parked),
+        ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (those of them that have a target),
+        ``n_counted`` (positioners that have a target or are parked),
         ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
         ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement,
         and so do all keep-out circles), ``unmet``

@@ -30,7 +30,8 @@ COUNTS = {
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
     "NUNMET": ("n_unmet", "number of requirements that are not met"),
 }
-
+LOST = "n_colliding_assigned"
+"""Name of the number of assigned positioners in collision, which has no header card, since visits contain it."""
 
 VISITS = {
     "target_id": "identifier of the target",
@@ -151,6 +152,7 @@ def work(job: Job) -> Done:
         "n_reachable": plan.allocation.n_reachable,
         "n_assigned": len(plan.positioner),
         **{f"n_{kind}": int((plan.kind == kind).sum()) for kind in KINDS},
+        LOST: int(colliding.sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),

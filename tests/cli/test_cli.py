@@ -11,6 +11,7 @@ from astropy.table import QTable, Table
 import rfpsurvey as rs
 from refusals import sentence
 from rfpsurvey._cli import _app
+from rfpsurvey._cli._main import COMMANDS
 
 
 @pytest.mark.few(1)
@@ -99,6 +100,40 @@ def test_instruments_side_by_side(run):
     assert "published: " not in out
 
 
+@pytest.mark.parametrize(
+    "command", [*COMMANDS, *(f"benchmark {name}" for name in ("collisions", "batches", "probability"))]
+)
+@pytest.mark.parametrize("option", ["--help", "--help-keys"])
+def test_help_fits_into_80_columns(run, monkeypatch, command, option):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run(*command.split(), option)
+    if option == "--help":
+        assert code == 0
+    assert [line for line in out.splitlines() if len(line) > 80] == []
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "plan --instrument moons --constraint sky=900/spectrograph",
+        "survey --instrument moons --constraint sky=900/spectrograph",
+        "select --instrument moons --n-realizations 1",
+        "instruments",
+        "instruments desi",
+        "instruments sdss_apo",
+        "instruments moons desi",
+    ],
+)
+def test_results_are_printed_in_lines_of_100_characters(run, command):
+    """Sentences such as the one on the model continue on the next line, which is indented."""
+    code, out, _ = run(*command.split())
+    assert code == 0
+    assert [line for line in out.splitlines() if len(line) > 100] == []
+    if command.startswith(("plan", "survey", "select")):
+        (model,) = re.findall(r"^model: .*\n(?:  .*\n)+?(?=\S)", out, re.MULTILINE)
+        assert "Positions: a tangent plane" in " ".join(model.split())
+
+
 @pytest.mark.exhaustive
 def test_benchmark(run, tmp_path):
     chart = tmp_path / "chart.png"
@@ -144,7 +179,7 @@ def test_score(run, tmp_path):
     # a tile of this package contains the name of its instrument
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0
-    assert out.splitlines()[1].startswith("lamost")
+    assert re.search(r"^lamost, allocator scored$", out, re.MULTILINE)
     assert "--instrument must be the instrument of the tile, lamost" in sentence(
         *run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2]
     )
@@ -182,7 +217,7 @@ def test_nothing_assigned_has_no_collision_rate(run, tmp_path):
     keep = ["--constraint", "keep_out 95 23 3", "--allocator", "repair"]
     code, out, _ = run("plan", "--instrument", "sdss_apo", "--center", "95 23", *keep)
     assert code == 0
-    assert "undefined, because no arm is counted" in out
+    assert "undefined, because no arm is assigned" in out
     assert "nan" not in out.lower().split()
     with pytest.warns(rs.RfpsurveyWarning, match="out of reach"):
         rs.score_tile(QTable.read(tmp_path / "one.ecsv"), "sdss_apo")

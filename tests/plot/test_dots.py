@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -94,3 +96,22 @@ def test_groups_are_pale_below_dots(tile):
         ax = rs.plot.plot_focal_plane(thing, color="spectrograph")
         fills = [c for c in ax.collections if isinstance(c, EllipseCollection) and c.get_zorder() == 0.9]
         assert [c.get_alpha() for c in fills] == [opacity] * 4
+
+
+@pytest.mark.parametrize("targets", [None, "outcome"])
+def test_many_collisions_cover_an_area_that_corresponds_to_their_fraction(presets, targets):
+    """If most positioners collide, diamonds have the area of dots; if few collide, the diamonds are larger."""
+    lamost = presets["lamost"]
+    positioner = replace(lamost.focal_plane.positioner, clearance=7 * u.mm)
+    wide = replace(lamost, focal_plane=replace(lamost.focal_plane, positioner=positioner))
+    sky = rs.synthetic_catalog("uniform", CENTER, lamost.field_radius, n_targets=8000, rng=1)
+    ratio = []
+    for model in (lamost, wide):
+        tile = rs.plan_tile(sky, model, CENTER, allocator="balanced")
+        found = dots(rs.plot.plot_focal_plane(tile, targets=targets))
+        diamonds, circles = found[COLLISION.lower()], found[ARM.lower()]
+        edge = diamonds.get_linewidths()[0]
+        ratio.append((np.sqrt(diamonds.get_sizes()[0]) + edge) ** 2 / (np.pi / 4 * circles.get_sizes()[0]))
+    assert 0.6 < tile.summary["collision_rate"] < 0.8
+    assert ratio[0] > 1.5
+    assert ratio[1] == pytest.approx(1)

@@ -192,8 +192,9 @@ def test_the_other_panels_of_a_survey_show_its_own_counts(survey):
     use, rate = tiles.lines
     order = np.argsort(t["round"], kind="stable")
     assert use.get_ydata().tolist() == t["fiber_use"][order].tolist()
-    assert rate.get_ydata().tolist() == t["collision_rate"][order].tolist()
-    assert f"collision rate (all tiles together: {s['collision_rate']:.3f})" in words(tiles)
+    assert rate.get_ydata().tolist() == (t["n_colliding_assigned"] / t["n_assigned"])[order].tolist()
+    together = f"all tiles together: {s['collision_rate_assigned']:.3f}"
+    assert f"collision rate of assigned arms ({together})" in words(tiles)
 
 
 def test_a_survey_of_one_pass_and_no_class_is_drawn(presets, sky):
@@ -229,3 +230,35 @@ def test_a_tile_with_one_target_is_drawn(presets, kind):
     axes[0].figure.draw_without_rendering()
     assert "1 of 1" in [text.get_text() for text in axes[0].texts]
     assert len(axes[3].containers[0][0].get_xdata()) == (kind == "science")
+
+
+def histogram_of(presets, flux):
+    near = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=len(flux), rng=1)
+    catalog = rs.Catalog(near.coord, extra={"flux": flux})
+    return rs.plot.plot_quality(rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator="balanced"))
+
+
+def test_values_over_many_decades_have_logarithmic_bins(presets):
+    """Every bin of a flux over twelve decades has targets; values that have no logarithm are counted in the label."""
+    flux = 10 ** np.random.default_rng(1).uniform(-6, 6, 1000)
+    flux[:3] = 0, -1, -1e6
+    ax = histogram_of(presets, flux)[2]
+    assert ax.get_xscale() == "log"
+    assert ax.get_xlabel() == "flux; 3 values of 0 or less not shown"
+    steps = ax.patches[0].get_xy()[:, 1]
+    assert set(np.histogram(np.log10(flux[3:]), 24)[0]) == set(steps[steps > 0])
+    assert ((steps > 20) | (steps == 0)).all()
+
+
+@pytest.mark.parametrize("low", [0, 1e-6, -1])
+def test_values_of_similar_size_have_equal_bins(presets, low):
+    """Uniform and mostly negative values have bins of equal width, even if the smallest value is close to 0."""
+    flux = np.random.default_rng(1).uniform(low, 1, 1000)
+    ax = histogram_of(presets, -flux if low < 0 else flux)[2]
+    assert (ax.get_xscale(), ax.get_xlabel()) == ("linear", "flux")
+
+
+def test_the_ring_of_one_target_is_at_the_center_of_the_panel(presets):
+    ax = histogram_of(presets, np.ones(1))[3]
+    x = ax.lines[0].get_xdata()
+    assert 0.3 < x[0] / ax.get_xlim()[1] < 0.7

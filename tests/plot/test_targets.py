@@ -86,10 +86,9 @@ def test_targets_on_the_focal_plane_by_outcome(tile, arms):
         np.testing.assert_array_equal(dots.get_offsets(), places(found, rows))
         assert to_hex(dots.get_facecolor()[0]).lower() == color.lower()
         assert label in words(ax)
-    # targets lost to a collision also differ in shape and size
+    # targets lost to a collision also differ in shape
     lost, seen = (drawn[f"{OUTCOMES[k]}: {(found['outcome'] == OUTCOMES[k]).sum()}"] for k in (3, 1))
     assert len(lost.get_paths()[0].vertices) != len(seen.get_paths()[0].vertices)
-    assert lost.get_sizes()[0] > seen.get_sizes()[0]
     # all targets are inside the axes
     low, high = np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
     assert ((places(found, known) > low) & (places(found, known) < high)).all()
@@ -246,3 +245,22 @@ def test_a_hundred_thousand_targets_are_quick_and_an_image_in_files_of_vectors(p
     file = io.BytesIO()
     rs.plot.plot_targets(tile).figure.savefig(file, format="svg", dpi=100)
     assert len(file.getvalue()) < 2_000_000
+
+
+@pytest.mark.parametrize("make", ["tile", "survey", "column"])
+def test_few_targets_are_at_the_center(presets, make):
+    """One target, or targets with the same right ascension, are not at the border of the axes, and are large dots."""
+    coord = SkyCoord([95.3] * u.deg, [23.2] * u.deg)
+    if make == "column":
+        coord = SkyCoord(np.full(5, 95.3) * u.deg, np.linspace(22.8, 23.2, 5) * u.deg)
+    if make == "survey":
+        result = rs.plan_survey(coord, presets["sdss_apo"], CENTER.reshape(1))
+        ax = rs.plot.plot_targets(result, coord)
+    else:
+        ax = rs.plot.plot_targets(rs.plan_tile(coord, presets["sdss_apo"], CENTER))
+    (dots,) = layers(ax).values()
+    limits = np.sort([ax.get_xlim(), ax.get_ylim()], axis=1).T
+    at = (np.mean(dots.get_offsets(), axis=0) - limits[0]) / np.ptp(limits, axis=0)
+    assert (np.abs(at - 0.5) < (0.2 if make == "survey" else 0.01)).all()
+    assert np.ptp(limits, axis=0).min() > 0.05
+    assert dots.get_sizes()[0] == pytest.approx(25)

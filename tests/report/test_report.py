@@ -219,9 +219,10 @@ def test_the_rows_of_a_page_can_be_limited(tile, tmp_path):
 @pytest.mark.parametrize("kind", ["tile", "survey"])
 def test_a_number_has_one_form_on_a_page(results, plain_page, kind):
     """Regression: the same rate was 2.10 % at the top of the page, and 0.021 below."""
-    page, rate = Reader(plain_page(kind)), results[kind].summary["collision_rate"]
-    assert page.facts()["collision rate"] in page.text("dd")
-    assert float(page.facts()["collision rate"]) == pytest.approx(rate, rel=1e-3)
+    page, rate = Reader(plain_page(kind)), results[kind].summary["collision_rate_assigned"]
+    text = page.facts()["collision rate of assigned arms"]
+    assert text in page.text("dd")
+    assert float(text) == pytest.approx(rate, rel=1e-3)
     assert not [text for text in page.text("dd") if "%" in text]
 
 
