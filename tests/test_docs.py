@@ -37,7 +37,7 @@ CONSOLE = [
 @pytest.mark.parametrize("block", CONSOLE)
 def test_commands_print_what_the_page_shows(block, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial.rst").read_text(), re.DOTALL).group(1)
+    lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial_commands.rst").read_text(), re.DOTALL).group(1)
     (tmp_path / "gaia.csv").write_text(lines.replace("... ", ""))
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
     (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))
