@@ -28,10 +28,10 @@ rs.plot.plot_speed_accuracy(collisions)
 center = "10h00m00s +30d00m00s"
 targets = rs.synthetic_catalog("uniform", center, 1.4 * u.deg, n_targets=500, rng=1)
 plans = rs.compare_allocators(targets, instrument, center)
-lost = 1 - plans["usable"] / plans["usable"].max()
+seconds, lost = plans["seconds"].to_value(u.s), 1 - plans["usable"] / plans["usable"].max()
 fig, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
-ax.semilogx(plans["seconds"], 100 * lost, "o")
-for name, x, y in zip(plans["allocator"], plans["seconds"], 100 * lost, strict=True):
+ax.semilogx(seconds, 100 * lost, "o")
+for name, x, y in zip(plans["allocator"], seconds, 100 * lost, strict=True):
     ax.annotate(name, (x, y), (6, 4), textcoords="offset points")
 ax.set(xlabel="time (s)", ylabel="fibers lost (%)", title="Allocators: lower left is better")
 ax.margins(x=0.3)

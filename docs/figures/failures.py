@@ -23,7 +23,7 @@ def collisions():
     missed = {name: [] for name in POINTS}
     for length in reach:
         plane = trade_offs.simple_plane(instrument, pitch, rings=9, scale=length * pitch / longest)
-        options = {"methods": ["endpoints", "sampled"], "n_configurations": 15, "repeats": 1, "seconds": 0}
+        options = {"methods": ["endpoints", "sampled"], "n_configurations": 8, "repeats": 1, "seconds": 0}
         table = rs.benchmark.benchmark_collisions(plane, **options)
         for name, row in POINTS.items():
             chosen = table["method"] == row if row == "endpoints" else table["n_points"].filled(0) == row

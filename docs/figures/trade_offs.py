@@ -14,7 +14,7 @@ from PIL import Image
 import rfpsurvey as rs
 from rfpsurvey.instrument import as_instrument
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#000000", "#B8860B")
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#000000", "#B8860B", "#6E6E6E")
 GUIDE = 0.6231 * u.um
 # Site, and wavelength of the fibers; compensators of MOONS, DESI and PFS remove the dispersion.
 CASES = {
@@ -47,12 +47,12 @@ def simple_plane(instrument, pitch, *, rings, scale=1.0):
 
 
 def finish(figure):
-    """Write the figure to the file that the second argument of the script names, with few colors."""
+    """Write the figure to the file that the second argument of the script names, with a palette of colors."""
     if sys.argv[2:]:
         figure.set_dpi(120)
         figure.canvas.draw()
         image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
-        image.quantize(64, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(sys.argv[2], optimize=True)
+        image.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(sys.argv[2], optimize=True)
 
 
 def conditions_at(name, altitude):
@@ -96,7 +96,8 @@ def duration(value, _=None):
 def logarithmic(axis, form, most=5):
     """Give an axis a logarithmic scale with at most the given number of labels."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
-    axis.set_major_locator(LogLocator(numticks=most))
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1,) if high > 100 * low else (1, 3), numticks=most))
     axis.set_major_formatter(FuncFormatter(form))
     axis.set_minor_locator(NullLocator())
 
@@ -116,7 +117,7 @@ def label(ax, entries, gap=6):
         written.set_in_layout(False)
         size = written.get_window_extent(renderer)
         best = (np.inf,)
-        for anchor, far, (right, up) in product(ax.transData.transform(anchors), (1, 2.5), SIDES):
+        for anchor, far, (right, up) in product(ax.transData.transform(anchors), (1, 2.5, 4), SIDES):
             near = gap * scale * far * (1 if 0 in (right, up) else 0.7)
             x = anchor[0] + right * (near + size.width / 2)
             y = anchor[1] + up * (near + size.height / 2)
