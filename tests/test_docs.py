@@ -140,6 +140,11 @@ def test_the_readme_has_two_small_figures_and_the_two_commands():
         assert f"    python3 -m venv .venv && {command}\n" in text
 
 
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.rst")), ids=lambda page: page.stem)
+def test_pages_have_at_most_400_lines(page):
+    assert len(page.read_text().splitlines()) <= 400
+
+
 def test_all_sources_that_are_cited_are_listed():
     text = (DOCS / "related.rst").read_text()
     assert set(re.findall(r"(?<!\.\. )\[(\w\d)\]_", text)) == set(re.findall(r"^\.\. \[(\w\d)\]", text, re.MULTILINE))

@@ -48,7 +48,7 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     ------
     InputError
         If an object is no constraint, if text does not have one of these forms, or if the category of a requirement has
-        the name of a constraint, as in ``required=1003``; `AllocationOptions.requirements` accepts such categories.
+        the name of a constraint, as in ``required=1003``; ``requirements`` accepts such categories.
 
     Examples
     --------
