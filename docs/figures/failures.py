@@ -37,7 +37,7 @@ def probabilities():
     errors = {name: [] for name in FORMULAS.values()}
     for one in ratio:
         plane = trade_offs.simple_plane(instrument, one * longest, rings=3)
-        true = rs.collision_probability(plane, method="quadrature", precision=1e-4).value
+        true = rs.collision_probability(plane, method="quadrature", precision=1e-3).value
         for name, text in FORMULAS.items():
             errors[text].append(abs(rs.collision_probability(plane, method=name).value / true - 1))
     return ratio, errors, "pitch / reach of the arms"
@@ -50,7 +50,7 @@ def allocations():
     for number in TARGETS:
         n = int(number * len(instrument.focal_plane))
         targets = rs.synthetic_catalog("uniform", center, instrument.field_radius, n_targets=n, rng=1)
-        options = rs.AllocationOptions(time_limit=2 * u.s)
+        options = rs.AllocationOptions(time_limit=1 * u.s)
         names = ["lamost_rule", "nearest", "repair", "optimal"]
         table = rs.compare_allocators(targets, instrument, center, allocators=names, options=options)
         bound = table["usable"][-1] / (1 - table["gap"][-1])
