@@ -1,6 +1,7 @@
 """Functions that several figures of the page on speed and accuracy use."""
 
 import sys
+from functools import cache
 from itertools import pairwise, product
 
 import astropy.units as u
@@ -32,9 +33,14 @@ def start():
     """Return the instrument and its pitch; the first argument of the script names the instrument."""
     plt.rcParams.update({"font.size": 10, "axes.titlesize": 10, "axes.labelsize": 10, "xtick.labelsize": 10})
     plt.rcParams.update({"ytick.labelsize": 10, "legend.fontsize": 10})
-    instrument = as_instrument(*sys.argv[1:2] or ["sdss_apo"])
+    return make_instrument(*sys.argv[1:2] or ["sdss_apo"])
+
+
+@cache
+def make_instrument(name):
+    """Return an instrument whose arms are segments, which the approximate methods need, and its pitch."""
+    instrument = as_instrument(name)
     if instrument.focal_plane.positioner.outline is not None:
-        # the approximate methods model arms as segments
         instrument = instrument.with_arm_model("elbow_to_tip")
     return instrument, instrument.facts()["pitch"]
 
