@@ -34,6 +34,7 @@ html_favicon = None
 html_title = f"rfpsurvey {version}"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
+html_js_files = ["enlarge.js"]
 nitpicky = True
 autodoc_typehints = "none"
 numpydoc_xref_param_type = True

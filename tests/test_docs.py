@@ -37,7 +37,7 @@ CONSOLE = [
 @pytest.mark.parametrize("block", CONSOLE)
 def test_commands_print_what_the_page_shows(block, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial.rst").read_text(), re.DOTALL).group(1)
+    lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial_commands.rst").read_text(), re.DOTALL).group(1)
     (tmp_path / "gaia.csv").write_text(lines.replace("... ", ""))
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
     (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))
@@ -129,15 +129,20 @@ def test_the_readme_compares_packages_as_the_page_with_the_sources_does():
     assert table_words(ROOT / "README.rst") == table_words(DOCS / "related.rst")
 
 
-def test_the_readme_has_a_small_figure_and_the_two_commands():
+def test_the_readme_has_two_small_figures_and_the_two_commands():
     text = (ROOT / "README.rst").read_text()
-    (image,) = re.findall(r"^\.\. image:: (.*)$", text, re.MULTILINE)
-    assert 10_000 < (ROOT / image).stat().st_size < 200_000
+    first, second = re.findall(r"^\.\. image:: (.*)$", text, re.MULTILINE)
+    assert all(10_000 < (ROOT / image).stat().st_size < 200_000 for image in (first, second))
     for command in (
         ".venv/bin/pip install . && .venv/bin/rfpsurvey plan",
         ".venv/bin/pip install tox && .venv/bin/tox -e test",
     ):
         assert f"    python3 -m venv .venv && {command}\n" in text
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.rst")), ids=lambda page: page.stem)
+def test_pages_have_at_most_400_lines(page):
+    assert len(page.read_text().splitlines()) <= 400
 
 
 def test_all_sources_that_are_cited_are_listed():

@@ -1,9 +1,13 @@
 """Plots on the pages of the documentation have descriptions for readers who cannot see them."""
 
 import re
+import runpy
+import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
+from PIL import Image
 
 DOCS = Path(__file__).parent.parent / "docs"
 PAGES = sorted(page for page in DOCS.glob("*.rst") if ".. plot::" in page.read_text())
@@ -30,3 +34,18 @@ def test_scripts_of_the_gallery_have_thumbnails_of_their_own():
     files = [(DOCS / path).read_bytes() for (path,) in found]
     assert len(set(files)) == len(scripts)
     assert max(map(len, files)) < 60_000
+
+
+@pytest.mark.parametrize("name", ["speed_accuracy", "failures", "needed_models"])
+def test_plots_of_trade_offs_can_be_drawn_for_an_own_instrument(name, tmp_path, monkeypatch):
+    toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
+    (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))
+    monkeypatch.syspath_prepend(DOCS / "figures")
+    monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "mine.toml"), str(tmp_path / "mine.png")])
+    with plt.rc_context():
+        drawn = runpy.run_path(str(DOCS / "figures" / f"{name}.py"))
+        assert "mine" in drawn["figure"].get_supxlabel()
+        heights = {text.get_size() for ax in drawn["figure"].axes for text in [*ax.texts, *ax.get_xticklabels()]}
+        plt.close(drawn["figure"])
+    with Image.open(tmp_path / "mine.png") as image:
+        assert min(heights) / 72 * 120 * 500 / image.width >= 9  # pixels, if the plot is 500 pixels wide

@@ -1,5 +1,7 @@
 """Plot the fraction of close pairs of targets that are lost because an instrument cannot observe both targets."""
 
+from functools import cache
+
 import astropy.units as u
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,8 +12,16 @@ import rfpsurvey as rs
 CENTER = SkyCoord(180 * u.deg, 0 * u.deg)
 NAMES = {"lamost": "LAMOST", "sdss_apo": "SDSS-V", "moons": "MOONS", "desi": "DESI", "pfs": "PFS"}
 EDGES = np.geomspace(3, 1500, 12)  # arcsec
-LEAST = 5000  # smallest number of pairs for each curve
+LEAST = 10_000  # smallest number of pairs for each curve
+N_REALIZATIONS = 16
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
+
+
+@cache
+def pitch_of(name):
+    """Return the pitch of an instrument on the sky (deg)."""
+    instrument = rs.Instrument.preset(name)
+    return (instrument.facts()["pitch"] / instrument.plate_scale).to_value(u.deg)
 
 
 def lost(name, n_passes, *, collide):
@@ -23,7 +33,7 @@ def lost(name, n_passes, *, collide):
     """
     instrument, rng = rs.Instrument.preset(name), np.random.default_rng(0)
     radius, n = instrument.field_radius.to_value(u.deg), len(instrument.focal_plane)
-    pitch = (instrument.facts()["pitch"] / instrument.plate_scale).to_value(u.deg)
+    pitch = pitch_of(name)
     turn = np.arange(n_passes) * 2 * np.pi / 3  # each pass is shifted by half a pitch in another direction
     tiles = SkyCoord(CENTER.ra + pitch / 2 * np.cos(turn) * u.deg, pitch / 2 * np.sin(turn) * u.deg)
     observed, pairs = np.zeros(len(EDGES) - 1), np.zeros(len(EDGES) - 1)
@@ -34,11 +44,11 @@ def lost(name, n_passes, *, collide):
         xy = np.vstack([xy, xy + (apart / 3600 * [np.cos(turn), np.sin(turn)]).T])
         catalog = rs.Catalog(SkyCoord(CENTER.ra + xy[:, 0] * u.deg, xy[:, 1] * u.deg), id=np.arange(2 * n))
         found = rs.selection_probabilities(
-            catalog, instrument, tiles, n_realizations=64, allocator="nearest", lost_in_collision=collide
+            catalog, instrument, tiles, n_realizations=N_REALIZATIONS, allocator="nearest", lost_in_collision=collide
         )
         row = np.flatnonzero((found.n_tiles[:n] > 0) & (found.n_tiles[n:] > 0))
         cell = np.digitize(apart[row], EDGES) - 1
-        observed += np.bincount(cell, found.pair_counts(row, row + n) / 64, len(pairs))
+        observed += np.bincount(cell, found.pair_counts(row, row + n) / N_REALIZATIONS, len(pairs))
         pairs += np.bincount(cell, minlength=len(pairs))
     return 1 - observed / pairs / (observed[-3:].sum() / pairs[-3:].sum())
 

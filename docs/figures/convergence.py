@@ -15,7 +15,7 @@ truth = rs.collision_probability(plane, targets=targets, precision=2e-4).value
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for stop, color in (("convergence", "#D55E00"), ("interval", "#0072B2")):
     options = {"method": "monte_carlo", "targets": targets, "precision": Precision(0.002, stop=stop)}
-    found = [rs.collision_probability(plane, rng=k, **options) for k in range(60)]
+    found = [rs.collision_probability(plane, rng=k, **options) for k in range(40)]
     error = np.sqrt(np.mean([(e.value - truth) ** 2 for e in found]))
     label = f"stop={stop!r}: root mean square error {error / 0.002:.1f}"
     label += " \N{MULTIPLICATION SIGN} the requested standard error"

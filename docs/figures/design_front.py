@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import rfpsurvey as rs
 
 box = {"central_arm": [7.25, 14.5] * u.mm, "ratio": [1, 2], "pitch": [24.6, 35] * u.mm, "clearance": 2.25 * u.mm}
-table = rs.design.explore_designs(**box, n_designs=2048)
+table = rs.design.explore_designs(**box, n_designs=512)
 arms = {"LAMOST": (8.25, 8.25, 25.6), "SDSS-V": (7.4, 15, 22.4), "MOONS": (8, 17, 25.058)}
 mark = {
     name: rs.design.explore_designs(

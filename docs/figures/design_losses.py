@@ -12,7 +12,7 @@ questions = [("independent", None), ("allocated", 4), ("allocated", 1), ("collis
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for k, (estimand, each) in enumerate(questions):
     table = rs.design.explore_designs(
-        **scan, loss=rs.design.LossOptions(estimand, targets_per_positioner=each, n_skies=16)
+        **scan, loss=rs.design.LossOptions(estimand, targets_per_positioner=each, n_skies=10)
     )
     label = estimand.replace("_", " ") + ("" if each is None else f", {each} target{'s' * (each > 1)} per positioner")
     style = {"color": SERIES[k], "marker": MARKERS[k], "markersize": 4, "label": label}

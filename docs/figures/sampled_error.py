@@ -9,7 +9,7 @@ POINTS = (3, 5, 9, 17, 33, 65, 129)
 figure, ax = plt.subplots(figsize=(6.5, 4), layout="constrained")
 for name, color in (("lamost", "#0072B2"), ("sdss_apo", "#D55E00"), ("moons", "#009E73")):
     unit = rs.Instrument.preset(name).focal_plane.positioner
-    table = rs.benchmark.benchmark_collisions(name, methods=["sampled"], n_configurations=20, repeats=1, seconds=0)
+    table = rs.benchmark.benchmark_collisions(name, methods=["sampled"], n_configurations=8, repeats=1, seconds=0)
     h = unit.eccentric_arm.value / (np.array(POINTS) - 1)
     ax.loglog(POINTS, h / np.sqrt(2), "--", color=color, label=f"{name}, bound $h / \\sqrt{{2}}$ (crossing arms)")
     ax.loglog(table["n_points"], table["max_error"].value, "o", color=color, label=f"{name}, measured")
