@@ -41,7 +41,8 @@ for ax, task, title, form, default in (
     ax.set_title(title, loc="left", weight="bold")
     ax.grid(color="0.92")
     ax.set_axisbelow(True)
-figure.supxlabel(f"computing time   ({instrument.name}; bold: selected automatically; arrow: no error found)", fontsize=10)
+note = "bold: selected automatically; arrow: no error found"
+figure.supxlabel(f"computing time   ({instrument.name}; {note})", fontsize=10)
 for ax, own in entries.items():
     trade_offs.label(ax, own)
 trade_offs.finish(figure)
