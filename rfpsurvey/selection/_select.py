@@ -1,5 +1,6 @@
 """The function that computes selection probabilities."""
 
+import json
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -16,7 +17,7 @@ from rfpsurvey.errors import InputError, check_choice, check_keywords, check_swi
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
-from rfpsurvey.survey import prepare_request
+from rfpsurvey.survey import Request, Survey, prepare_request
 from rfpsurvey.tiling import Tiling
 
 log = logging.getLogger("rfpsurvey")
@@ -27,7 +28,7 @@ MOST = 1 << 20
 def selection_probabilities(
     catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
     instrument: Instrument | str,
-    tiles: Tiling | Table | SkyCoord,
+    tiles: Tiling | Survey | Table | SkyCoord,
     n_realizations: int = 128,
     *,
     allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
@@ -56,8 +57,9 @@ def selection_probabilities(
         The targets, with the requested number of visits of each target.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
-    tiles : Tiling, Table or SkyCoord
-        Tiles or field centers, see `place_tiles` and `Tiling.from_table`.
+    tiles : Tiling, Survey, Table or SkyCoord
+        Tiles or field centers, see `place_tiles` and `Tiling.from_table`. If a survey is given, its tiles are planned,
+        and its allocator, options, order and epoch must be the same as those of the realizations.
     n_realizations : int, optional
         Number of realizations, at least 1.
     allocator : AllocationOptions or str or callable, optional
@@ -97,8 +99,8 @@ def selection_probabilities(
     ------
     InputError
         If the catalog or the tiling is empty, if a name or the identifier of a required target is unknown, if a number
-        is out of range, if a subpriority is given, or if the folder is in use, contains another computation, or is not
-        writable.
+        is out of range, if a subpriority is given, if a survey is given that was planned with other options, or if the
+        folder is in use, contains another computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
@@ -131,6 +133,9 @@ def selection_probabilities(
     <SelectionProbabilities of 4000 targets in 64 realizations: ...>
     """
     begin = perf_counter()
+    survey = tiles if isinstance(tiles, Survey) else None
+    if survey is not None:
+        tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
         raise InputError(
@@ -155,8 +160,22 @@ def selection_probabilities(
             executor=executor,
             rng=rng,
         )
+    if survey is not None:
+        _check_same(survey.provenance["parameters"], request)
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
     if request.builder.wanted.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)
     return found
+
+
+def _check_same(recorded: dict, request: Request) -> None:
+    """Raise an error if the parameters of a survey differ from those of its realizations."""
+    if "joint" in recorded or "conditions" in recorded:
+        raise InputError(
+            "tiles must be a survey that was planned without observing conditions, one tile after the other; give the "
+            "tiling of other surveys"
+        )
+    for name, value in json.loads(json.dumps(request.parameters)).items():
+        if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
+            raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")

@@ -336,3 +336,22 @@ def test_joint_plans_are_refused():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
     with pytest.raises(rs.InputError, match="unknown order 'joint'; choose one of: color, given"):
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, order="joint")
+
+
+def test_the_realizations_of_a_survey_have_its_options(case):
+    catalog, instrument, tiling = case
+    survey = rs.plan_survey(catalog, instrument, tiling, allocator="nearest")
+    expected = rs.selection_probabilities(*case, 3, allocator="nearest")
+    found = rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest")
+    assert (found.bits == expected.bits).all()
+    with pytest.raises(rs.InputError, match="allocator must be 'nearest', as for the survey, got 'repair'"):
+        rs.selection_probabilities(catalog, instrument, survey, 3)
+    with pytest.raises(rs.InputError, match="order must be 'color', as for the survey, got 'given'"):
+        rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest", order="given")
+
+
+def test_surveys_with_conditions_or_joint_plans_are_refused(small):
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=50, rng=1)
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=rs.JointOptions(iterations=0))
+    with pytest.raises(rs.InputError, match="planned without observing conditions, one tile after the other"):
+        rs.selection_probabilities(sky, small, survey, 2, allocator="optimal")
