@@ -17,6 +17,8 @@ from scene import SCENES, Scene, make
 
 OURS = ("nearest", "lamost_rule", "network_flow", "repair", "optimal")
 """Allocators of rfpsurvey."""
+RANDOM = ("repair random", "optimal random")
+"""Allocators with random subpriorities, which run only if ``--program`` names them."""
 PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju")
 """Modules with a function ``plan`` that returns a plan, its processor time (s) and facts, and with ``reason``."""
 
@@ -24,8 +26,8 @@ PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju")
 def programs(only: list[str] | None, limits: list[float]):
     """Yield the label and the function of each program."""
     ours = import_module("ours")
-    for name in OURS:
-        if not only or name in only:
+    for name in (*OURS, *RANDOM):
+        if name in (only or OURS):
             for limit in limits if name == "optimal" else limits[-1:]:
                 label = f"{name} {limit:g} s" if name == "optimal" and len(limits) > 1 else name
                 yield label, lambda scene, name=name, limit=limit: ours.plan(scene, name, limit)
@@ -38,7 +40,7 @@ def programs(only: list[str] | None, limits: list[float]):
             print(f"{name}: skipped, {error}")
             continue
         for label, function in getattr(peer, "PLANS", {name: peer.plan}).items():
-            yield label, lambda scene, function=function: function(scene, 60.0)
+            yield label, lambda scene, function=function: function(scene, limits[-1])
 
 
 def measure(scene: Scene, function, repeats: int) -> dict:
@@ -67,11 +69,11 @@ def main() -> None:
                     function(scene)  # compile
                 found = measure(scene, function, given.repeats)
             except NotImplementedError as error:
-                print(f"{name:14} {label:14} left out: {error}")
+                print(f"{name:14} {label:17} left out: {error}")
                 continue
             rows.append({"scene": name, "program": label, **found})
             print(
-                f"{name:14} {label:14} science {found['science']:6} {found['by_priority']!s:24} standard "
+                f"{name:14} {label:17} science {found['science']:6} {found['by_priority']!s:24} standard "
                 f"{found['standard']:4} sky {found['sky']:4} missing {found['missing']:4} colliding "
                 f"{found['colliding']:4} {found['seconds']:8.3f} s  gap {found.get('gap')} {found['wrong'] or ''}",
                 flush=True,

@@ -10,6 +10,7 @@ targets. One worker searches. ``pairs_s`` is the time to find the candidates and
 of the program.
 """
 
+from collections.abc import Callable
 from threading import Event, Thread
 from time import process_time
 
@@ -199,7 +200,7 @@ def maximize(model, x: list, goals: list, seconds: float) -> tuple[np.ndarray, l
     return chosen, levels
 
 
-def plan(scene, seconds: float) -> tuple[Table, float, dict]:
+def plan(scene, seconds: float, *, pairs: Callable = pairs) -> tuple[Table, float, dict]:
     """Return the plan of a scene, the processor time (s) without the pairs, and facts about the search."""
     begin = process_time()
     found = candidates(scene)
