@@ -112,7 +112,7 @@ def plan(scene, seconds: float, *, equal: bool = False) -> tuple[Table, float, d
     reach = TargetsAvailable(plane, tiles, {TILE: ids.tolist()}, {TILE: x}, {TILE: y})
     assignment = Assignment(targets, reach, LocationsAvailable(reach), {})
     standards, sky = (asked.get((kind, "spectrograph"), 0) for kind in ("standard", "sky"))
-    assign.run(assignment, standards, sky, redistribute=False, use_zero_obsremain=False)
+    assign.run(assignment, standards, sky, -1, redistribute=False, use_zero_obsremain=False)  # -1: no slit blocks
     spent = process_time() - begin
     found = assignment.tile_location_target(TILE)
     rows = list(found.values())

@@ -1,7 +1,7 @@
 """Plan scenes of SDSS-V with CP-SAT and the collisions that kaiju finds; kaiju itself does not choose targets.
 
-Written for kaiju 1.4.2a0 and OR-tools 9.15. Install https://github.com/sdss/kaiju with ``pip install --no-deps .``, and
-its requirements. The build downloads two files of coordio, which are also in the source archive of sdss-coordio on PyPI.
+Written for kaiju 1.4.2a0 and OR-tools 9.15. Install https://github.com/sdss/kaiju with ``pip install --no-deps .``,
+and its requirements. The build downloads two files of coordio; the source archive of sdss-coordio has them, too.
 
 robostrategy, which plans SDSS-V, also gives CP-SAT the collisions of kaiju. This is not robostrategy: cadences, the
 order of its stages and its own limits are left out, and the model is that of ``cpsat.py``. kaiju is asked about each
