@@ -17,15 +17,17 @@ from scene import SCENES, Scene, make
 
 OURS = ("nearest", "lamost_rule", "network_flow", "repair", "optimal")
 """Allocators of rfpsurvey."""
-PEERS = ("cpsat", "fiberassign", "netflow", "kaiju")
+RANDOM = ("repair random", "optimal random")
+"""Allocators with random subpriorities, which run only if ``--program`` names them."""
+PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju")
 """Modules with a function ``plan`` that returns a plan, its processor time (s) and facts, and with ``reason``."""
 
 
 def programs(only: list[str] | None, limits: list[float]):
     """Yield the label and the function of each program."""
     ours = import_module("ours")
-    for name in OURS:
-        if not only or name in only:
+    for name in (*OURS, *RANDOM):
+        if name in (only or OURS):
             for limit in limits if name == "optimal" else limits[-1:]:
                 label = f"{name} {limit:g} s" if name == "optimal" and len(limits) > 1 else name
                 yield label, lambda scene, name=name, limit=limit: ours.plan(scene, name, limit)
@@ -37,7 +39,8 @@ def programs(only: list[str] | None, limits: list[float]):
         except ImportError as error:
             print(f"{name}: skipped, {error}")
             continue
-        yield name, lambda scene, peer=peer: peer.plan(scene, 60.0)
+        for label, function in getattr(peer, "PLANS", {name: peer.plan}).items():
+            yield label, lambda scene, function=function: function(scene, limits[-1])
 
 
 def measure(scene: Scene, function, repeats: int) -> dict:
@@ -61,15 +64,16 @@ def main() -> None:
     rows = []
     for name, scene in make(given.names):
         for label, function in programs(given.program, given.limit or [60.0]):
-            function(scene)  # compile
             try:
+                if label.split()[0] in OURS:
+                    function(scene)  # compile
                 found = measure(scene, function, given.repeats)
             except NotImplementedError as error:
-                print(f"{name:14} {label:14} left out: {error}")
+                print(f"{name:14} {label:17} left out: {error}")
                 continue
             rows.append({"scene": name, "program": label, **found})
             print(
-                f"{name:14} {label:14} science {found['science']:6} {found['by_priority']!s:24} standard "
+                f"{name:14} {label:17} science {found['science']:6} {found['by_priority']!s:24} standard "
                 f"{found['standard']:4} sky {found['sky']:4} missing {found['missing']:4} colliding "
                 f"{found['colliding']:4} {found['seconds']:8.3f} s  gap {found.get('gap')} {found['wrong'] or ''}",
                 flush=True,

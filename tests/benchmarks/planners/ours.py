@@ -67,7 +67,11 @@ def requirements(scene: Scene) -> list[rs.Requirement]:
 
 
 def plan(scene: Scene, allocator: str, seconds: float) -> tuple[Table, float, dict]:
-    """Return the plan of a scene, the processor time (s), and facts about the search."""
+    """Return the plan of a scene, the processor time (s), and facts about the search.
+
+    ``random`` after the name of the allocator stands for random subpriorities.
+    """
+    allocator, _, subpriority = allocator.partition(" ")
     plane, t = focal_plane(scene), scene.targets
     xy = np.column_stack([t["x"], t["y"]]).astype(float) * u.mm
     limit = {"time_limit": seconds * u.s} if METHODS[allocator].searches else {}
@@ -78,6 +82,8 @@ def plan(scene: Scene, allocator: str, seconds: float) -> tuple[Table, float, di
         "category": np.asarray(t["category"], dtype=str),
         "fiber_type": np.asarray(t["fiber_type"], dtype=str),
     }
+    if subpriority:
+        columns["subpriority"] = rs.allocation.subpriorities(np.arange(len(t)), 1)
     begin = process_time()
     found = rs.allocate(plane, xy, allocator=options, **columns)
     spent = process_time() - begin

@@ -148,7 +148,10 @@ def with_calibration(targets: Table, n_sky: int, n_standard: int, fiber_types: t
 
 
 def desi(per_positioner: float, *, rules: bool = False) -> Scene:
-    """Return a tile of DESI with the positions of its metrology, without margins."""
+    """Return a tile of DESI with the positions of its metrology, without margins.
+
+    Targets are in reach from 0.1 to 5.8 mm from the center, the limits that fiberassign uses for arms of 3 mm.
+    """
     built = rs.Instrument.from_desi(Path(_data()) / "desi" / "fp-metrology.csv.gz")
     plain = replace(built, focal_plane=replace(built.focal_plane, margins=None))
     n = round(per_positioner * len(plain.focal_plane))
@@ -156,7 +159,10 @@ def desi(per_positioner: float, *, rules: bool = False) -> Scene:
     requirements = ("standard=10/spectrograph", "sky=40/spectrograph") if rules else ()
     if rules:
         targets = with_calibration(targets, 12_000, 1000)
-    return scene_of(plain, targets, requirements, name="desi", rights="positions: desihub/desimeter, BSD-3")
+    scene = scene_of(plain, targets, requirements, name="desi", rights="positions: desihub/desimeter, BSD-3")
+    for name, length in (("phi_min", 0.1), ("phi_max", 5.8)):
+        scene.positioners[name] = np.round(-2 * np.rad2deg(np.arccos(length / 6)), 4)
+    return scene
 
 
 def preset(name: str, per_positioner: float, *, clusters: float = 0.0) -> Scene:
@@ -192,7 +198,7 @@ def field_a() -> Scene:
     table = Table.read(Path(_data()) / "sdssv_robostrategy_field_a.ecsv", format="ascii.ecsv")
     table = table[np.asarray(table["within"]) == 1]
     category = np.asarray(table["category"], dtype=str)
-    kind = np.where(np.char.startswith(category, "sky"), "sky", "science")
+    kind = np.where(np.char.startswith(category, "sky"), "sky", "science").astype("U8")
     kind[np.char.startswith(category, "standard")] = "standard"
     columns = {
         "id": np.arange(len(table)),
