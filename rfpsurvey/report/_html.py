@@ -29,7 +29,7 @@ NEEDS = {
     "sky_map": ["sky_map_drawing"],
 }  # further scripts that a view requires
 PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both A4 and US letter
-LETTER, GAP = 0.66, 2  # width of a letter divided by the size of the text, and number of letters between columns
+LETTER, GAP = 0.68, 2  # width of a letter divided by the size of the text, and number of letters between columns
 LARGE_PRINT, SMALL_PRINT, LEAST_PRINT = 7.5, 6.5, 4.0  # sizes of text (pt); below the second, the paper is wide
 MOST_LETTERS = 30  # longer cells are broken into several lines
 MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
