@@ -32,7 +32,8 @@ COLLISION = (
 )
 ALLOCATION = (
     "constraints/requirements allocation/repair allocation/sky allocation/allocate allocation/methods "
-    "allocation/quotas allocation/random_quotas regressions input_validation allocation/search allocation/optimal"
+    "allocation/records allocation/quotas allocation/random_quotas regressions input_validation allocation/search "
+    "allocation/optimal"
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
