@@ -68,6 +68,6 @@ def plot_selection(found: SelectionProbabilities, *, ax: Axes | None = None, **k
     ax.set(
         xlim=(0, 1), ylim=(0, 1.05 * max(below.max(), 1)), xlabel="selection probability", ylabel="number of targets"
     )
-    ax.set_title(title, fontsize="medium")
+    ax.set_title(title, fontsize="small")
     legend_below(ax, handles, title="number of tiles that reach the target", title_fontsize="small")
     return ax
