@@ -77,7 +77,7 @@ def draw_instruments(table: QTable, figure: Figure | None = None) -> Figure:
         figure = Figure(layout="constrained")
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.08)
     figure.set_size_inches(11, 1.9 + 0.34 * len(table))
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1.7, 1))
+    left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1.6, 1.15))
     right.sharey(middle)
     _draw_reach(table, left)
     plot_instruments(table, ax=middle)
