@@ -17,6 +17,7 @@ from rfpsurvey.catalog import UNITS, as_catalog, to_time
 from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
+from rfpsurvey.survey import JOINT
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
@@ -54,9 +55,23 @@ def check_names(keys) -> None:
         model = as_instrument(keys.instrument.name)
         if keys.instrument.arm_model is not None:
             model.with_arm_model(keys.instrument.arm_model)
-    rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
+    if hasattr(keys, "joint"):
+        allocator_of(keys.options, keys.joint, keys.order)
+    else:
+        rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
     for name in getattr(keys, "allocators", None) or ():
         rs.AllocationOptions(name)
+
+
+def allocator_of(options: dict, joint: dict, order: str) -> "rs.AllocationOptions | rs.JointOptions":
+    """Return the parameter ``allocator`` of `plan_survey` for the keys of the allocator and of a joint plan."""
+    if JOINT in (options.get("allocator"), order):  # in version 0.2, a joint plan was an order
+        name = options.get("allocator", rs.AllocationOptions.allocator)
+        first = rs.AllocationOptions(**{**options, "allocator": rs.JointOptions.allocator if name == JOINT else name})
+        return rs.JointOptions(**joint, allocator=first)
+    for name in joint:
+        warn_no_effect(f"joint.{name}", "without --allocator joint")
+    return rs.AllocationOptions(**options)
 
 
 def with_margins(model: "rs.Instrument", margins: dict) -> "rs.Instrument":

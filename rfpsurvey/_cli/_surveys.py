@@ -4,6 +4,7 @@ import signal
 import sys
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from time import perf_counter
@@ -16,10 +17,9 @@ from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import warn_no_effect
 from rfpsurvey.report import survey_facts
-from rfpsurvey.survey import JOINT
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["allocator_of", "read_tiles", "run", "targets_of", "tiles_of", "workers"]
+__all__ = ["read_tiles", "run", "targets_of", "tiles_of", "workers"]
 
 MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
@@ -66,17 +66,6 @@ def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs
             "--tiles must be given for a partitioned catalog: make a table of tiles with rfpsurvey tile --region"
         )
     return rs.place_tiles(targets, model, passes=2)
-
-
-def allocator_of(options: dict, joint: dict, order: str) -> "rs.AllocationOptions | rs.JointOptions":
-    """Return the parameter ``allocator`` of `plan_survey` for the keys of the allocator and of a joint plan."""
-    if JOINT in (options.get("allocator"), order):  # in version 0.2, a joint plan was an order
-        name = options.get("allocator", rs.AllocationOptions.allocator)
-        first = rs.AllocationOptions(**{**options, "allocator": rs.JointOptions.allocator if name == JOINT else name})
-        return rs.JointOptions(**joint, allocator=first, inform=_print_gain)
-    for name in joint:
-        warn_no_effect(f"joint.{name}", "without --allocator joint")
-    return rs.AllocationOptions(**options)
 
 
 @contextmanager
@@ -178,6 +167,8 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
     is_joint = isinstance(options["allocator"], rs.JointOptions)
+    if is_joint:
+        options["allocator"] = replace(options["allocator"], inform=_print_gain)
     stored = "state of the search and the finished tiles" if is_joint else "finished tiles"
     kept = (
         f"the {stored} are stored in the folder; continue with --resume"

@@ -59,16 +59,19 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     asked = {one.what: one for one in options.counts if one.minimum}
     if options.sky_separation is not None:
         asked.pop("sky", None)
-    columns = [column(name) for name in ("kind", "category") if asked]
-    there = {"science", *(name for values in columns if values is not None for name in np.unique(values).tolist())}
+    asked.pop("science", None)
+    columns = [values for name in ("kind", "category") if asked and (values := column(name)) is not None]
+    lacking = {what: one for what, one in asked.items() if not any((values == what).any() for values in columns)}
+    if not lacking:
+        return
+    there = {"science", *(name for values in columns for name in np.unique(values).tolist())}
     categories = sorted(there - {*KINDS, ""})
-    for what, one in asked.items():
-        if what not in there:
-            hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
-            if categories and not hint and what not in KINDS:
-                hint = f"the catalog's categories are: {listed(categories, 8)}"
-            text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
-            warn(text + (hint and f"; {hint}"))
+    for what, one in lacking.items():
+        hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
+        if categories and not hint and what not in KINDS:
+            hint = f"the catalog's categories are: {listed(categories, 8)}"
+        text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
+        warn(text + (hint and f"; {hint}"))
 
 
 def _warn_of_only_checked(options: Sequence, known: list) -> None:

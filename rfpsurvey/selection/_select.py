@@ -59,7 +59,7 @@ def selection_probabilities(
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Survey, Table or SkyCoord
         Tiles or field centers, see `place_tiles` and `Tiling.from_table`. If a survey is given, its tiles are planned,
-        and its allocator, options, order and epoch must be the same as those of the realizations.
+        and its instrument, allocator, options, order and epoch must be the same as those of the realizations.
     n_realizations : int, optional
         Number of realizations, at least 1.
     allocator : AllocationOptions or str or callable, optional
@@ -99,8 +99,8 @@ def selection_probabilities(
     ------
     InputError
         If the catalog or the tiling is empty, if a name or the identifier of a required target is unknown, if a number
-        is out of range, if a subpriority is given, if a survey is given that was planned with other options, or if the
-        folder is in use, contains another computation, or is not writable.
+        is out of range, if a subpriority or a joint plan is given, if a survey is given that was planned with another
+        instrument or other options, or if the folder is in use, contains another computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
@@ -160,8 +160,10 @@ def selection_probabilities(
             executor=executor,
             rng=rng,
         )
+    if request.joint is not None:
+        raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
     if survey is not None:
-        _check_same(survey.provenance["parameters"], request)
+        _check_same(survey.provenance, request)
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
     if request.builder.wanted.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
@@ -169,13 +171,16 @@ def selection_probabilities(
     return found
 
 
-def _check_same(recorded: dict, request: Request) -> None:
-    """Raise an error if the parameters of a survey differ from those of its realizations."""
+def _check_same(provenance: dict, request: Request) -> None:
+    """Raise an error if the instrument or the parameters of a survey differ from those of its realizations."""
+    recorded, used = provenance["parameters"], provenance["instrument"]["name"]
+    if request.instrument.name != used:
+        raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
     if "joint" in recorded or "conditions" in recorded:
         raise InputError(
             "tiles must be a survey that was planned without observing conditions, one tile after the other; give the "
             "tiling of other surveys"
         )
-    for name, value in json.loads(json.dumps(request.parameters)).items():
+    for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")

@@ -18,33 +18,31 @@ KIND = ["science"] * 3 + ["sky"] * 3
 FILLING = ["lamost_rule", "network_flow", "optimal", "repair"]
 
 
-def allocate(method, wishes, **options):
-    return flat.allocate(ROW, XY * MM, allocator=method, **{"kind": KIND, "requirements": wishes, **options})
+def allocate(method, asked, **options):
+    return flat.allocate(ROW, XY * MM, allocator=method, **{"kind": KIND, "requirements": asked, **options})
 
 
-def said(method, wishes, **options):
-    return sentences(allocate(method, wishes, **options).unmet)
+def said(method, asked, **options):
+    return sentences(allocate(method, asked, **options).unmet)
 
 
 @pytest.mark.parametrize(
-    ("wishes", "message"),
+    ("asked", "message"),
     [
         (5, "requirements must be a list of Requirement or text, got 5"),
         ([5], "a requirement must be a Requirement or text such as 'sky=20/spectrograph', got 5"),
         (["sky=3", None], "a requirement must be a Requirement or text such as 'sky=20/spectrograph', got None"),
     ],
 )
-def test_requirements_are_a_list_or_one(wishes, message):
+def test_requirements_are_a_list_or_one(asked, message):
     with pytest.raises(rs.InputError) as error:
-        allocate("lamost_rule", wishes)
+        allocate("lamost_rule", asked)
     assert str(error.value) == message
 
 
-@pytest.mark.parametrize(
-    "wishes", ["sky=1", rs.Requirement("sky", 1), ("sky=1",), iter(["sky=1"]), np.array(["sky=1"])]
-)
-def test_one_requirement_or_any_list_of_them_will_do(wishes):
-    assert allocate("lamost_rule", wishes).target_of_positioner.tolist() == [3, 1, 2]
+@pytest.mark.parametrize("asked", ["sky=1", rs.Requirement("sky", 1), ("sky=1",), iter(["sky=1"]), np.array(["sky=1"])])
+def test_one_requirement_or_any_list_of_them_will_do(asked):
+    assert allocate("lamost_rule", asked).target_of_positioner.tolist() == [3, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +80,7 @@ def test_bad_options_are_named(options, message):
 
 @pytest.mark.parametrize("method", FILLING)
 @pytest.mark.parametrize(
-    ("wishes", "expected"),
+    ("asked", "expected"),
     [
         (["sky=1"], []),
         (["sky=2"], ["sky targets: 1 of 2, 1 missing"]),
@@ -108,11 +106,11 @@ def test_bad_options_are_named(options, message):
         (["sky=0", "sky=-0", "science=0-3/spectrograph"], []),
     ],
 )
-def test_what_is_lacking_is_said_in_numbers(method, wishes, expected):
-    found = allocate(method, wishes)
+def test_what_is_lacking_is_said_in_numbers(method, asked, expected):
+    found = allocate(method, asked)
     assert sentences(found.unmet) == expected
     n_sky = sum(t >= 3 for t in found.target_of_positioner)
-    assert n_sky == (not {"sky_boss=2", "standard=2", "science=4", "sky=0"} & set(wishes))
+    assert n_sky == (not {"sky_boss=2", "standard=2", "science=4", "sky=0"} & set(asked))
     assert (found.target_of_positioner[1:] == [1, 2]).all()
 
 

@@ -70,3 +70,12 @@ def test_errors_name_the_option_that_was_typed(run, words, key, value):
     code, _, err = run(*words, "--allocator", "joint", "--set", f"{key}={value}")
     assert code == 2
     assert f"rfpsurvey: {key} must be" in err
+
+
+def test_a_plan_file_can_request_a_joint_plan(run, words, tmp_path):
+    path = tmp_path / "plan.toml"
+    code, _, err = run(*words, "--allocator", "joint", "--set", "joint.iterations=1", "--write-plan", path)
+    assert (code, err) == (0, "")
+    code, out, err = run("survey", path)
+    assert code == 0, err
+    assert "joint plan: for each priority" in out

@@ -336,6 +336,9 @@ def test_joint_plans_are_refused():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
     with pytest.raises(rs.InputError, match="unknown order 'joint'; choose one of: color, given"):
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, order="joint")
+    for joint in ("joint", rs.JointOptions(iterations=0)):
+        with pytest.raises(rs.InputError, match="plans the tiles one by one, got a joint plan"):
+            rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=joint)
 
 
 def test_the_realizations_of_a_survey_have_its_options(case):
@@ -346,6 +349,8 @@ def test_the_realizations_of_a_survey_have_its_options(case):
     assert (found.bits == expected.bits).all()
     with pytest.raises(rs.InputError, match="allocator must be 'nearest', as for the survey, got 'repair'"):
         rs.selection_probabilities(catalog, instrument, survey, 3)
+    with pytest.raises(rs.InputError, match="instrument must be 'small', as for the survey, got 'moons'"):
+        rs.selection_probabilities(catalog, "moons", survey, 3, allocator="nearest")
     with pytest.raises(rs.InputError, match="order must be 'color', as for the survey, got 'given'"):
         rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest", order="given")
 

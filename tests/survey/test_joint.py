@@ -220,6 +220,8 @@ def test_the_order_must_be_known_and_suit_the_plan(case):
         plan(case, allocator="optimal", order="jiont")
     with pytest.raises(rs.InputError, match="the order must be 'color' for a joint plan, got 'given'"):
         plan(case, order="given")
+    with pytest.raises(rs.InputError, match="the order must be 'color' for a joint plan, got array"):
+        plan(case, order=np.array([1, 2]))
 
 
 def test_a_joint_plan_that_is_requested_as_an_order_is_made_with_a_warning(case, survey):

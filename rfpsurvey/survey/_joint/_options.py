@@ -135,7 +135,7 @@ def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, Joint
         allocator = JointOptions()
     if not isinstance(allocator, JointOptions):
         return as_options(allocator), None, order
-    if order != "color":
+    if not (isinstance(order, str) and order == "color"):
         raise InputError(f"the order must be 'color' for a joint plan, got {short(order)}")
     return as_options(allocator.allocator), allocator, order
 
