@@ -20,7 +20,7 @@ OURS = ("nearest", "lamost_rule", "network_flow", "repair", "optimal")
 RANDOM = ("repair random", "optimal random")
 """Allocators with random subpriorities, which run only if ``--program`` names them."""
 PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju")
-"""Modules with a function ``plan`` that returns a plan, its processor time (s) and facts, and with ``reason``."""
+"""Modules with a function ``plan`` that returns a plan, its processor time (s) and facts."""
 
 
 def programs(only: list[str] | None, limits: list[float]):

@@ -32,13 +32,9 @@ def read_scene(path: Path) -> tuple[Table, Table, dict]:
 def read_plan(path: Path) -> Table:
     """Return the columns ``positioner`` and ``target`` of a plan, and ``side`` if the plan has it.
 
-    Files of fiberassign (extension FIBERASSIGN), of PFS (extension DESIGN) and tables of rfpsurvey have other names
-    of these columns.
+    Of a FITS file, the first table is read. The tables of fiberassign and of rfpsurvey have other names of the columns.
     """
-    names = {
-        "positioner": ("positioner", "LOCATION", "cobraId", "id"),
-        "target": ("target", "TARGETID", "objId", "target_id"),
-    }
+    names = {"positioner": ("positioner", "LOCATION", "id"), "target": ("target", "TARGETID", "target_id")}
     table = Table.read(path, **({"hdu": 1} if ".fits" in path.name else {}))
     found = {new: next(one for one in old if one in table.colnames) for new, old in names.items()}
     columns = {new: np.ma.filled(np.ma.asarray(table[old]), -1) for new, old in found.items()}
@@ -48,7 +44,7 @@ def read_plan(path: Path) -> Table:
     return plan[np.array([str(one) not in ("-1", "", "--") for one in plan["target"]])]
 
 
-def place(positioners: Table, settings: dict, row: int, xy: complex, side: str) -> tuple[float, float] | None:
+def place(positioners: Table, row: int, xy: complex, side: str) -> tuple[float, float] | None:
     """Return theta and phi (deg) of an arm at a point, or None if the point is out of reach."""
     p = positioners[row]
     l1, l2 = float(p["central_arm"]), float(p["eccentric_arm"])
@@ -128,7 +124,7 @@ def judge(scene: tuple[Table, Table, dict], plan: Table) -> dict:
         needed = str(targets["fiber_type"][t])
         wrong["fiber of another type"] += bool(needed) and needed not in str(positioners["fiber_type"][i]).split("+")
         wrong["target in a hidden circle"] += bool((abs(xy[t] - hidden[:, 0] - 1j * hidden[:, 1]) < hidden[:, 2]).any())
-        found = [place(positioners, settings, i, xy[t], one) for one in ([side] if side else sides_of(settings))]
+        found = [place(positioners, i, xy[t], one) for one in ([side] if side else sides_of(settings))]
         found = [one for one in found if one is not None]
         wrong["out of reach"] += not found
         if found:
@@ -152,11 +148,11 @@ def judge(scene: tuple[Table, Table, dict], plan: Table) -> dict:
             )
             hits |= {i} if near else set()
     colliding = {i for pair in pairs for i in pair} | hits
-    observed = [t for i, t in used if i in poses and i not in colliding]
+    counted = [(i, t) for i, t in used if i in poses and i not in colliding]
+    observed = [t for _, t in counted]
     kinds = Counter(str(targets["kind"][t]) for t in observed)
     science = [t for t in observed if str(targets["kind"][t]) == "science"]
     classes = Counter(float(targets["priority"][t]) for t in science)
-    counted = [(i, t) for i, t in used if i in poses and i not in colliding]
     return {
         "assigned": len(used),
         "colliding": sum(i in colliding for i in poses),
