@@ -157,6 +157,8 @@ class FieldBuilder:
         catalog or, without this column, 1.
     subpriority : bool, optional
         Whether the allocator uses the subpriorities of the catalog.
+    made : ndarray of int, optional
+        Number of these visits that were already made, in the order of the catalog; by default 0.
 
     Attributes
     ----------
@@ -169,7 +171,8 @@ class FieldBuilder:
     wanted : ndarray of uint8
         Requested number of visits of each science target; 0 for standards and sky positions.
     left : ndarray of uint8
-        Remaining visits before the first tile: ``wanted`` or, for standards and sky positions that fields contain, 1.
+        Remaining visits before the first tile: ``wanted`` without the visits that were already made or, for standards
+        and sky positions that fields contain, 1.
     reusable : ndarray of bool or None
         Whether each target is a standard or sky position that fields contain; None if there are none.
     around_rad : float or None
@@ -178,7 +181,7 @@ class FieldBuilder:
         Whether a visit reduces the number of remaining visits of each target; None if this is true for all targets.
     """
 
-    def __init__(self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True):
+    def __init__(self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True, made=None):
         self.source, self.options, self._subpriority = source, options, subpriority
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
         self.around_rad = max(margins, default=None)
@@ -193,11 +196,13 @@ class FieldBuilder:
         science = None if kind is None else kind == "science"
         self.visits = visits
         self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
+        if made is not None:
+            self.left = self.wanted - np.minimum(source.to_slots(made), self.wanted)
         if science is not None and (options.counts or marked is not None):
             self.spends, self.reusable = science, ~science & (visits > 0)
             if not options.counts:
                 self.reusable &= self.is_required
-            self.left = np.where(self.reusable, np.uint8(1), self.wanted)
+            self.left = np.where(self.reusable, np.uint8(1), self.left)
 
     @cached_property
     def blank(self) -> BlankIds | None:

@@ -1,5 +1,6 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
+from rfpsurvey.survey._history import SurveyState, VisitRule
 from rfpsurvey.survey._joint import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
@@ -13,6 +14,8 @@ __all__ = [
     "JointOptions",
     "Request",
     "Survey",
+    "SurveyState",
+    "VisitRule",
     "in_order",
     "plan_survey",
     "prepare_request",

@@ -29,6 +29,12 @@ class Tally:
         self.n_observed = np.zeros((n_passes, len(names)), dtype=np.int64)
         self.n_complete = np.zeros_like(self.n_observed)
 
+    def begin(self, done: np.ndarray, complete: np.ndarray) -> None:
+        """Add visits that were made before the first tile to the counts of the first pass."""
+        n = len(self.names)
+        self.n_observed[0] += np.bincount(self.class_of, weights=done, minlength=n).astype(np.int64)
+        self.n_complete[0] += np.bincount(self.class_of[complete], minlength=n)
+
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
         """Add the visits of one tile to the counts.
 
@@ -65,6 +71,11 @@ class Bookkeeping:
         # the index of the last pass in which each target was visited; if passes are planned one after the other, this
         # is the pass of the tile that `enter` records, and no array is required
         self._last = None if in_turn else np.zeros(len(self.wanted), dtype=np.min_scalar_type(n_passes))
+        made = np.flatnonzero(self.done())
+        if len(made):  # visits that were made before belong to the first pass
+            self.flags[made] |= DONE
+            for tally in self.tallies.values():
+                tally.begin(self.done(), made[self.left[made] == 0])
 
     def enter(self, field: FieldRows, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
         """Record the visits of a tile, and return the number of successful visits to science targets.

@@ -11,29 +11,32 @@ from rfpsurvey.survey._folder import JOINT, TABLES, part_name
 from rfpsurvey.survey._survey import Survey
 
 
-def read_finished(folder: Path, n_tiles: int, *, joint: bool) -> Survey | None:
+def read_finished(folder: Path, n_tiles: int, *, joint: bool, state=None) -> Survey | None:
     """Return the survey in a folder; None if it is not finished, or if its files do not agree with each other.
 
     All files must match their checksums, and the visits of all tiles must give the numbers of observations in the table
     of outcomes.
     """
     known, tables = read_index(folder), [*TABLES, *([JOINT] if joint else [])]
-    parts = [part_name(tile) for tile in range(n_tiles)]
+    closed = {} if state is None else state.closed
+    parts = [part_name(tile) for tile in range(n_tiles) if closed.get(tile, tile) is not None]
     # the index of a finished survey is sorted; later runs that plan a tile again add lines at the end
     if not {*tables, *parts} <= {*known} or list(known) != sorted(known) or any(len(one) > 1 for one in known.values()):
         return None
     try:
         for name in {*known} - {*parts}:
             check_file(folder, name, known)
-        rows = [_observed(folder, name, known) for name in parts]
+        rows = {name: _observed(folder, name, known) for name in parts}
         survey = Survey.read(folder)
     except InputError:
         return None
     outcomes = survey.outcomes
-    rows = np.concatenate(rows)
-    if (rows >= len(outcomes)).any():
+    planned = np.concatenate([[], *(rows[name] for name in parts if name not in {part_name(tile) for tile in closed})])
+    if max((one.max(initial=0) for one in rows.values()), default=0) >= len(outcomes):
         return None
-    times = np.bincount(rows, minlength=len(outcomes))
+    times = np.bincount(planned.astype(np.int64), minlength=len(outcomes))
+    if state is not None:
+        times = np.minimum(times + state.observed, state.requested)
     is_requested = np.asarray(outcomes["requested"]) > 0  # standards and sky positions have no requested visits
     if (times != np.asarray(outcomes["observed"]))[is_requested].any():
         return None

@@ -5,11 +5,14 @@ from functools import partial
 from pathlib import Path
 
 from rfpsurvey._folder import RequestFolder, read_verified
+from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
 OTHERS = (JOINT, "joint/state.npz")
+EVENTS, PLANS = "events", "events/plans"
+"""Folders of recorded events, and of copies of plans with which tiles were observed."""
 
 
 class Folder(RequestFolder):
@@ -25,14 +28,68 @@ class Folder(RequestFolder):
         Number of tiles.
     resume : bool
         Whether to continue an unfinished survey.
+    state : SurveyState, optional
+        State of the survey that is planned; plans of tiles that it does not keep are planned again.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool):
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None):
         super().__init__(path, request, resume=resume)
-        self._n = n_tiles
+        self._n, self._state, self._is_new_state = n_tiles, state, False
+        if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
+            raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
+
+    def _compare(self, before: dict):
+        """Raise an error if the survey differs from that in the folder, except for the recorded events."""
+        if self._state is None or self._state.folder.resolve() != self.path.resolve():
+            if self._state is None and (self.path / EVENTS).is_dir():
+                raise InputError(
+                    f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
+                    "(or --replan)"
+                )
+            super()._compare(before)
+            return
+        now = self._request
+        first = before.get("first") or {name: before.get(name) for name in ("passes", "tiles")}
+        changed = ("passes", "tiles", "visits", "events", "first")
+        if self._state.changes_targets or "rule" in now["events"] or "rule" in before.get("events", {}):
+            changed += ("catalog",)
+        elif before.get("catalog") != now["catalog"]:
+            changed = tuple(name for name in changed if name != "catalog")
+        self._is_new_state = before.get("events") != now["events"]
+        same = {name: value for name, value in now.items() if name not in changed}
+        earlier = {name: value for name, value in before.items() if name not in changed}
+        own, self._request = self._request, {**same, **now["first"]}
+        try:
+            super()._compare({**earlier, **first})
+        finally:
+            self._request = own
+
+    def _read(self):
+        super()._read()
+        if not self._is_new_state:
+            return
+        # plans that are not kept are removed from the index before the new request is written
+        kept = {part_name(row): event for row, event in self._state.kept.items()}
+        for event in self._state.attempts:
+            name = part_name(event.row)
+            known = self._known.get(name)
+            if known and known[-1][1] == event.plan and name not in kept:
+                self._copy(name, kept_name(event.plan))
+        stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
+        for name in stale:
+            del self._known[name]
+        self._write_index((name, entries[-1]) for name, entries in self._known.items())
+        for name in {*TABLES, *OTHERS}:
+            (self.path / name).unlink(missing_ok=True)
+
+    def _copy(self, name: str, copy: str) -> None:
+        """Keep a plan with which a tile was observed, because the file of the tile will be replaced."""
+        if not (self.path / copy).exists():
+            (self.path / copy).parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(self.path / copy, read_verified(self.path, name, self._known), sync=True)
 
     def _belongs(self, name: str) -> bool:
         stem = Path(name).stem
@@ -41,6 +98,11 @@ class Folder(RequestFolder):
     def part(self, tile: int) -> bytes | None:
         """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
         return self._content(part_name(tile), partial(self.distrust, tile))
+
+    def checksum(self, tile: int) -> str | None:
+        """Return the checksum of the stored result of the tile in row ``tile`` of the tiling; None if there is none."""
+        known = self._known.get(part_name(tile))
+        return known[-1][1] if known else None
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
@@ -71,3 +133,8 @@ class Folder(RequestFolder):
 def part_name(tile: int) -> str:
     """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
+
+
+def kept_name(digest: str) -> str:
+    """Return the name of the copy of a plan with which a tile was observed, and which the survey later replaced."""
+    return f"{PLANS}/{digest}.fits"

@@ -15,6 +15,7 @@ from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_l
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.survey._history import SurveyState
 from rfpsurvey.survey._joint import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
@@ -181,6 +182,10 @@ def prepare_request(
     """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
+    state = visits if isinstance(visits, SurveyState) else None
+    if state is not None:
+        state.check_catalog(catalog)
+        catalog, visits = state.catalog, state.requested
     asked, joint, order = as_joint(allocator, order)
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
@@ -220,6 +225,7 @@ def prepare_request(
         reference=used if epoch is None else None,
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
+        state=state,
     )
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")

@@ -1,7 +1,7 @@
 """The validated request of a survey, that is, its input and its options."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import astropy.units as u
@@ -16,6 +16,7 @@ from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.survey._history import SurveyState
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
@@ -58,6 +59,10 @@ class Request:
     """Epoch of the positions in ``source``; None if the targets are not moved to the times of the tiles."""
     joint: object = None
     """Options of the joint plan; None if the tiles are planned one after the other."""
+    state: SurveyState | None = None
+    """The state of the survey, if events were recorded."""
+    first: dict = field(default_factory=dict)
+    """Tiles and passes before the recorded events, in the form of `identity`."""
 
     @property
     def source(self):
@@ -149,6 +154,7 @@ class Request:
             "tiling": {k: v for k, v in about.items() if k in ("columns", "omitted")} | self.tiling.summary,
             "parameters": self.parameters,
             "units": self.source.units,
+            **self._events,
         }
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
 
@@ -162,23 +168,43 @@ class Request:
 
     def identity(self) -> dict:
         """Return a dict that identifies the survey, so that only the same survey can be continued in a folder."""
-        columns = ("ra", "dec", "position_angle", "pass")
-        tiles = [np.asarray(self.tiling.table[name].value, dtype=float) for name in columns]
-        names = np.asarray(self.tiling.table["tile"]).astype(str)
-        if self.conditions is not None:
-            tiles.append(np.array([str(one.record) for one in self.conditions]))
         about = {
             "catalog": (number_of(len(self.source), "target"), self.source.digest()),
             "visits": (number_of(int(self.builder.visits.sum()), "visit"), digest(self.builder.visits)),
-            "tiles": (number_of(len(self.tiling), "tile"), digest(*tiles, names)),
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
-        return {**about, **self.parameters, "software": self.software}
+        about["tiles"] = tiles_digest(self.tiling, self.conditions)
+        first = {"first": self.first} if self.first else {}
+        return {**about, **first, **self._events, **self.parameters, "software": self.software}
+
+    @property
+    def _events(self) -> dict:
+        """The record of the events; an empty dict if there are none."""
+        return {} if self.state is None else {"events": self.state.record}
+
+
+def tiles_digest(tiling: Tiling, conditions: list | None) -> str:
+    """Return the number of tiles, and a digest of their positions, passes, names and observing conditions."""
+    columns = ("ra", "dec", "position_angle", "pass")
+    tiles = [np.asarray(tiling.table[name].value, dtype=float) for name in columns]
+    names = np.asarray(tiling.table["tile"]).astype(str)
+    if conditions is not None:
+        tiles.append(np.array([str(one.record) for one in conditions]))
+    return f"{number_of(len(tiling), 'tile')}, digest {digest(*tiles, names)}"
 
 
 def make_request(
-    source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, joint, **others
+    source,
+    tiling: Tiling,
+    instrument: Instrument,
+    options: AllocationOptions,
+    *,
+    visits,
+    passes,
+    joint,
+    state,
+    **others,
 ) -> Request:
     """Return the request of a survey, or raise an error if it is not valid."""
     if len(source) == 0:
@@ -194,8 +220,12 @@ def make_request(
     rows = np.flatnonzero(np.isin(number, passes))
     if len(rows) == 0:
         raise InputError("the tiling must have at least one tile, got none")
-    place = np.array([passes.index(p) for p in number[rows].tolist()])
-    tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
+    tiling, first = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows]), {}
+    if state is not None:
+        first = {"passes": passes, "tiles": tiles_digest(tiling, conditions_of_tiles(tiling))}
+        tiling = state.tiling(tiling)
+        passes = [*passes, *sorted({*np.asarray(tiling.table["pass"]).tolist()} - {*passes})]
+    place = np.array([passes.index(p) for p in np.asarray(tiling.table["pass"]).tolist()])
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
     if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
         name = tiling.summary.get("instrument")
@@ -204,5 +234,8 @@ def make_request(
             f"the tiles were placed for {fields} a radius of {made_for:.4g} deg, but the fields of {instrument.name} "
             f"have a radius of {radius:.4g} deg"
         )
-    builder = FieldBuilder(source, options, visits, subpriority=joint is None)  # joint plans ignore subpriorities
-    return Request(builder, tiling, place, passes, instrument, options, joint=joint, **others)
+    made = None if state is None else state.observed
+    # joint plans ignore subpriorities
+    builder = FieldBuilder(source, options, visits, subpriority=joint is None, made=made)
+    others |= {"joint": joint, "state": state, "first": first}
+    return Request(builder, tiling, place, passes, instrument, options, **others)

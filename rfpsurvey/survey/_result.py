@@ -6,6 +6,7 @@ from astropy.table import QTable
 from rfpsurvey.errors import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.survey._history import state_columns
 from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
@@ -18,6 +19,9 @@ TILES = {
     "hour_angle": "hour angle of the field center at the midpoint of the exposure",
     "time": "midpoint of the exposure (UTC)",
     "round": "round in which the tile is planned; tiles of one round do not share targets",
+    "state": "planned, done (observed), partly (partly observed) or dropped",
+    "date": "date of the last observation",
+    "n_failed": "number of failed visits to science targets of an observed tile",
     "n_in_field": "number of targets in the field that still require a visit",
     "n_reachable": "number of targets that still require a visit and are in reach of a positioner",
     "n_assigned": "number of positioners with a target",
@@ -51,7 +55,7 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     table["round"] = round_of
     counts, lacking = without_shortfalls(counts)
-    for name, values in counts.items():
+    for name, values in {**({} if request.state is None else state_columns(request)), **counts}.items():
         table[name] = values
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     if lacking:
@@ -107,6 +111,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
             *_never_observed(request.source, missed, why),
         ],
         **({} if request.moved is None else {"epoch": request.moved}),
+        **({} if request.state is None else request.state.summary),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
     }
 

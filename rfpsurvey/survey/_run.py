@@ -14,11 +14,12 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
+from rfpsurvey.survey._history import begin
 from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import LOST, N_FIELD, Done, cards_of, reach_of, work
+from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
@@ -30,24 +31,31 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     where = nullcontext()
     if path is not None:
         request.check_text()
-        where = Folder(path, request.identity(), len(request.tiling), resume=resume)
+        where = Folder(path, request.identity(), len(request.tiling), resume=resume, state=request.state)
     with where as folder:
         n = len(request.tiling)
-        found = None if folder is None else read_finished(folder.path, n, joint=request.joint is not None)
+        found = (
+            None
+            if folder is None
+            else read_finished(folder.path, n, joint=request.joint is not None, state=request.state)
+        )
         if found is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
             return found
-        if request.joint is not None:
-            request, joint, progress = plan_together(request, folder, executor, progress)
         state = request.open_state()
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]
         counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, LOST, "n_observed")}
-        finished = 0
+        known = _enter_observed(request, folder, state, counts, parts)
+        if request.joint is not None:
+            request, joint, progress = plan_together(request, folder, executor, progress)
+        finished = len(known)
         with Progress(progress, n, "tiles") as tell:
+            tell(finished, new=False)
             for k, tiles in enumerate(request.rounds):
                 round_of[tiles] = k
+                tiles = tiles[~np.isin(tiles, known)]
                 results = in_order(executor, work, _jobs_of(request, tiles, state, folder))
                 for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
                     slot = np.append(job.field.slot, -1)[done.target]
@@ -75,6 +83,39 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             folder.put(JOINT, _io.table_bytes(stored, JOINT, None, "JOINT"))
         folder.finish()
     return Survey(*tables, folder.path, joint=joint)
+
+
+def _enter_observed(request, folder, state, counts, parts) -> list[int]:
+    """Record the tiles that are not planned, because they were observed, begun or dropped, and return their rows."""
+    if request.state is None:
+        return []
+    history = request.state
+    begin(request, state)
+    if folder is not None and folder.path.resolve() == history.folder.resolve() and history.until is None:
+        history.replayed.write(folder.path)
+    cards = cards_of(request.options)
+    for tile, event in history.kept.items():
+        content = history.events.plan(tile, event.plan)
+        if folder is not None and folder.checksum(tile) != event.plan:
+            folder.put_part(tile, content)
+        elif folder is None:
+            parts[tile] = _io.read_fits_bytes(content, f"the plan of tile {event.tile}")[0]
+        if tile in history.closed:
+            own = history.replayed.counts[tile]
+            found = {name: own.get(card, 0) for card, (name, _) in cards.items()}
+            found |= {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
+        else:
+            job = request.job(tile, np.ones_like(state.left), as_file=False)
+            done = _done_of(content, job)
+            slot = np.append(job.field.slot, -1)[done.target]
+            open_ = (slot < 0) | (state.left[slot] > 0)
+            found = done.counts
+            found["n_observed"] = state.enter(
+                job.field, done.in_reach, slot, done.observed & open_, request.number[tile]
+            )
+        for name, value in found.items():
+            counts[name][tile] = value
+    return [*history.closed, *history.begun]
 
 
 def _jobs_of(request, tiles, state, folder) -> Iterator:
@@ -138,22 +179,29 @@ def _read(folder, tile, job) -> Done | None:
     if part is None:
         return None
     try:
-        visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
-        lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
-        counted = cards_of(job.model.options)
-        lacking += [card for card in counted if not isinstance(cards.get(card), int)]
-        if lacking:
-            raise InputError(f"its file lacks {', '.join(lacking)}")
-        _check_part(visits, {card: cards[card] for card in counted})
+        done = _done_of(part, job)
+        if done.counts[COUNTS[N_FIELD][0]] != len(job.field.row):
+            raise InputError("its stored result was planned for a different set of targets with remaining visits")
     except InputError as error:  # the checksum is correct; therefore, the index was also changed
         folder.distrust(tile, str(error))
         return None
+    return done
+
+
+def _done_of(part: bytes, job) -> Done:
+    """Return the result that the content of the file of a tile states, or raise an error if it is not possible."""
+    visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
+    lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
+    counted = cards_of(job.model.options)
+    lacking += [card for card in counted if not isinstance(cards.get(card), int)]
+    if lacking:
+        raise InputError(f"its file lacks {', '.join(lacking)}")
+    _check_part(visits, {card: cards[card] for card in counted})
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
-    if cards[N_FIELD] != len(job.field.row) or not np.array_equal(rows[target], visits["target_row"]):
-        folder.distrust(tile, "its stored result was planned for a different set of targets with remaining visits")
-        return None
+    if not np.array_equal(rows[target], visits["target_row"]):
+        raise InputError("its stored result was planned for a different set of targets with remaining visits")
     counts = {name: cards[card] for card, (name, _) in counted.items()}
     counts[LOST] = int(visits["in_collision"].sum())
     return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)

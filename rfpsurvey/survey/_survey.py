@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from astropy.table import QTable, vstack
+from astropy.table import QTable, Table, vstack
 
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
@@ -181,6 +181,9 @@ class Survey:
         return len(self.tiles)
 
     def _visits(self, k: int) -> QTable:
+        if "state" in self.tiles.colnames and self.tiles["state"][k] == "dropped":
+            others = np.flatnonzero(np.asarray(self.tiles["state"]) != "dropped")
+            return self._visits(int(others[0]))[:0] if len(others) else QTable()
         if self.parts is not None:
             rows = self.parts[k]
         else:
@@ -192,6 +195,75 @@ class Survey:
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
         return table
+
+    def record(self, table: Table | str | os.PathLike, *, enough: float = 1.0, tile: int | str | None = None) -> dict:
+        """Record what was observed, or which tiles or targets changed, in the folder of the survey.
+
+        Each call appends one file to the folder. A later record of the same tile and date corrects the earlier record;
+        equal records are not repeated. If `plan_survey` is called with the new `state`, observed tiles keep their
+        plans, and all other tiles are planned again.
+
+        Parameters
+        ----------
+        table : Table, DataFrame or path-like
+            Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
+            ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
+            ``positioner`` or ``target``, and ``reason``. Without a state, a tile is bad if ``good`` is false or
+            ``fraction`` is 0, partly observed if ``fraction`` is less than ``enough``, and done otherwise. A row with a
+            positioner or a target means that this visit failed, unless ``good`` is true; visits without a row were
+            successful. Added tiles have the columns ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A
+            table without the column ``tile`` changes targets: it has the column ``target``, and optionally
+            ``priority``, ``visits``, ``state`` (``dropped`` or ``planned``) and, for targets that are added, ``ra``,
+            ``dec`` and the columns of the catalog.
+        enough : float, optional
+            Fraction of the exposure from which a tile without a state is done; below, it is partly done.
+        tile : int or str, optional
+            The tile of all rows of a table without the column ``tile``.
+
+        Returns
+        -------
+        dict
+            Number of new events (``n_events``), of rows that were already recorded (``n_known``), and of rows without
+            an observation (``n_ignored``).
+
+        Raises
+        ------
+        InputError
+            If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
+            value is not valid, or if another run uses the folder. Nothing is written then.
+        """
+        from rfpsurvey.survey._history._record import record
+
+        return record(self, table, enough=enough, tile=tile)
+
+    def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
+        """Return the state of the survey that follows from the recorded events.
+
+        Parameters
+        ----------
+        catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
+            The targets of the first plan.
+        rule : VisitRule, optional
+            Rule that determines the requested visits and the priorities. By default, each target is observed until the
+            requested visits are successful.
+        visits : int or array_like of int, optional
+            Requested visits as in the first plan; by default, the column ``visits`` of the catalog, or 1.
+        until : str, optional
+            Date of the last observations that are taken into account, such as 2026-01-03.
+
+        Returns
+        -------
+        SurveyState
+            The state, which is the parameter ``visits`` of `plan_survey` and `selection_probabilities`.
+
+        Raises
+        ------
+        InputError
+            If the catalog is not that of the survey, or if a file of events is missing or damaged.
+        """
+        from rfpsurvey.survey._history import SurveyState
+
+        return SurveyState.read(self.folder, catalog, rule=rule, visits=visits, until=until)
 
     def plot(self, **options: object) -> object:
         """Plot the tiles on the sky, as `rfpsurvey.plot.plot_tiling` does.

@@ -6,6 +6,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
+from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_vectors
 from rfpsurvey.allocation import TileCandidates
 from rfpsurvey.catalog import SkyIndex, to_time
@@ -31,7 +32,10 @@ class FixedTile(NamedTuple):
 
 
 def fixed_tiles(request) -> dict[int, FixedTile]:
-    """Return the plans of the tiles that the option ``fixed`` contains, as a dict from the row of a tile to its plan.
+    """Return the plans that do not change, as a dict from the row of a tile to its plan.
+
+    These are the plans of the tiles that the option ``fixed`` contains. In a survey with recorded events, tiles that
+    were partly observed keep their plans, and observed and dropped tiles observe no further targets.
 
     Raises
     ------
@@ -41,6 +45,12 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         positioners have the handedness ``both``.
     """
     given = request.joint.fixed
+    if request.state is not None:
+        if given is not None:
+            raise InputError(
+                "fixed must not be given for a survey with recorded events, which keeps its observed tiles"
+            )
+        return _recorded_tiles(request)
     if given is None:
         return {}
     survey = given if isinstance(given, Survey) else Survey.read(given)
@@ -70,6 +80,32 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
                 f"{field.targets.id[index[bad[0]]]}"
             )
         found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
+    return found
+
+
+def _recorded_tiles(request) -> dict[int, FixedTile]:
+    """Return the plans of the tiles that were observed, partly observed or dropped."""
+    plane, state = request.instrument.focal_plane, request.state
+    if state.begun and plane.positioner.handedness == "both":
+        raise InputError(
+            "a joint plan of a survey with partly observed tiles needs positioners of one handedness, because a survey "
+            "does not record to which side an arm bends"
+        )
+    n, every = len(plane), np.ones(len(request.builder.left), dtype=np.uint8)
+    side = np.full(n, -1 if plane.positioner.handedness == "left" else 1, dtype=np.int8)
+    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
+    left = request.builder.left.copy()
+    found = {row: FixedTile(np.full(n, -1), side, np.zeros(n, dtype=bool)) for row in state.closed}
+    for tile, event in state.begun.items():
+        visits = read_fits_bytes(state.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[0]
+        visits = visits[visits["target_row"] >= 0]
+        field = request.job(tile, every, as_file=False).field
+        own = np.array([row_of[one] for one in visits["positioner"].tolist()], dtype=np.int64)
+        slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
+        slot[own] = field.slot[np.searchsorted(field.row, visits["target_row"])]
+        counted[own] = visits["observed"].astype(bool) & (left[slot[own]] > 0)
+        left[slot[counted]] -= 1
+        found[tile] = FixedTile(slot, side, counted)
     return found
 
 

@@ -1,0 +1,209 @@
+"""The events of a survey: what was observed, and which tiles and targets were added, dropped or changed.
+
+Each call of ``Survey.record`` appends one file. A file contains a digest of its own content and the digest of the
+preceding file, so that missing, changed and truncated files are found. Files are never changed.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from astropy.table import QTable
+from astropy.time import Time
+
+from rfpsurvey import _io
+from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes
+from rfpsurvey.errors import InputError
+from rfpsurvey.survey._folder import EVENTS, kept_name, part_name
+
+MOST = 2**28
+VERSION = 1
+DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED = "done", "partly", "bad", "dropped", "planned", "added"
+STATES = (DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED)
+
+
+class TileEvent(NamedTuple):
+    """What was recorded for a tile."""
+
+    row: int
+    """Row of the tile in the tiling; added tiles follow the tiles of the first plan."""
+    tile: str
+    state: str
+    """``done``: the tile was observed. ``partly``: its observation will be continued with the same plan. ``bad``: the
+    observation failed. ``dropped``: the tile will not be observed. ``planned``: this cancels what was recorded before.
+    ``added``: a new tile, or a new position of a tile."""
+    date: str = ""
+    """Date of the observation, such as 2026-01-03; empty if no date was given."""
+    fraction: float = 1.0
+    """Fraction of the requested exposure."""
+    plan: str = ""
+    """SHA-256 of the file of the tile with which the tile was observed."""
+    failed: dict = {}  # noqa: RUF012
+    """Positioners that failed, with the reason for each of them."""
+    place: tuple = ()
+    """Right ascension, declination and position angle (deg) and the pass of an added tile."""
+
+    @property
+    def observation(self) -> tuple:
+        """The key of an observation: an event with the same key corrects the earlier event."""
+        return self.row, self.date, self.plan
+
+
+@dataclass(frozen=True)
+class EventFile:
+    """The content of one file of events."""
+
+    n_targets: int
+    """Number of targets before this file, which is the row of the first target that this file adds."""
+    n_tiles: int
+    tiles: tuple[TileEvent, ...]
+    targets: str | None
+    """Name of the file with a table of added and changed targets."""
+    digest: str
+
+
+@dataclass(frozen=True)
+class Events:
+    """All events of a survey, in the order in which they were recorded.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of the survey.
+    files : tuple of EventFile
+        The contents of the files.
+    """
+
+    folder: Path
+    files: tuple[EventFile, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """A digest of all events; empty text if there are none."""
+        return self.files[-1].digest if self.files else ""
+
+    def of_tiles(self, until: str | None = None) -> Iterable[TileEvent]:
+        """Yield the events of tiles up to a date."""
+        for file in self.files:
+            for event in file.tiles:
+                if until is None or event.date <= until:
+                    yield event
+
+    @cached_property
+    def target_tables(self) -> list[tuple[int, QTable]]:
+        """Tables of added and changed targets, each with the row of the first target that it adds."""
+        return [(one.n_targets, self._read_targets(one.targets)) for one in self.files if one.targets]
+
+    def _read_targets(self, name: str) -> QTable:
+        path = self.folder / EVENTS / name
+        content = _verified(path, name.partition("-")[2].removesuffix(".fits"))
+        if content is None:
+            raise InputError(f"{path} is missing or damaged (its checksum differs from the checksum in its name)")
+        rows, _ = read_fits_bytes(content, path)
+        return QTable(rows)
+
+    def plan(self, row: int, digest: str) -> bytes:
+        """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
+        content = _verified(self.folder / part_name(row), digest)
+        content = _verified(self.folder / kept_name(digest), digest) if content is None else content
+        if content is None:
+            raise InputError(
+                f"{self.folder / part_name(row)} must be the plan with which the tile in row {row} was observed, got "
+                "another or a damaged file, and there is no copy of the plan"
+            )
+        return content
+
+    def append(self, tiles: list[TileEvent], targets: QTable | None, n_targets: int, n_tiles: int) -> None:
+        """Write a file with events; the numbers are those of the targets and tiles before these events."""
+        number, name = len(self.files) + 1, None
+        (self.folder / EVENTS).mkdir(exist_ok=True)
+        if targets is not None:
+            content = _io.fits_bytes(
+                targets.as_array(), {}, tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
+            )
+            name = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.fits"
+            _io.write_bytes(self.folder / EVENTS / name, content, sync=True)
+        about = {
+            "version": VERSION,
+            "previous": self.digest,
+            "n_targets": n_targets,
+            "n_tiles": n_tiles,
+            "targets": name,
+            "tiles": [event._asdict() for event in tiles],
+        }
+        body = json.dumps(about, separators=(",", ":"), sort_keys=True)
+        content = json.dumps({"digest": _digest(body), "events": about}, indent=1, sort_keys=True) + "\n"
+        _io.write_bytes(self.folder / _name(number), content.encode(), sync=True)
+
+
+def read_events(folder: Path) -> Events:
+    """Return the events of a survey, or raise an error if a file is missing or damaged."""
+    path = folder / EVENTS
+    found = sorted(one.name for one in path.glob("*.json")) if is_present(path) else []
+    files, previous = [], ""
+    for number, name in enumerate(found, 1):
+        if name != Path(_name(number)).name:
+            raise InputError(f"{folder / _name(number)} is missing, but {name} exists")
+        file, before = _read(path / name)
+        if before != previous:
+            raise InputError(f"{path / name} must follow the events before it, got a file for other events")
+        files.append(file)
+        previous = file.digest
+    return Events(folder, tuple(files))
+
+
+def _read(path: Path) -> tuple[EventFile, str]:
+    """Return the content of a file of events, and the digest of the preceding file."""
+    try:
+        content = parse_json(content_of(path, most=MOST).decode("utf-8", "replace"), "the file")
+        about = content["events"]
+        if content["digest"] != _digest(json.dumps(about, separators=(",", ":"), sort_keys=True)):
+            raise InputError("its digest differs from its content")
+        if about["version"] != VERSION:
+            raise InputError(f"version {about['version']} of the format is not supported")
+        tiles = tuple(TileEvent(**{**one, "place": tuple(one["place"])}) for one in about["tiles"])
+        file = EventFile(about["n_targets"], about["n_tiles"], tiles, about["targets"], content["digest"])
+        if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
+            raise InputError(f"{file.targets!r} is not the name of a table of targets")
+    except (InputError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is damaged ({error})") from None
+    return file, about["previous"]
+
+
+def _verified(path: Path, digest: str) -> bytes | None:
+    """Return the content of a file, or None if it does not exist or has another checksum."""
+    if not is_present(path):
+        return None
+    content = content_of(path, most=MOST)
+    return content if hashlib.sha256(content).hexdigest() == digest else None
+
+
+def _name(number: int) -> str:
+    return f"{EVENTS}/{number:06d}.json"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def to_date(value: object) -> str:
+    """Return a date as text such as 2026-01-03; empty text for missing dates."""
+    if value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
+        return ""
+    if isinstance(value, Time):
+        return value.utc.isot[:10]
+    text = str(value).strip()
+    if not text or text in ("nan", "NaT"):
+        return ""
+    if re.fullmatch(r"\d{8}", text):
+        text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
+    try:
+        return Time(text, scale="utc").isot[:10]
+    except ValueError:
+        raise InputError(f"date must be a date such as 2026-01-03, got {text!r}") from None

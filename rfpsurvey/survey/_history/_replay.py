@@ -1,0 +1,257 @@
+"""The state of all targets and tiles that follows from the events of a survey and the plans of the observed tiles."""
+
+import hashlib
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from rfpsurvey import _io
+from rfpsurvey._readers import content_of, is_present, read_arrays, read_fits_bytes
+from rfpsurvey.errors import InputError, listed
+from rfpsurvey.survey._bookkeeping import LOST
+from rfpsurvey.survey._history._events import (
+    ADDED,
+    DONE,
+    DROPPED,
+    EVENTS,
+    PARTLY,
+    PLANNED,
+    Events,
+    TileEvent,
+)
+from rfpsurvey.survey._work import COUNTS
+from rfpsurvey.survey._work import LOST as N_LOST
+
+CHECKPOINT = f"{EVENTS}/state.npz"
+MOST_VISITS = 255
+
+
+class TileStates:
+    """The states of all tiles after some events.
+
+    Parameters
+    ----------
+    events : iterable of TileEvent
+        The events, in the order in which they were recorded.
+    """
+
+    def __init__(self, events: Iterable[TileEvent]):
+        self._attempts: dict[int, dict[tuple, TileEvent]] = {}
+        self.dropped: set[int] = set()
+        self.added: dict[int, TileEvent] = {}
+        self._order: dict[tuple, None] = {}
+        for event in events:
+            self.add(event)
+
+    def add(self, event: TileEvent) -> None:
+        """Add an event, which replaces an earlier event of the same observation."""
+        if event.state == ADDED:
+            self.added[event.row] = event
+            return
+        self.dropped.discard(event.row)
+        if event.state == DROPPED:
+            self.dropped.add(event.row)
+        elif event.state == PLANNED:
+            for key in self._attempts.pop(event.row, ()):
+                del self._order[key]
+        else:
+            self._attempts.setdefault(event.row, {})[event.observation] = event
+            self._order.setdefault(event.observation)
+
+    def of(self, row: int) -> list[TileEvent]:
+        """Return the observations of a tile."""
+        return list(self._attempts.get(row, {}).values())
+
+    @property
+    def attempts(self) -> list[TileEvent]:
+        """All observations, in the order in which they were first recorded."""
+        return [self._attempts[key[0]][key] for key in self._order]
+
+    def state_of(self, row: int) -> TileEvent | str:
+        """Return the observation that determines the state of a tile, or ``dropped`` or ``planned``."""
+        found = self.of(row)
+        done = [event for event in found if event.state == DONE]
+        if done:
+            return done[-1]
+        if row in self.dropped:
+            return DROPPED
+        return found[-1] if found and found[-1].state == PARTLY else PLANNED
+
+    def rows(self) -> list[int]:
+        """Return the rows of the tiles of which anything was recorded, in ascending order."""
+        return sorted({*self._attempts, *self.dropped})
+
+
+class Replay:
+    """The visits of all targets that follow from observations.
+
+    Parameters
+    ----------
+    n_targets : int
+        Number of targets.
+
+    Attributes
+    ----------
+    made, failed : ndarray of uint8, shape (n_targets,)
+        Numbers of successful and of failed visits of each target, in the order of rows.
+    last : ndarray of int32, shape (n_targets,)
+        Index in ``attempts`` of the last visit of each target; -1 if there is none.
+    is_good : ndarray of bool, shape (n_targets,)
+        Whether the last visit was successful.
+    flags : ndarray of uint8, shape (n_targets,)
+        Flags of `Bookkeeping`.
+    attempts : list of TileEvent
+        The observations.
+    n_flagged : int
+        Number of observations whose targets in reach are marked in ``flags``.
+    counts : dict
+        For each observed tile, its counts by the name of the header card.
+    n_good, n_failed : dict
+        Numbers of successful and failed visits of each observed tile.
+    """
+
+    def __init__(self, n_targets: int):
+        self.made, self.failed, self.flags = (np.zeros(n_targets, dtype=np.uint8) for _ in range(3))
+        self.last, self.is_good = np.full(n_targets, -1, dtype=np.int32), np.zeros(n_targets, dtype=bool)
+        self.attempts: list[TileEvent] = []
+        self.n_flagged = 0
+        self.counts: dict[int, dict[str, int]] = {}
+        self.n_good: dict[int, int] = {}
+        self.n_failed: dict[int, int] = {}
+
+    def extend(self, n_targets: int) -> None:
+        """Add targets without visits, so that there are ``n_targets`` targets."""
+        more = n_targets - len(self.made)
+        for name, value in {"made": 0, "failed": 0, "flags": 0, "last": -1, "is_good": False}.items():
+            values = getattr(self, name)
+            setattr(self, name, np.concatenate([values, np.full(more, value, dtype=values.dtype)]))
+
+    def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
+        """Add an observation, and the visits of its plan."""
+        number = len(self.attempts)
+        self.attempts.append(event)
+        if event.state == PARTLY:
+            return
+        visits, cards = read_fits_bytes(events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+        _check_ids(event, visits, ids)
+        target, good, lost = visits_of(event, visits)
+        self.made[target[good]] += self.made[target[good]] < MOST_VISITS
+        bad = target[~good & ~lost]
+        self.failed[bad] += self.failed[bad] < MOST_VISITS
+        self.flags[target[lost]] |= LOST
+        self.last[target[~lost]] = number
+        self.is_good[target[~lost]] = good[~lost]
+        if event.state == DONE:
+            self.counts[event.row] = {
+                name: value
+                for name, value in cards.items()
+                if name in COUNTS or name.startswith(("MISS", "MORE", "VIOL"))
+            }
+            self.counts[event.row][N_LOST] = int(visits["in_collision"].sum())
+            self.n_good[event.row], self.n_failed[event.row] = int(good.sum()), len(bad)
+
+    def write(self, folder: Path) -> None:
+        """Write a checkpoint, from which `replay` continues."""
+        rows = list(self.counts)
+        names = sorted({name for one in self.counts.values() for name in one})
+        content = io.BytesIO()
+        arrays = {
+            "keys": np.array([_key(one) for one in self.attempts], dtype="S64"),
+            **{name: getattr(self, name) for name in ("made", "failed", "last", "is_good", "flags")},
+            "n_flagged": np.array(self.n_flagged),
+            "names": np.array(names, dtype="S24"),
+            "rows": np.array(rows, dtype=np.int64),
+            "counts": np.array([[self.counts[row].get(name, 0) for name in names] for row in rows], dtype=np.int64),
+            "n_good": np.array([self.n_good[row] for row in rows], dtype=np.int64),
+            "n_failed": np.array([self.n_failed[row] for row in rows], dtype=np.int64),
+        }
+        arrays["counts"] = arrays["counts"].reshape(len(rows), len(names))
+        np.savez(content, **arrays)
+        body = content.getvalue()
+        _io.write_bytes(folder / CHECKPOINT, hashlib.sha256(body).hexdigest().encode() + body)
+
+
+def replay(events: Events, states: TileStates, ids: np.ndarray) -> Replay:
+    """Return the visits that follow from the observations, starting from the checkpoint if it fits to them.
+
+    ``ids`` contains the identifiers of all targets, with which those of the visits are compared.
+    """
+    attempts, n_targets = states.attempts, len(ids)
+    found = _read_checkpoint(events.folder, attempts, n_targets) or Replay(n_targets)
+    found.extend(n_targets)
+    for event in attempts[len(found.attempts) :]:
+        found.add(event, events, ids)
+    return found
+
+
+def _check_ids(event: TileEvent, visits: np.ndarray, ids: np.ndarray) -> None:
+    """Raise an error if the visits of an observed tile are not visits of the targets of the catalog."""
+    columns = ("target_row", "target_id", "positioner", "observed", "in_collision")
+    lacking = [name for name in columns if name not in visits.dtype.names]
+    if lacking:
+        raise InputError(f"the plan of tile {event.tile} must have the columns of a survey, got none {listed(lacking)}")
+    visits = visits[visits["target_row"] >= 0]
+    rows = visits["target_row"]
+    if rows.max(initial=-1) >= len(ids) or (ids[rows].astype(visits["target_id"].dtype) != visits["target_id"]).any():
+        raise InputError(
+            f"the catalog must be that of the survey, got another catalog: tile {event.tile} observed other targets"
+        )
+
+
+def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the rows of the science targets of an observed tile, and which visits are good and lost to a collision."""
+    visits = visits[visits["target_row"] >= 0]
+    if "kind" in visits.dtype.names:
+        visits = visits[visits["kind"] == "science"]
+    observed = visits["observed"].astype(bool)
+    good = observed & (event.state == DONE)
+    if event.failed:
+        good &= ~np.isin(visits["positioner"].astype(str), list(event.failed))
+    return visits["target_row"].astype(np.int64), good, ~observed
+
+
+def _key(event: TileEvent) -> bytes:
+    text = json.dumps([*event[:6], sorted(event.failed)])
+    return hashlib.sha256(text.encode()).hexdigest().encode()
+
+
+def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) -> Replay | None:
+    """Return the state in the checkpoint; None if there is none, or if it is not the state after the first attempts."""
+    path = folder / CHECKPOINT
+    if not is_present(path):
+        return None
+    content = content_of(path, most=2**40)
+    check, body = content[:64], content[64:]
+    if hashlib.sha256(body).hexdigest().encode() != check:
+        return None
+    n = (None,)
+    expected = {
+        "keys": ("S64", n),
+        **dict.fromkeys(("made", "failed", "flags"), ("u1", n)),
+        "last": ("i4", n),
+        "is_good": ("?", n),
+        "n_flagged": ("i8", ()),
+        "names": ("S24", n),
+        **dict.fromkeys(("rows", "n_good", "n_failed"), ("i8", n)),
+        "counts": ("i8", (None, None)),
+    }
+    try:
+        stored = read_arrays(io.BytesIO(body), expected, "the archive")
+    except InputError:
+        return None
+    keys, size = stored["keys"].tolist(), len(stored["made"])
+    if size > n_targets or keys != [_key(one) for one in attempts[: len(keys)]]:
+        return None
+    found = Replay(0)
+    for name in ("made", "failed", "flags", "last", "is_good"):
+        setattr(found, name, stored[name])
+    found.attempts, found.n_flagged = attempts[: len(keys)], int(stored["n_flagged"])
+    names, rows = [name.decode() for name in stored["names"].tolist()], stored["rows"].tolist()
+    for row, counts in zip(rows, stored["counts"].tolist(), strict=True):
+        found.counts[row] = dict(zip(names, counts, strict=True))
+    found.n_good = dict(zip(rows, stored["n_good"].tolist(), strict=True))
+    found.n_failed = dict(zip(rows, stored["n_failed"].tolist(), strict=True))
+    return found

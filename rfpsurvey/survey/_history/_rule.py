@@ -1,0 +1,221 @@
+"""Rules that determine the requested visits and the priority of a target from what was observed."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from astropy.table import QTable, Table
+
+from rfpsurvey import _io
+from rfpsurvey._plugins import find_function
+from rfpsurvey._units import exact_text, to_dimensionless, to_visits
+from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, listed, refusal
+
+GROUP = "rfpsurvey.visit_rules"
+"""Name of the entry points of packages with visit rules."""
+ANY = "any"
+LAST = ("none", "good", "bad")
+"""Results of the last visit of a target."""
+MOST = 255
+COLUMNS = ("class", "observed", "last", "priority", "visits")
+# Number of targets with which the end of a rule is checked.
+PROBED = 1000
+
+
+@check_keywords
+@dataclass(frozen=True)
+class VisitRule:
+    """A rule that determines how often a target is observed, and with which priority, from its visits so far.
+
+    Without a rule, each target is observed until the visits that the catalog requests are successful. The parameters
+    are applied in their order; later ones replace the numbers of visits of earlier ones.
+
+    Parameters
+    ----------
+    visits : int, optional
+        Requested number of visits of each target, instead of the column ``visits`` of the catalog.
+    after_success : int, optional
+        Requested number of visits of each target whose first visit was successful; before this visit, one visit is
+        requested.
+    table : Table or path-like, optional
+        Table with the columns ``visits`` or ``priority``, or both, and with columns that select targets: ``class`` (a
+        category or a priority of the catalog, or ``any``), ``observed`` (the number of successful visits; -1 for any)
+        and ``last`` (the result of the last visit: ``none``, ``good``, ``bad`` or ``any``). The first row that selects
+        a target determines its priority and its requested number of visits. Values that are missing, and targets that
+        no row selects, remain unchanged.
+    function : str or callable, optional
+        Function, or the name of an entry point of the group ``rfpsurvey.visit_rules``. It is called with a table of all
+        targets (``target_id``, ``requested``, ``observed``, ``failed``, ``last`` and, if the catalog has them,
+        ``priority`` and ``category``), and returns a dict or a table with the columns ``visits`` or ``priority``, or
+        both.
+    retries : int, optional
+        Number of failed visits after which another visit is requested. A target with more failed visits is not observed
+        again. By default, failed visits are repeated without limit.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, if a column of the table is missing, or if the rule requests more than 255 visits.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> rule = rs.VisitRule(after_success=4, retries=2)
+    >>> rule.record["after_success"]
+    4
+    """
+
+    visits: int | None = None
+    after_success: int | None = None
+    table: Table | str | os.PathLike | None = None
+    function: str | Callable | None = None
+    retries: int | None = None
+
+    def __post_init__(self):
+        for name, low in (("visits", 0), ("after_success", 1), ("retries", 0)):
+            if getattr(self, name) is not None:
+                check_whole(getattr(self, name), name, low, MOST)
+        if not isinstance(self.table, Table | str | os.PathLike | None):
+            raise refusal("table must be a table or the path of a table", self.table)
+        if self.function is not None:
+            _ = self._function
+        if self.table is not None:
+            _ = self._rows
+
+    @property
+    def record(self) -> dict:
+        """The rule as text and numbers, as it is written to files."""
+        found = {name: getattr(self, name) for name in ("visits", "after_success", "retries")}
+        found["table"] = None if self.table is None else [list(map(_plain, row)) for row in self._rows]
+        found["function"] = None if self.function is None else self._function.name
+        return {name: value for name, value in found.items() if value is not None}
+
+    def apply(self, columns: dict) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the requested numbers of visits and the priorities.
+
+        Parameters
+        ----------
+        columns : dict
+            Arrays ``requested``, ``observed`` and ``failed`` (numbers of visits), ``last`` (index of ``LAST``), ``id``,
+            and ``priority`` and ``category``, which can be None.
+
+        Returns
+        -------
+        visits : ndarray of uint8, shape (n_targets,)
+            Requested numbers of visits.
+        priority : ndarray or None
+            Priorities; None if there are none.
+        """
+        n = len(columns["observed"])
+        visits, priority = columns["requested"], columns["priority"]
+        if self.visits is not None:
+            visits = np.full(n, self.visits, dtype=np.uint8)
+        if self.after_success is not None:
+            visits = np.where(visits == 0, 0, np.where(columns["observed"] > 0, self.after_success, 1))
+        if self.table is not None:
+            visits, priority = self._by_table(columns, visits, priority)
+        if self.function is not None:
+            visits, priority = self._by_function(columns, visits, priority)
+            probed = {k: v[:PROBED] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
+            probed["observed"] = np.full(len(probed["observed"]), MOST)
+            self._by_function(probed, visits[:PROBED], priority if priority is None else priority[:PROBED])
+        if self.retries is not None:
+            visits = np.where(columns["failed"] > self.retries, np.minimum(visits, columns["observed"]), visits)
+        return visits.astype(np.uint8), priority
+
+    @cached_property
+    def _rows(self) -> list[tuple]:
+        """The rows of the table: class, number of visits, last result, priority and requested visits."""
+        table = self.table if isinstance(self.table, Table) else _io.read_table(self.table)
+        strange = [name for name in table.colnames if name not in COLUMNS]
+        if strange or not {"priority", "visits"} & {*table.colnames}:
+            raise InputError(
+                f"the table of a visit rule must have the column visits or priority, and may have the columns "
+                f"{listed(COLUMNS[:3])}, got {listed(table.colnames)}"
+            )
+        n = len(table)
+        column = {name: np.ma.filled(np.ma.asarray(table[name]), _missing(name)) for name in table.colnames}
+        names = np.asarray(column.get("class", np.full(n, ANY))).astype(str)
+        observed = to_dimensionless(column.get("observed", np.full(n, -1)), "observed of a visit rule").astype(int)
+        last = [str(one) for one in np.asarray(column.get("last", np.full(n, ANY))).tolist()]
+        for one in last:
+            check_choice(one, (*LAST, ANY), "last result of a visit rule")
+        priority = to_dimensionless(column.get("priority", np.full(n, np.nan)), "priority of a visit rule")
+        visits = to_dimensionless(column.get("visits", np.full(n, np.nan)), "visits of a visit rule").astype(float)
+        to_visits(visits[np.isfinite(visits)], int(np.isfinite(visits).sum()))
+        return list(
+            zip(names.tolist(), observed.tolist(), last, priority.astype(float).tolist(), visits.tolist(), strict=True)
+        )
+
+    def _by_table(self, columns: dict, visits: np.ndarray, priority: np.ndarray | None):
+        """Return visits and priorities, changed by the first row of the table that selects each target."""
+        free = np.ones(len(visits), dtype=bool)
+        visits, new = visits.astype(np.uint8), None if priority is None else priority.astype(float)
+        for name, observed, last, own_priority, own_visits in self._rows:
+            rows = free & _of_class(name, priority, columns["category"], len(visits))
+            if observed >= 0:
+                rows &= columns["observed"] == observed
+            if last != ANY:
+                rows &= columns["last"] == LAST.index(last)
+            free &= ~rows
+            if own_visits == own_visits:
+                visits[rows] = own_visits
+            if own_priority == own_priority:
+                new = np.zeros(len(visits)) if new is None else new
+                new[rows] = own_priority
+        return visits, new
+
+    @cached_property
+    def _function(self):
+        return find_function(GROUP, self.function, (), "visit rule")
+
+    def _by_function(self, columns: dict, visits: np.ndarray, priority: np.ndarray | None):
+        table = QTable({"target_id": columns["id"], "requested": visits})
+        for name in ("observed", "failed", "priority", "category"):
+            if columns[name] is not None:
+                table[name] = columns[name]
+        table["last"] = np.array(LAST)[columns["last"]]
+        with self._function.answering():
+            found = self._function.value(table)
+            names = list(found.keys()) if isinstance(found, dict | Table) else []
+            if not names or {*names} - {"visits", "priority"}:
+                raise InputError(
+                    "it must return a dict or a table with the columns visits or priority, got another result"
+                )
+            if "visits" in names:
+                if np.max(found["visits"], initial=0) > MOST:
+                    observed = int(np.min(columns["observed"], initial=MOST))
+                    end = "must end" if observed == MOST else f"must request at most {MOST} visits"
+                    raise InputError(
+                        f"it {end}, got {np.max(found['visits']):g} requested visits of a target that was observed "
+                        f"{observed} times"
+                    )
+                visits = to_visits(found["visits"], len(visits))
+            if "priority" in names:
+                priority = to_dimensionless(found["priority"], "priority").astype(float)
+                if priority.shape != visits.shape or not np.isfinite(priority).all():
+                    raise InputError("its priorities must be finite numbers, one for each target")
+        return visits, priority
+
+
+def _of_class(name: str, priority: np.ndarray | None, category: np.ndarray | None, n: int) -> np.ndarray:
+    """Return which targets have the category or the priority ``name``."""
+    found = np.full(n, name == ANY)
+    if category is not None:
+        found |= category == name
+    if priority is not None:
+        values = np.unique(priority)
+        same = [value for value in values.tolist() if exact_text(value) == name]
+        found |= np.isin(priority, same)
+    return found
+
+
+def _missing(name: str) -> object:
+    return {"class": ANY, "last": ANY, "observed": -1}.get(name, np.nan)
+
+
+def _plain(value: object) -> object:
+    """Return None for NaN, which JSON cannot represent."""
+    return None if value != value else value

@@ -1,0 +1,246 @@
+"""Targets that events add, drop or change."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+
+from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.errors import InputError, brief, listed, number_of
+from rfpsurvey.survey._history._events import Events
+
+ROW, ID, DROPPED = "target_row", "target_id", "dropped"
+IDS = ("target", "target_id", "targetid", "id")
+NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
+TEXTS = ("kind", "category", "fiber_type")
+DEFAULTS = {"kind": "science", "category": "", "fiber_type": ""}
+# Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
+TOLERANCE_RAD = 5e-9
+
+
+class ChangedTargets(NamedTuple):
+    """The catalog of a survey after the recorded changes; the rows of the first catalog remain the same."""
+
+    catalog: Catalog
+    dropped: np.ndarray
+    """Whether each target was dropped."""
+
+
+def target_changes(table: Table, events: Events, survey) -> QTable:
+    """Return the changes that a table of targets contains, with the row of each target, or raise an error.
+
+    Missing values change nothing. Targets that the survey does not contain are added.
+    """
+    lower = {name.lower(): name for name in reversed(table.colnames)}
+    name = next((lower[one] for one in IDS if one in lower), None)
+    if name is None:
+        raise InputError(
+            f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
+        )
+    ids = np.asarray(to_labels(table[name], name))
+    values, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(
+            f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
+        )
+    rows, n = _rows_of(ids, events, survey)
+    new = np.flatnonzero(rows < 0)
+    rows[new] = n + np.arange(len(new))
+    changes = QTable({ROW: rows, ID: ids})
+    for one in NUMBERS:
+        if one in lower:
+            changes[one] = _numbers(table[lower[one]], one)
+    for one in TEXTS:
+        if one in lower:
+            changes[one] = np.ma.filled(np.ma.asarray(table[lower[one]]).astype(str), "").astype(str)
+    visits = _numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
+    to_visits(visits[np.isfinite(visits)], int(np.isfinite(visits).sum()))
+    changes["visits"] = np.where(np.isfinite(visits), visits, -1).astype(np.int16)
+    changes[DROPPED] = _dropped(table, lower)
+    _check_new(changes, new, survey, ids)
+    return changes
+
+
+def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]]) -> ChangedTargets:
+    """Return the catalog after the recorded changes."""
+    first = tables[0][0]
+    if len(catalog) != first:
+        raise InputError(
+            f"the catalog must be that of the recorded events, with {number_of(first, 'target')}, got "
+            f"{number_of(len(catalog), 'target')}"
+        )
+    dropped = np.zeros(first, dtype=bool)
+    for n, table in tables:
+        rows = np.asarray(table[ROW])
+        is_new = rows >= n
+        if is_new.any():
+            catalog = _joined(catalog, table[is_new])
+            dropped = np.concatenate([dropped, np.zeros(int(is_new.sum()), dtype=bool)])
+        _check_same(catalog, table, rows)
+        changed = {}
+        for name in ("priority", "subpriority", "visits"):
+            if name not in table.colnames:
+                continue
+            values = np.asarray(table[name])
+            given = np.isfinite(values) & ~((values < 0) & (name == "visits"))
+            old = getattr(catalog, name)
+            if not given.any():
+                continue
+            if old is None and name != "visits":
+                raise InputError(f"{name} must be recorded only for a catalog with this column, got one without it")
+            changed[name] = np.ones(len(catalog), dtype=np.uint8) if old is None else old.copy()
+            changed[name][rows[given]] = values[given]
+        catalog = replace(catalog, numbered=False, **changed) if changed else catalog
+        state = np.asarray(table[DROPPED])
+        dropped[rows[state >= 0]] = state[state >= 0] > 0
+    return ChangedTargets(catalog, dropped)
+
+
+def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
+    """Return the row of each target (-1 for new targets), and the number of targets of the survey."""
+    known = np.asarray(survey.outcomes[ID])
+    if known.dtype.kind != ids.dtype.kind:
+        kinds = {"i": "numbers", "u": "numbers"}
+        raise InputError(
+            f"the identifiers of targets must be {kinds.get(known.dtype.kind, 'text')}, as in the catalog, got "
+            f"{kinds.get(ids.dtype.kind, 'text')}"
+        )
+    parts, numbers = [known], [np.arange(len(known))]
+    for n, table in events.target_tables:
+        rows = np.asarray(table[ROW])
+        keep = rows >= max(n, len(known))
+        parts.append(np.asarray(table[ID])[keep])
+        numbers.append(rows[keep])
+    known, number = np.concatenate(parts), np.concatenate(numbers)
+    wanted = np.flatnonzero(np.isin(known, ids))
+    values, first, times = np.unique(known[wanted], return_index=True, return_counts=True)
+    if (times > 1).any():
+        raise InputError(
+            f"the identifier of a target must be unique, but the survey has {times.max()} targets "
+            f"{values[times.argmax()]}"
+        )
+    place = np.minimum(np.searchsorted(values, ids), max(len(values) - 1, 0))
+    found = np.full(len(ids), -1, dtype=np.int64)
+    if len(values):
+        same = values[place] == ids
+        found[same] = number[wanted[first[place[same]]]]
+    return found, len(known)
+
+
+def _check_new(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> None:
+    """Raise an error if new targets lack a position, or columns that other targets have."""
+    if not len(new):
+        return
+    if not {"ra", "dec"} <= {*changes.colnames}:
+        raise InputError(
+            "target must be a target of the survey, or have the columns ra and dec, got "
+            f"{brief(tuple(ids[new].tolist()))}"
+        )
+    needed = {"ra", "dec"}
+    if len(survey):
+        needed |= {"priority"} & {*next(iter(survey)).colnames}
+    for name in sorted(needed):
+        bad = new if name not in changes.colnames else new[~np.isfinite(np.asarray(changes[name])[new])]
+        if len(bad):
+            raise InputError(
+                f"{name} must be a finite number for every new target, got none for {brief(tuple(ids[bad].tolist()))}"
+            )
+    dec = np.asarray(changes["dec"])[new]
+    if (np.abs(dec) > 90).any():
+        raise InputError(f"dec must lie between -90 and 90 deg, got {dec[np.abs(dec) > 90][0]:g}")
+
+
+def _numbers(column, name: str) -> np.ndarray:
+    """Return the values of a column in degrees, mas / yr or without a unit; NaN for missing values."""
+    unit = {"ra": u.deg, "dec": u.deg, "pmra": u.mas / u.yr, "pmdec": u.mas / u.yr}.get(name)
+    own = getattr(column, "unit", None)
+    values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan)
+    if own is None:
+        return values
+    try:
+        return (values * u.Unit(own)).to_value(unit or u.dimensionless_unscaled)
+    except u.UnitConversionError:
+        raise InputError(f"{name} must have the unit {unit or 'of a plain number'}, got {own}") from None
+
+
+def _dropped(table: Table, lower: dict) -> np.ndarray:
+    """Return 1 for targets that are dropped, 0 for targets that are observed again, and -1 for others."""
+    if "dropped" in lower:
+        return to_flags(table[lower["dropped"]], "dropped").astype(np.int16)
+    if "state" not in lower:
+        return np.full(len(table), -1, dtype=np.int16)
+    words = np.ma.filled(np.ma.asarray(table[lower["state"]]).astype(str), "").tolist()
+    codes = {"dropped": 1, "planned": 0, "added": -1, "": -1}
+    for word in words:
+        if word not in codes:
+            raise InputError(f"the state of a target must be dropped, planned or added, got {word!r}")
+    return np.array([codes[word] for word in words], dtype=np.int16)
+
+
+def _check_same(catalog: Catalog, table: QTable, rows: np.ndarray) -> None:
+    """Raise an error if the recorded targets are not those of the catalog."""
+    different = np.flatnonzero(catalog.id[rows] != np.asarray(table[ID]))
+    if len(different):
+        raise InputError(
+            f"the catalog must be that of the recorded events, got the target {catalog.id[rows[different[0]]]} in row "
+            f"{rows[different[0]]} instead of {table[ID][different[0]]}"
+        )
+    if {"ra", "dec"} <= {*table.colnames}:
+        given = np.isfinite(np.asarray(table["ra"])) & np.isfinite(np.asarray(table["dec"]))
+        place = SkyCoord(np.asarray(table["ra"])[given], np.asarray(table["dec"])[given], unit="deg")
+        apart = np.linalg.norm(to_vectors(place) - to_vectors(catalog.coord[rows[given]]), axis=1)
+        if (apart > TOLERANCE_RAD).any():
+            worst = rows[given][np.argmax(apart)]
+            raise InputError(
+                f"the position of target {catalog.id[worst]} must be that in the catalog, got another position; "
+                "drop the target, and add one with another identifier"
+            )
+
+
+def _joined(catalog: Catalog, new: QTable) -> Catalog:
+    """Return a catalog with further targets, whose positions refer to the epoch of the catalog."""
+    if catalog.epoch is not None and not catalog.epoch.isscalar:
+        raise InputError(
+            "targets must be added only to a catalog with one epoch, got a catalog with an epoch for each target"
+        )
+    n, icrs = len(new), catalog.coord.icrs
+    coordinates = {
+        "ra": np.concatenate([icrs.ra.deg, np.asarray(new["ra"])]) * u.deg,
+        "dec": np.concatenate([icrs.dec.deg, np.asarray(new["dec"])]) * u.deg,
+    }
+    if catalog.has_proper_motion:
+        for key, name in (("pm_ra_cosdec", "pmra"), ("pm_dec", "pmdec")):
+            own = np.asarray(new[name]) if name in new.colnames else np.full(n, np.nan)
+            coordinates[key] = np.concatenate([getattr(icrs, key).to_value(u.mas / u.yr), own]) * u.mas / u.yr
+    columns = {"id": np.concatenate([catalog.id, np.asarray(new[ID])])}
+    for name in ("priority", "subpriority", "visits", *TEXTS):
+        old = getattr(catalog, name)
+        if old is None and name != "visits" and not (name in TEXTS and name in new.colnames and any(new[name])):
+            continue
+        if name == "visits":
+            own = np.where(np.asarray(new["visits"]) < 0, 1, np.asarray(new["visits"]))
+            old = np.ones(len(catalog), dtype=np.uint8) if old is None else old
+        elif name in TEXTS:
+            own = np.asarray(new[name]) if name in new.colnames else np.full(n, "")
+            own = np.where(own == "", DEFAULTS[name], own)
+            old = np.full(len(catalog), DEFAULTS[name]) if old is None else old
+        elif name not in new.colnames:
+            raise InputError(f"{name} must be recorded for new targets, because the catalog has this column")
+        else:
+            own = np.asarray(new[name])
+        columns[name] = np.concatenate([old, own])
+    extra = None if catalog.extra is None else QTable({k: _extended(v, n) for k, v in catalog.extra.items()})
+    return replace(catalog, coord=SkyCoord(**coordinates), extra=extra, numbered=False, **columns)
+
+
+def _extended(column, n: int):
+    """Return a column with n missing values at the end."""
+    values = np.asarray(getattr(column, "value", column))
+    missing = {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1)
+    values = np.concatenate([values, np.full(n, missing).astype(values.dtype)])
+    unit = getattr(column, "unit", None)
+    return values if unit is None else values * unit

@@ -1,0 +1,27 @@
+"""Tiles that events add or move."""
+
+import astropy.units as u
+import numpy as np
+from astropy.table import vstack
+
+from rfpsurvey.survey._history._events import TileEvent
+from rfpsurvey.tiling import Tiling
+
+
+def add_tiles(tiling: Tiling, added: dict[int, TileEvent]) -> Tiling:
+    """Return a tiling with the tiles that events added or moved; ``added`` contains the event of each row."""
+    table, names = tiling.table.copy(), np.asarray(tiling.table["tile"])
+    for row, event in sorted(added.items()):
+        ra, dec, angle, number = event.place
+        values = {"ra": ra * u.deg, "dec": dec * u.deg, "position_angle": angle * u.deg, "pass": number}
+        if row < len(table):
+            for name, value in values.items():
+                table[name][row] = value
+            continue
+        one = table[:1].copy()
+        one.replace_column("tile", np.array([event.tile if names.dtype.kind == "U" else int(event.tile)]))
+        for name, value in values.items():
+            one[name] = value
+        table = vstack([table, one], metadata_conflicts="silent")
+    table.meta.pop("summary", None)
+    return Tiling(table)
