@@ -80,9 +80,9 @@ class SelectionFolder(RequestFolder):
                 )
             state.restore(found["left"], found["counts"], done)
 
-    def save_block(self, number: int, state: State) -> None:
-        """Write a finished block, and remove its state."""
-        self.save(_block(number), mask=state.masks(), counts=state.counts)
+    def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray) -> None:
+        """Write the masks of all targets and the counts of a finished block, and remove its state."""
+        self.save(_block(number), mask=mask, counts=counts)
         with self._told():
             (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
 

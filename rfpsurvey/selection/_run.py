@@ -3,13 +3,15 @@
 The *slot* of a target is its index in the arrays that describe the state of a survey.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
+from functools import partial
 
 import numpy as np
 
 from rfpsurvey._progress import Progress
+from rfpsurvey.selection._alternate import Generation, plan_history
 from rfpsurvey.selection._bits import n_words
 from rfpsurvey.selection._folder import NAME, SelectionFolder
 from rfpsurvey.selection._probabilities import SelectionProbabilities
@@ -24,9 +26,12 @@ IN_FLIGHT = 32
 
 
 def run(
-    request: Request, n: int, path: object, executor: Executor | None, progress, *, resume: bool
+    request: Request, n: int, path: object, executor: Executor | None, progress, *, resume: bool, generations=None
 ) -> SelectionProbabilities:
-    """Plan all realizations of a survey, and return the result; if ``path`` is not None, also write the result."""
+    """Plan all realizations of a survey, and return the result; if ``path`` is not None, also write the result.
+
+    ``generations`` are the plans of a survey with recorded events (see `generations_of`).
+    """
     where = nullcontext()
     if path is not None:
         request.check_text()
@@ -46,15 +51,17 @@ def run(
             for block in blocks:
                 own = seeds[block.first : block.last]
                 done = None if folder is None else folder.load_block(block.number, len(builder.wanted), len(block))
-                fresh = done is None
-                if fresh:
+                if done is None and generations is not None:
+                    plan = partial(_plan_generation, seeds=own, executor=executor, together=together)
+                    done = plan_history(generations, request.state, len(block), plan)
+                elif done is None:
                     state = State(builder, len(block))
                     one = request if together else request_of(request, own[0])
                     begin = tiles * (1 + block.first)
                     _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
                     done = state.masks(), state.counts
-                    if folder is not None:
-                        folder.save_block(block.number, state)
+                if folder is not None:
+                    folder.save_block(block.number, *done)
                 word, shift = divmod(block.first, 64)
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
@@ -62,7 +69,7 @@ def run(
         source = request.source
         result = SelectionProbabilities(
             source.ids(),
-            source.by_row(builder.wanted),
+            source.by_row(builder.wanted if generations is None else generations[-1].request.builder.wanted),
             source.by_row(n_tiles),
             source.by_row(bits),
             realization_table(request, seeds, np.concatenate(counts), together=together),
@@ -121,6 +128,18 @@ def _plan_block(request, block: Block, seeds, state: State, folder, executor, te
         state.n_rounds += 1
         if folder is not None and state.n_rounds < len(request.rounds):
             folder.save_state(block.number, state)
+
+
+def _plan_generation(generation: Generation, state: State, *, seeds, executor, together) -> Iterator:
+    """Plan the tiles of a generation for the realizations of a block, and yield the job and the result of each tile."""
+    request = generation.request if together else request_of(generation.request, seeds[0])
+    for tiles in generation.rounds:
+        jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
+        jobs = (job._replace(failed=generation.observed.get(job.tile)) for job in jobs)
+        given = ((job, job, None) for job in jobs)
+        for job, found, _ in in_order(executor, plan_together if together else plan_alone, given, IN_FLIGHT):
+            state.enter(job.job.field.slot, found.mask, found.counts)
+            yield job, found
 
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:

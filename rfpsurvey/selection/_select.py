@@ -15,9 +15,10 @@ from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole, used_elsewhere, warn
 from rfpsurvey.instrument import Instrument
+from rfpsurvey.selection._alternate import generations_of
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
-from rfpsurvey.survey import Request, Survey, prepare_request
+from rfpsurvey.survey import Request, Survey, SurveyState, prepare_request
 from rfpsurvey.tiling import Tiling
 
 log = logging.getLogger("rfpsurvey")
@@ -26,7 +27,7 @@ MOST = 1 << 20
 
 @check_keywords
 def selection_probabilities(
-    catalog: Catalog | PartitionedCatalog | SkyCoord | Table,
+    catalog: Catalog | PartitionedCatalog | SkyCoord | Table | SurveyState,
     instrument: Instrument | str,
     tiles: Tiling | Survey | Table | SkyCoord,
     n_realizations: int = 128,
@@ -53,8 +54,10 @@ def selection_probabilities(
 
     Parameters
     ----------
-    catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-        The targets, with the requested number of visits of each target.
+    catalog : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or SurveyState
+        The targets, with the requested number of visits of each target. If the state of a survey is given
+        (`Survey.state`), each realization repeats its recorded observations: it plans the tiles again whenever the
+        survey was planned again, and the same tiles are observed, in which the same positioners fail.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Survey, Table or SkyCoord
@@ -147,24 +150,28 @@ def selection_probabilities(
             f"subpriority must not be given, because each realization has its own subpriorities, "
             f"got {allocator.subpriority}"
         )
+    options = {
+        "allocator": allocator,
+        "passes": passes,
+        "epoch": epoch,
+        "lost_in_collision": lost_in_collision,
+        "order": order,
+        "executor": executor,
+        "rng": rng,
+    }
+
+    def prepare(state: SurveyState) -> Request:
+        return prepare_request(state.catalog, instrument, tiles, visits=state, **options)
+
     with used_elsewhere("rng"):
-        request = prepare_request(
-            catalog,
-            instrument,
-            tiles,
-            allocator=allocator,
-            passes=passes,
-            epoch=epoch,
-            lost_in_collision=lost_in_collision,
-            order=order,
-            executor=executor,
-            rng=rng,
-        )
+        is_state = isinstance(catalog, SurveyState)
+        request = prepare(catalog) if is_state else prepare_request(catalog, instrument, tiles, **options)
+        generations = generations_of(catalog, prepare) if is_state else None
     if request.joint is not None:
         raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
     if survey is not None:
         _check_same(survey.provenance, request)
-    found = run(request, int(n_realizations), folder, executor, progress, resume=resume)
+    found = run(request, int(n_realizations), folder, executor, progress, resume=resume, generations=generations)
     if request.builder.wanted.any() and found.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)

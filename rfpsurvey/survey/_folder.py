@@ -40,6 +40,8 @@ class Folder(RequestFolder):
         self._n, self._state, self._is_new_state = n_tiles, state, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
+        if state is not None and state.until is not None and self.path.resolve() == state.folder.resolve():
+            raise InputError(f"{self.path} holds later events than {state.until}; plan this state in another folder")
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""

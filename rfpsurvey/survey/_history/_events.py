@@ -62,6 +62,8 @@ class EventFile:
     n_targets: int
     """Number of targets before this file, which is the row of the first target that this file adds."""
     n_tiles: int
+    n_applied: int
+    """Number of files with whose events the plans were made that were valid when this file was written."""
     tiles: tuple[TileEvent, ...]
     targets: str | None
     """Name of the file with a table of added and changed targets."""
@@ -95,6 +97,19 @@ class Events:
                 if until is None or event.date <= until:
                     yield event
 
+    def first(self, n: int) -> "Events":
+        """Return the events of the first n files."""
+        return Events(self.folder, self.files[:n])
+
+    def plans_of(self) -> dict[tuple[int, str], int]:
+        """Return, for the row of a tile and the checksum of an observed plan, the number of files before this plan."""
+        found: dict[tuple[int, str], int] = {}
+        for file in self.files:
+            for event in file.tiles:
+                if event.plan:
+                    found.setdefault((event.row, event.plan), file.n_applied)
+        return found
+
     @cached_property
     def target_tables(self) -> list[tuple[int, QTable]]:
         """Tables of added and changed targets, each with the row of the first target that it adds."""
@@ -119,8 +134,8 @@ class Events:
             )
         return content
 
-    def append(self, tiles: list[TileEvent], targets: QTable | None, n_targets: int, n_tiles: int) -> None:
-        """Write a file with events; the numbers are those of the targets and tiles before these events."""
+    def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
+        """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
         number, name = len(self.files) + 1, None
         (self.folder / EVENTS).mkdir(exist_ok=True)
         if targets is not None:
@@ -132,8 +147,7 @@ class Events:
         about = {
             "version": VERSION,
             "previous": self.digest,
-            "n_targets": n_targets,
-            "n_tiles": n_tiles,
+            **numbers,
             "targets": name,
             "tiles": [event._asdict() for event in tiles],
         }
@@ -168,7 +182,9 @@ def _read(path: Path) -> tuple[EventFile, str]:
         if about["version"] != VERSION:
             raise InputError(f"version {about['version']} of the format is not supported")
         tiles = tuple(TileEvent(**{**one, "place": tuple(one["place"])}) for one in about["tiles"])
-        file = EventFile(about["n_targets"], about["n_tiles"], tiles, about["targets"], content["digest"])
+        file = EventFile(
+            *(about[name] for name in ("n_targets", "n_tiles", "n_applied")), tiles, about["targets"], content["digest"]
+        )
         if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
             raise InputError(f"{file.targets!r} is not the name of a table of targets")
     except (InputError, KeyError, TypeError) as error:

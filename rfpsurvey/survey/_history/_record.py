@@ -80,7 +80,8 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
                 add_tiles(Tiling(QTable(survey.tiles[names], meta={})), history.states.added)  # checks all positions
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events:
-            events.append(tiles, changes, history.n_targets, history.n_tiles_before)
+            numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
+            events.append(tiles, changes, n_applied=history.n_applied, **numbers)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored}
 
 
@@ -97,8 +98,12 @@ class _History:
         added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
         self.n_targets = max(len(survey.outcomes), *added, 0)
         self._known = read_index(folder)
-        applied = survey.provenance.get("events", {}).get("n_files", 0)
-        self.planned_until = max((one.date for file in events.files[:applied] for one in file.tiles), default="")
+        about = survey.provenance.get("events", {"n_files": 0, "digest": ""})
+        self.n_applied = about["n_files"]
+        applied = events.first(self.n_applied)
+        if applied.digest != about["digest"]:
+            raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
+        self.planned_until = max((one.date for one in applied.of_tiles()), default="")
 
     def visits(self, row: int, name: str) -> QTable:
         """Return the visits of the present plan of a tile."""

@@ -77,6 +77,7 @@ class SurveyState:
     until: str | None = None
     replayed: Replay = field(repr=False, default=None)
     states: TileStates = field(repr=False, default=None)
+    given: tuple = field(repr=False, default=())
 
     @classmethod
     def read(
@@ -114,15 +115,19 @@ class SurveyState:
         rule = VisitRule() if rule is None else rule
         if not isinstance(rule, VisitRule):
             raise refusal("rule must be a VisitRule", rule)
-        events = read_events(_io.to_path(folder))
-        until = None if until is None else to_date(until)
-        states = TileStates(events.of_tiles(until))
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+        until = None if until is None else to_date(until)
+        return cls._of(read_events(_io.to_path(folder)), (catalog, visits), rule, until)
+
+    @classmethod
+    def _of(cls, events: Events, given: tuple, rule: VisitRule, until: str | None, *, visited: bool = True):
+        """Return the state after events; without ``visited``, as if no visit had been made or had failed."""
+        states, (catalog, visits) = TileStates(events.of_tiles(until)), given
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
-            catalog, dropped = apply_changes(_in_memory(catalog, "events of targets"), events.target_tables)
+            catalog, dropped = apply_changes(_in_memory(catalog, "events of targets"), events.target_tables, until)
         columns = _columns_of(catalog, visits)
-        replayed = replay(events, states, columns["id"])
+        replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
         made = replayed.made if columns["kind"] is None else replayed.made * (columns["kind"] == "science")
         wanted, priority = rule.apply(
             {**columns, "observed": made, "failed": replayed.failed, "last": _last_of(replayed)}
@@ -130,7 +135,11 @@ class SurveyState:
         left = np.where(dropped | (wanted < made), made, wanted) - made
         if priority is not columns["priority"]:
             catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
-        return cls(catalog, made + left, made, replayed.failed, left, events, rule, until, replayed, states)
+        return cls(catalog, made + left, made, replayed.failed, left, events, rule, until, replayed, states, given)
+
+    def before(self, n: int) -> "SurveyState":
+        """Return the state after the first n files of events, as if no visit had been made."""
+        return self._of(self.events.first(n), self.given, self.rule, self.until, visited=False)
 
     @property
     def folder(self) -> Path:

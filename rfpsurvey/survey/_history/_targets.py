@@ -11,7 +11,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, listed, number_of
-from rfpsurvey.survey._history._events import Events
+from rfpsurvey.survey._history._events import Events, to_date
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
 IDS = ("target", "target_id", "targetid", "id")
@@ -61,12 +61,14 @@ def target_changes(table: Table, events: Events, survey) -> QTable:
     to_visits(visits[np.isfinite(visits)], int(np.isfinite(visits).sum()))
     changes["visits"] = np.where(np.isfinite(visits), visits, -1).astype(np.int16)
     changes[DROPPED] = _dropped(table, lower)
+    date = next((lower[one] for one in ("date", "night") if one in lower), None)
+    changes["date"] = [""] * len(ids) if date is None else [to_date(one) for one in table[date]]
     _check_new(changes, new, survey, ids)
     return changes
 
 
-def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]]) -> ChangedTargets:
-    """Return the catalog after the recorded changes."""
+def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str | None = None) -> ChangedTargets:
+    """Return the catalog after the recorded changes up to a date; targets that were added later are dropped."""
     first = tables[0][0]
     if len(catalog) != first:
         raise InputError(
@@ -81,6 +83,10 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]]) -> Changed
             catalog = _joined(catalog, table[is_new])
             dropped = np.concatenate([dropped, np.zeros(int(is_new.sum()), dtype=bool)])
         _check_same(catalog, table, rows)
+        if until is not None:
+            late = np.asarray(table["date"]) > until
+            dropped[rows[late & is_new]] = True
+            table, rows = table[~late], rows[~late]
         changed = {}
         for name in ("priority", "subpriority", "visits"):
             if name not in table.colnames:
