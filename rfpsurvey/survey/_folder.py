@@ -84,7 +84,7 @@ class Folder(RequestFolder):
         for name in stale:
             del self._known[name]
         self._write_index((name, entries[-1]) for name, entries in self._known.items())
-        for name in {*TABLES, *OTHERS}:
+        for name in {*stale, *TABLES, *OTHERS}:  # new files are written faster than files are replaced
             (self.path / name).unlink(missing_ok=True)
 
     def _copy(self, name: str, copy: str) -> None:

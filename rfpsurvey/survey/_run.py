@@ -95,18 +95,19 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
         history.replayed.write(folder.path)
     cards = cards_of(request.options)
     for tile, event in history.kept.items():
-        content = history.events.plan(tile, event.plan)
-        if folder is not None and folder.checksum(tile) != event.plan:
-            folder.put_part(tile, content)
-        elif folder is None:
-            parts[tile] = _io.read_fits_bytes(content, f"the plan of tile {event.tile}")[0]
+        if folder is None:
+            parts[tile] = _io.read_fits_bytes(history.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[
+                0
+            ]
+        elif folder.checksum(tile) != event.plan:
+            folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]
             found = {name: own.get(card, 0) for card, (name, _) in cards.items()}
             found |= {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
         else:
             job = request.job(tile, np.ones_like(state.left), as_file=False)
-            done = _done_of(content, job)
+            done = _done_of(history.events.plan(tile, event.plan), job)
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts

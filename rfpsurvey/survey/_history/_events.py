@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -214,8 +214,12 @@ def to_date(value: object) -> str:
         return ""
     if isinstance(value, Time):
         return value.utc.isot[:10]
-    text = str(value).strip()
-    if not text or text in ("nan", "NaT"):
+    return _date_of(str(value).strip())
+
+
+@cache
+def _date_of(text: str) -> str:
+    if text in ("", "nan", "NaT"):
         return ""
     if re.fullmatch(r"\d{8}", text):
         text = f"{text[:4]}-{text[4:6]}-{text[6:]}"

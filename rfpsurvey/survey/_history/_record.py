@@ -9,6 +9,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
+from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_dimensionless, to_flags, to_labels
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_choice, short
@@ -105,11 +106,10 @@ class _History:
             raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
         self.planned_until = max((one.date for one in applied.of_tiles()), default="")
 
-    def visits(self, row: int, name: str) -> QTable:
-        """Return the visits of the present plan of a tile."""
-        if row >= len(self._names):
-            raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-        return self.survey.tile(name)
+    def check_plan(self, row: int, name: str) -> None:
+        """Raise an error if a tile has no plan."""
+        if part_name(row) not in self._known:
+            raise InputError(f"tile {name} has no plan; plan the survey again before its observations are recorded")
 
     def plan(self, row: int) -> str:
         """Return the checksum of the present plan of a tile."""
@@ -221,7 +221,7 @@ def _event(state: str, name: str, date: str, fraction: float, history: _History,
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    history.visits(row, name)
+    history.check_plan(row, name)
     kept = isinstance(states.state_of(row), TileEvent)  # a tile that was partly observed keeps its plan
     if date and history.planned_until and date <= history.planned_until and not kept:
         raise InputError(
@@ -276,14 +276,10 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
     failed = {}
     if not rows:
         return failed
-    visits = history.visits(event.row, event.tile)
-    ids = {
-        "positioner": np.asarray(visits["positioner"]).astype(str),
-        "target": np.asarray(visits["target_id"]).astype(str),
-    }
-    positioner_of = {
-        what: dict(zip(names.tolist(), ids["positioner"].tolist(), strict=True)) for what, names in ids.items()
-    }
+    visits = read_fits_bytes(history.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
+    ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
+    ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
+    positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
     for k in rows:
         what = "positioner" if columns["positioner"] and columns["positioner"][k] else "target"
         name = columns[what][k]

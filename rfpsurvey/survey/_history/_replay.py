@@ -209,7 +209,7 @@ def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndar
     observed = visits["observed"].astype(bool)
     good = observed & (event.state == DONE)
     if event.failed:
-        good &= ~np.isin(visits["positioner"].astype(str), list(event.failed))
+        good &= ~np.isin(visits["positioner"], np.array(list(event.failed)).astype(visits["positioner"].dtype))
     return visits["target_row"].astype(np.int64), good, ~observed
 
 

@@ -75,35 +75,41 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str
             f"the catalog must be that of the recorded events, with {number_of(first, 'target')}, got "
             f"{number_of(len(catalog), 'target')}"
         )
-    dropped = np.zeros(first, dtype=bool)
-    for n, table in tables:
-        rows = np.asarray(table[ROW])
-        is_new = rows >= n
-        if is_new.any():
-            catalog = _joined(catalog, table[is_new])
-            dropped = np.concatenate([dropped, np.zeros(int(is_new.sum()), dtype=bool)])
-        _check_same(catalog, table, rows)
-        if until is not None:
-            late = np.asarray(table["date"]) > until
-            dropped[rows[late & is_new]] = True
-            table, rows = table[~late], rows[~late]
-        changed = {}
-        for name in ("priority", "subpriority", "visits"):
-            if name not in table.colnames:
-                continue
-            values = np.asarray(table[name])
-            given = np.isfinite(values) & ~((values < 0) & (name == "visits"))
-            old = getattr(catalog, name)
-            if not given.any():
-                continue
-            if old is None and name != "visits":
-                raise InputError(f"{name} must be recorded only for a catalog with this column, got one without it")
-            changed[name] = np.ones(len(catalog), dtype=np.uint8) if old is None else old.copy()
-            changed[name][rows[given]] = values[given]
-        catalog = replace(catalog, numbered=False, **changed) if changed else catalog
-        state = np.asarray(table[DROPPED])
-        dropped[rows[state >= 0]] = state[state >= 0] > 0
+    changes = _stacked([table for _, table in tables])
+    rows = np.asarray(changes[ROW])
+    new = np.flatnonzero(rows >= first)
+    new = new[np.unique(rows[new], return_index=True)[1]]  # a target that was added can be changed later
+    catalog = _joined(catalog, changes[new]) if len(new) else catalog
+    _check_same(catalog, changes, rows)
+    late = np.zeros(len(rows), dtype=bool) if until is None else np.asarray(changes["date"]) > until
+    dropped, changed = np.zeros(len(catalog), dtype=bool), {}
+    dropped[rows[new[late[new]]]] = True
+    changes, rows = changes[~late], rows[~late]
+    for name in ("priority", "subpriority", "visits"):
+        values = np.asarray(changes[name])
+        given = np.isfinite(values) & ~((values < 0) & (name == "visits"))
+        old = getattr(catalog, name)
+        if not given.any():
+            continue
+        if old is None and name != "visits":
+            raise InputError(f"{name} must be recorded only for a catalog with this column, got one without it")
+        changed[name] = np.ones(len(catalog), dtype=np.uint8) if old is None else old.copy()
+        changed[name][rows[given]] = values[given]  # of several values for a target, the last one remains
+    catalog = replace(catalog, numbered=False, **changed) if changed else catalog
+    state = np.asarray(changes[DROPPED])
+    dropped[rows[state >= 0]] = state[state >= 0] > 0
     return ChangedTargets(catalog, dropped)
+
+
+def _stacked(tables: list[QTable]) -> QTable:
+    """Return the rows of all tables, with missing values where a table lacks a column."""
+    columns = {}
+    for name in dict.fromkeys(name for table in tables for name in (*table.colnames, "priority", "subpriority")):
+        missing = "" if name in (*TEXTS, "date") else np.nan
+        columns[name] = np.concatenate(
+            [np.asarray(one[name]) if name in one.colnames else np.full(len(one), missing) for one in tables]
+        )
+    return QTable(columns)
 
 
 def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
