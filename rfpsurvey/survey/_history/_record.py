@@ -9,10 +9,11 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
+from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_dimensionless, to_flags, to_labels
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_choice, short
-from rfpsurvey.survey._folder import part_name
+from rfpsurvey.survey._folder import TABLES, part_name
 from rfpsurvey.survey._history._events import (
     ADDED,
     BAD,
@@ -24,11 +25,13 @@ from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
     read_events,
+    read_request,
     to_date,
 )
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import target_changes
 from rfpsurvey.survey._history._tiles import add_tiles
+from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling
 
 ROLES = {
@@ -69,6 +72,7 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
         )
     with locked(folder, folder / LOCK):
         events = read_events(folder)
+        survey = _present_survey(survey, folder)
         history = _History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
@@ -82,6 +86,12 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
         if n_events:
             events.append(tiles, changes, history.n_targets, history.n_tiles_before)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored}
+
+
+def _present_survey(survey: Survey, folder: Path) -> Survey:
+    """Return the survey in a folder, which may have been planned again after ``survey`` was read."""
+    is_present = survey.provenance.get("events") == read_request(folder).get("events")
+    return survey if is_present and {*TABLES} <= {*read_index(folder)} else Survey.read(folder)
 
 
 class _History:
@@ -100,20 +110,21 @@ class _History:
         applied = survey.provenance.get("events", {}).get("n_files", 0)
         self.planned_until = max((one.date for file in events.files[:applied] for one in file.tiles), default="")
 
-    def visits(self, row: int, name: str) -> QTable:
-        """Return the visits of the present plan of a tile."""
-        if row >= len(self._names):
-            raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-        return self.survey.tile(name)
+    def visits(self, event: TileEvent) -> np.ndarray:
+        """Return the visits of the plan with which a tile was observed."""
+        return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
 
-    def plan(self, row: int) -> str:
-        """Return the checksum of the present plan of a tile."""
-        return self._known[part_name(row)][-1][1]
+    def plan(self, row: int) -> str | None:
+        """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
+        entries = self._known.get(part_name(row))
+        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
+        return entries[-1][1] if is_planned else None
 
     def place(self, row: int) -> np.ndarray:
         """Return the right ascension, declination, position angle (deg) and pass of a tile."""
-        if row in self.states.added:
-            return np.array(self.states.added[row].place)
+        return np.array(self.states.added[row].place) if row in self.states.added else self._planned_place(row)
+
+    def _planned_place(self, row: int) -> np.ndarray:
         one = self.survey.tiles[row]
         return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
 
@@ -142,7 +153,9 @@ def _tile_events(
         "target": _texts(table, roles.get("target")),
     }
     events, n_known, n_ignored = [], 0, 0
-    for (name, date), rows in _groups(names.tolist(), columns["date"]).items():
+    groups = _groups(names.tolist(), columns["date"])
+    for name, date in sorted(groups, key=lambda key: (key[1], history.row_of.get(key[0], history.n_tiles))):
+        rows = groups[name, date]
         whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
@@ -153,7 +166,7 @@ def _tile_events(
         event = _event(state, name, date, fraction, history, (table, roles, whole))
         if state in (DONE, PARTLY, BAD):
             event = event._replace(failed=_failures(columns, [k for k in rows if k not in whole], event, history))
-        same = _present(event, history.states)
+        same = _present(event, history)
         if same == event:
             n_known += 1
             continue
@@ -210,20 +223,28 @@ def _event(state: str, name: str, date: str, fraction: float, history: _History,
         return TileEvent(row, name, DROPPED, date, 0.0)
     earlier = [one for one in states.of(row) if one.date == date]
     if earlier and (date or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
+        others = [one for one in done if one.observation != earlier[-1].observation]
+        if state == DONE and others:
+            raise InputError(
+                f"tile {name} must be observed only once, got its observations{_on(date)} and{_on(others[0].date)}; "
+                "record one of them as bad"
+            )
         return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
     if done:
         raise InputError(
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    history.visits(row, name)
+    plan = history.plan(row)
+    if plan is None:
+        raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
     kept = isinstance(states.state_of(row), TileEvent)  # a tile that was partly observed keeps its plan
     if date and history.planned_until and date <= history.planned_until and not kept:
         raise InputError(
             f"the observation of tile {name} on {date} must be later than {history.planned_until}, because its plan "
             "was made with the events up to this date"
         )
-    return TileEvent(row, name, state, date, fraction, history.plan(row))
+    return TileEvent(row, name, state, date, fraction, plan)
 
 
 def _addition(name: str, history: _History, table: Table, roles: dict, whole: list[int]) -> TileEvent:
@@ -255,10 +276,12 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
     return TileEvent(row, name, ADDED, place=tuple(place))
 
 
-def _present(event: TileEvent, states: TileStates) -> TileEvent | None:
+def _present(event: TileEvent, history: _History) -> TileEvent | None:
     """Return the recorded event that an equal event would repeat."""
+    states = history.states
     if event.state == ADDED:
-        return states.added.get(event.row)
+        is_known = event.row < history.n_tiles_before and np.array_equal(history.place(event.row), event.place)
+        return event if is_known else None
     if event.state == DROPPED:
         return event if event.row in states.dropped else None
     if event.state == PLANNED:
@@ -271,7 +294,7 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
     failed = {}
     if not rows:
         return failed
-    visits = history.visits(event.row, event.tile)
+    visits = history.visits(event)
     ids = {
         "positioner": np.asarray(visits["positioner"]).astype(str),
         "target": np.asarray(visits["target_id"]).astype(str),

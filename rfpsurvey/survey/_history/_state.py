@@ -55,7 +55,7 @@ class SurveyState:
 
     Examples
     --------
-    >>>     >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.coordinates import SkyCoord
     >>> from tempfile import TemporaryDirectory
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
@@ -164,6 +164,14 @@ class SurveyState:
     def changes_targets(self) -> bool:
         """Whether targets were added, dropped or changed."""
         return bool(self.events.target_tables)
+
+    def check_current(self) -> None:
+        """Raise an error if events were recorded in the folder after this state was read."""
+        if read_events(self.folder).digest != self.events.digest:
+            raise InputError(
+                f"visits must be the state after all events in {self.folder}, got a state that was read before the "
+                "last event was recorded; call Survey.state again"
+            )
 
     def check_catalog(self, catalog: object) -> None:
         """Raise an error if a catalog has another number of targets than that of the state."""
