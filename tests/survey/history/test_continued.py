@@ -82,6 +82,16 @@ def test_a_failed_observation_that_is_corrected_gets_its_plan_back(case, survey)
     assert state.failed.sum() == rs.Survey.read(survey.folder).summary["n_visits_failed"] > 0
 
 
+def test_a_survey_without_events_is_planned_again(case, survey):
+    """Regression: the state could not be written to the folder of events, which did not exist."""
+    before = content(survey.folder / "tiles")
+    assert (
+        differences(replan(case, survey), rs.plan_survey(*case, visits=survey.state(case[0]), allocator="nearest"))
+        == []
+    )
+    assert content(survey.folder / "tiles") == before
+
+
 def test_other_visits_with_the_same_events_make_another_plan(case, survey):
     """Regression: a finished survey was returned with the requested visits of the earlier plan."""
     survey.record(events(tile=11, date="2026-01-03"))
