@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 from living import N, content, differences, events, instrument, part, sha, targets, tiling
 from naive_history import NaiveHistory
 
@@ -128,10 +128,8 @@ class History(RuleBasedStateMachine):
         if self.record(events(tile=name, state="dropped"), self.naive.state_of(name) != "done"):
             self.naive.drop(name)
 
-    @rule(
-        tile=st.integers(0, 12), place=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)), number=st.integers(1, 3)
-    )
-    def move(self, tile, place, number):
+    @rule(tile=st.integers(0, 12), x=st.integers(-20, 20), y=st.integers(-20, 20), number=st.integers(1, 3))
+    def move(self, tile, x, y, number):
         """Add a tile, or move an existing tile."""
         is_new = tile >= len(self.names) and len(self.names) < 9
         name = str(50 + len(self.names)) if is_new else self.names[tile % len(self.names)]
