@@ -215,8 +215,10 @@ def _digest(text: str) -> str:
 
 def to_date(value: object) -> str:
     """Return a date as text such as 2026-01-03; empty text for missing dates."""
-    if value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
+    if value is None or value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
         return ""
+    if isinstance(value, float | np.floating) and value == np.floor(value):
+        value = int(value)
     if isinstance(value, Time):
         return value.utc.isot[:10]
     text = str(value).strip()

@@ -120,6 +120,9 @@ class SurveyState:
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
+            if visits is not None:  # recorded numbers of visits replace these numbers
+                catalog = replace(_in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
+                visits = None
             catalog, dropped = apply_changes(_in_memory(catalog, "events of targets"), events.target_tables)
         columns = _columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"])
