@@ -40,19 +40,18 @@ class Folder(RequestFolder):
         self._n, self._state, self._is_new_state = n_tiles, state, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
-        if state is not None and state.until is not None and self.path.resolve() == state.folder.resolve():
-            raise InputError(f"{self.path} holds later events than {state.until}; plan this state in another folder")
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
-            if self._state is None and (self.path / EVENTS).is_dir():
+            if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
                 raise InputError(
                     f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
                     "(or --replan)"
                 )
             super()._compare(before)
             return
+        self._state.check_current()
         now = self._request
         first = before.get("first") or {name: before.get(name) for name in ("passes", "tiles")}
         changed = ("passes", "tiles", "visits", "events", "first")
@@ -60,7 +59,7 @@ class Folder(RequestFolder):
             changed += ("catalog",)
         elif before.get("catalog") != now["catalog"]:
             changed = tuple(name for name in changed if name != "catalog")
-        self._is_new_state = before.get("events") != now["events"]
+        self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}
         earlier = {name: value for name, value in before.items() if name not in changed}
         own, self._request = self._request, {**same, **now["first"]}
@@ -75,10 +74,10 @@ class Folder(RequestFolder):
             return
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
-        for event in self._state.attempts:
+        for event in self._state.events.of_tiles():
             name = part_name(event.row)
             known = self._known.get(name)
-            if known and known[-1][1] == event.plan and name not in kept:
+            if known and known[-1][1] == event.plan and (name not in kept or kept[name].plan != event.plan):
                 self._copy(name, kept_name(event.plan))
         stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
         for name in stale:

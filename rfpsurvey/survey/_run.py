@@ -91,7 +91,8 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
         return []
     history = request.state
     begin(request, state)
-    if folder is not None and folder.path.resolve() == history.folder.resolve() and history.until is None:
+    is_same = folder is not None and folder.path.resolve() == history.folder.resolve()
+    if is_same and history.until is None and history.events.files:
         history.replayed.write(folder.path)
     cards = cards_of(request.options)
     for tile, event in history.kept.items():

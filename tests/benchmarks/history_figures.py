@@ -2,10 +2,10 @@
 
 RFPSURVEY_TEST_DATA=... python tests/benchmarks/history_figures.py [--targets 20e6] [--tiles 21615] [--chunks 60]
 
-After each chunk, the observed tiles, their failed visits (5 %) and new targets (1 % per 12 chunks) are recorded, and all
-other tiles are planned again. The command prints the time of each step; for some chunks also the ratio of the time of
-the new plan to that of a survey of the remaining tiles and visits alone, and at the end the memory and the size of the
-folder. The state is compared with a second replay, and the files of observed tiles with the recorded checksums.
+After each chunk, the observed tiles, their failed visits (5 %) and new targets (1 % per 12 chunks) are recorded, and
+all other tiles are planned again. The command prints the time of each step; for some chunks also the ratio of the time
+of this plan to the time of a survey of the remaining tiles and visits alone; and at the end the memory and the size of
+the folder. The state is compared with a second replay, and the files of observed tiles with the recorded checksums.
 """
 
 import argparse
@@ -21,7 +21,6 @@ from astropy.table import Table
 from survey_figures import desi_tiles, make_targets, peak_gb
 
 import rfpsurvey as rs
-from rfpsurvey._folder import read_index
 
 FAILED, NEW_PER_CHUNK = 0.05, 0.01 / 12
 
@@ -49,6 +48,11 @@ def new_targets(targets, n, first, date, rng):
     )
 
 
+def checksum(folder, row):
+    """Return the checksum of the file of a tile."""
+    return hashlib.sha256((folder / f"tiles/{row // 1000:03d}/{row:06d}.fits").read_bytes()).hexdigest()
+
+
 def timed(function, *args, **options):
     """Call a function; return its result and the time in seconds."""
     begin = perf_counter()
@@ -73,26 +77,19 @@ def main():
         print(f"first plan {seconds:.1f} s")
         order = np.lexsort((rng.random(len(tiling)), np.asarray(survey.tiles["pass"])))
         compared = np.linspace(0, options.chunks - 2, options.compared).astype(int)
+        observed = 0
         for k, rows in enumerate(np.array_split(order, options.chunks)):
-            date = f"{2026 + k // 12}-{1 + k % 12:02d}-01"
-            table = observations(survey, rows, date, rng)
-            _, recording = timed(survey.record, table)
+            date, observed = f"{2026 + k // 12}-{1 + k % 12:02d}-01", observed + len(rows)
+            _, recording = timed(survey.record, observations(survey, rows, date, rng))
             n = int(NEW_PER_CHUNK * len(targets))
             survey.record(new_targets(targets, n, 10**9 + k * n, date, rng))
             state, replaying = timed(survey.state, targets)
-            survey, planning = timed(
-                rs.plan_survey, targets, "desi", tiling, folder=folder, visits=state, resume=True, **common
-            )
-            text = f"chunk {k + 1}: {len(rows)} tiles recorded in {recording:.2f} s, state {replaying:.2f} s, plan {planning:.2f} s"
+            given = {"folder": folder, "visits": state, "resume": True, **common}
+            survey, planning = timed(rs.plan_survey, targets, "desi", tiling, **given)
+            text = f"chunk {k + 1}: {len(rows)} tiles recorded in {recording:.2f} s, state {replaying:.2f} s, "
+            text += f"plan {planning:.2f} s"
             if k in compared:
-                rest = rs.Tiling(
-                    tiling.table[
-                        np.setdiff1d(
-                            np.arange(len(tiling)),
-                            order[: sum(map(len, np.array_split(order, options.chunks)[: k + 1]))],
-                        )
-                    ]
-                )
+                rest = rs.Tiling(tiling.table[np.sort(order[observed:])])
                 left = replace(state.catalog, visits=state.left)
                 _, alone = timed(rs.plan_survey, left, "desi", rest, folder=Path(place) / f"alone{k}", **common)
                 text += f", {planning / alone:.2f} times the plan of the rest alone"
@@ -100,26 +97,14 @@ def main():
         seconds = perf_counter() - begin
         (folder / "events" / "state.npz").unlink()
         again, replaying = timed(survey.state, targets)
-        same = all(
-            (getattr(again, one) == getattr(survey.state(targets), one)).all() for one in ("observed", "failed", "left")
-        )
-        known = read_index(folder)
-        frozen = sum(
-            hashlib.sha256((folder / f"tiles/{row // 1000:03d}/{row:06d}.fits").read_bytes()).hexdigest() == event.plan
-            for row, event in again.kept.items()
-        )
-        sizes = {
-            name: sum(one.stat().st_size for one in (folder / name).rglob("*") if one.is_file())
-            for name in ("tiles", "events")
-        }
+        same = all((getattr(again, one) == getattr(state, one)).all() for one in ("observed", "failed", "left"))
+        frozen = sum(checksum(folder, row) == event.plan for row, event in again.kept.items())
+        sizes = [sum(one.stat().st_size for one in (folder / part).rglob("*.*")) for part in ("tiles", "events")]
+        print(f"all {seconds:.0f} s; complete replay {replaying:.1f} s, equal: {same}")
+        print(f"{frozen} of {len(again.kept)} observed tiles unchanged")
+        print(f"visits made {int(again.observed.sum())}, failed {int(again.failed.sum())}")
         print(
-            f"all {seconds:.0f} s; complete replay {replaying:.1f} s, equal: {same}; {frozen} of {len(again.kept)} observed tiles unchanged"
-        )
-        print(
-            f"visits made {int(again.observed.sum())}, failed {int(again.failed.sum())}; {len(known)} files in the index"
-        )
-        print(
-            f"peak memory {peak_gb():.2f} GB; bytes per tile: { ({name: size // len(tiling) for name, size in sizes.items()}) }"
+            f"peak memory {peak_gb():.2f} GB; bytes per tile: plans {sizes[0] // observed}, events {sizes[1] // observed}"
         )
 
 

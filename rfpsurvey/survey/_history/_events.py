@@ -18,9 +18,10 @@ from astropy.table import QTable
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._folder import MOST_REQUEST
 from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes
-from rfpsurvey.errors import InputError
-from rfpsurvey.survey._folder import EVENTS, kept_name, part_name
+from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name
 
 MOST = 2**28
 VERSION = 1
@@ -169,7 +170,27 @@ def read_events(folder: Path) -> Events:
             raise InputError(f"{path / name} must follow the events before it, got a file for other events")
         files.append(file)
         previous = file.digest
+    planned = read_request(folder).get("events", {"n_files": 0})
+    n = planned["n_files"]
+    if n > len(files):
+        raise InputError(
+            f"{folder / _name(len(files) + 1)} is missing, although {folder} was planned with {number_of(n, 'file')} "
+            "of events; restore it, or use the folder in which the events were recorded"
+        )
+    if n and files[n - 1].digest != planned["digest"]:
+        raise InputError(f"{folder / _name(n)} must be the file with which {folder} was planned, got another file")
     return Events(folder, tuple(files))
+
+
+def read_request(folder: Path) -> dict:
+    """Return the request of the survey in a folder; an empty dict if there is none."""
+    path = folder / Folder.request_name
+    if not is_present(path):
+        return {}
+    try:
+        return parse_json(content_of(path, most=MOST_REQUEST).decode("utf-8", "replace"), "the request")
+    except InputError as error:
+        raise InputError(f"{path} is damaged ({error})") from None
 
 
 def _read(path: Path) -> tuple[EventFile, str]:
@@ -210,8 +231,10 @@ def _digest(text: str) -> str:
 
 def to_date(value: object) -> str:
     """Return a date as text such as 2026-01-03; empty text for missing dates."""
-    if value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
+    if value is None or value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
         return ""
+    if isinstance(value, float | np.floating) and value == np.floor(value):
+        value = int(value)
     if isinstance(value, Time):
         return value.utc.isot[:10]
     return _date_of(str(value).strip())

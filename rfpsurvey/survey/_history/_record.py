@@ -10,10 +10,10 @@ from astropy.table import QTable, Table
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
 from rfpsurvey._readers import read_fits_bytes
-from rfpsurvey._units import to_dimensionless, to_flags, to_labels
+from rfpsurvey._units import to_flags, to_labels
 from rfpsurvey.catalog import as_table
-from rfpsurvey.errors import InputError, check_choice, short
-from rfpsurvey.survey._folder import part_name
+from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, short
+from rfpsurvey.survey._folder import TABLES, part_name
 from rfpsurvey.survey._history._events import (
     ADDED,
     BAD,
@@ -25,11 +25,13 @@ from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
     read_events,
+    read_request,
     to_date,
 )
 from rfpsurvey.survey._history._replay import TileStates
-from rfpsurvey.survey._history._targets import target_changes
+from rfpsurvey.survey._history._targets import target_changes, to_numbers
 from rfpsurvey.survey._history._tiles import add_tiles
+from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling
 
 ROLES = {
@@ -70,6 +72,7 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
         )
     with locked(folder, folder / LOCK):
         events = read_events(folder)
+        survey = _present_survey(survey, folder)
         history = _History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
@@ -84,6 +87,12 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
             events.append(tiles, changes, n_applied=history.n_applied, **numbers)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored}
+
+
+def _present_survey(survey: Survey, folder: Path) -> Survey:
+    """Return the survey in a folder, which may have been planned again after ``survey`` was read."""
+    is_present = survey.provenance.get("events") == read_request(folder).get("events")
+    return survey if is_present and {*TABLES} <= {*read_index(folder)} else Survey.read(folder)
 
 
 class _History:
@@ -106,19 +115,26 @@ class _History:
             raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
         self.planned_until = max((one.date for one in applied.of_tiles()), default="")
 
-    def check_plan(self, row: int, name: str) -> None:
-        """Raise an error if a tile has no plan."""
-        if part_name(row) not in self._known:
-            raise InputError(f"tile {name} has no plan; plan the survey again before its observations are recorded")
+    def earlier(self, name: str, date: str) -> TileEvent | None:
+        """Return the recorded observation of a tile on a date; None if there is none."""
+        found = self.states.of(self.row_of[name]) if name in self.row_of else []
+        return next((one for one in reversed(found) if one.date == date), None)
 
-    def plan(self, row: int) -> str:
-        """Return the checksum of the present plan of a tile."""
-        return self._known[part_name(row)][-1][1]
+    def visits(self, event: TileEvent) -> np.ndarray:
+        """Return the visits of the plan with which a tile was observed."""
+        return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
+
+    def plan(self, row: int) -> str | None:
+        """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
+        entries = self._known.get(part_name(row))
+        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
+        return entries[-1][1] if is_planned else None
 
     def place(self, row: int) -> np.ndarray:
         """Return the right ascension, declination, position angle (deg) and pass of a tile."""
-        if row in self.states.added:
-            return np.array(self.states.added[row].place)
+        return np.array(self.states.added[row].place) if row in self.states.added else self._planned_place(row)
+
+    def _planned_place(self, row: int) -> np.ndarray:
         one = self.survey.tiles[row]
         return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
 
@@ -139,26 +155,30 @@ def _tile_events(
     )
     columns = {
         "state": _states(table, roles),
-        "good": None if "good" not in roles else to_flags(table[roles["good"]], roles["good"]).tolist(),
+        "good": _goods(table, roles),
         "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
-        "fraction": _fractions(table, roles),
+        "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": _texts(table, roles.get("reason")) or [""] * n,
         "positioner": _texts(table, roles.get("positioner")),
         "target": _texts(table, roles.get("target")),
     }
     events, n_known, n_ignored = [], 0, 0
-    for (name, date), rows in _groups(names.tolist(), columns["date"]).items():
+    groups = _groups(names.tolist(), columns["date"])
+    for name, date in sorted(groups, key=lambda key: (key[1], history.row_of.get(key[0], history.n_tiles))):
+        rows = groups[name, date]
         whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, enough, name)
+        state, fraction = _state_of(columns, whole, rows, enough, history.earlier(name, date))
         if not state:
+            if len(rows) > len(whole):
+                raise InputError(f"the state of tile {name} must be given with its failed visits, got no state")
             n_ignored += 1
             continue
         event = _event(state, name, date, fraction, history, (table, roles, whole))
         if state in (DONE, PARTLY, BAD):
             event = event._replace(failed=_failures(columns, [k for k in rows if k not in whole], event, history))
-        same = _present(event, history.states)
+        same = _present(event, history)
         if same == event:
             n_known += 1
             continue
@@ -181,17 +201,30 @@ def _groups(names: list[str], dates: list[str]) -> dict[tuple[str, str], list[in
     return groups
 
 
-def _state_of(columns: dict, whole: list[int], enough: float, name: str) -> tuple[str, float]:
-    """Return the state of a tile, and the fraction of its exposure, for the row of the tile."""
+def _state_of(
+    columns: dict, whole: list[int], rows: list[int], enough: float, earlier: TileEvent | None
+) -> tuple[str, float]:
+    """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
+
+    Without this row, the tile has the state in its other rows, the state that was recorded before, or it is done.
+    """
+    said = {columns["state"][row] for row in rows} - {""} if columns["state"] is not None else set()
+    if len(said) > 1:
+        raise InputError(f"the rows of a tile must have the same state, got {' and '.join(sorted(said))}")
     if not whole:
-        return DONE, 1.0
+        if said:
+            return said.pop(), 1.0
+        return (DONE, 1.0) if earlier is None else (earlier.state, earlier.fraction)
     row = whole[0]
-    fraction = columns["fraction"][row]
+    fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
+    if not 0 <= fraction < np.inf:
+        raise InputError(f"fraction must be a finite number of at least 0, got {fraction:g}")
     if columns["state"] is not None:
-        return columns["state"][row], fraction
-    if columns["good"] is not None and not columns["good"][row]:
-        return BAD, fraction
-    if fraction <= 0:
+        return next(iter(said), ""), fraction
+    good = True if columns["good"] is None else columns["good"][row]
+    if good is None:
+        raise InputError("good must be given for every tile, got a missing value")
+    if not good or fraction == 0:
         return BAD, fraction
     return (DONE if fraction >= enough else PARTLY), fraction
 
@@ -215,20 +248,28 @@ def _event(state: str, name: str, date: str, fraction: float, history: _History,
         return TileEvent(row, name, DROPPED, date, 0.0)
     earlier = [one for one in states.of(row) if one.date == date]
     if earlier and (date or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
+        others = [one for one in done if one.observation != earlier[-1].observation]
+        if state == DONE and others:
+            raise InputError(
+                f"tile {name} must be observed only once, got its observations{_on(date)} and{_on(others[0].date)}; "
+                "record one of them as bad"
+            )
         return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
     if done:
         raise InputError(
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    history.check_plan(row, name)
+    plan = history.plan(row)
+    if plan is None:
+        raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
     kept = isinstance(states.state_of(row), TileEvent)  # a tile that was partly observed keeps its plan
     if date and history.planned_until and date <= history.planned_until and not kept:
         raise InputError(
             f"the observation of tile {name} on {date} must be later than {history.planned_until}, because its plan "
             "was made with the events up to this date"
         )
-    return TileEvent(row, name, state, date, fraction, history.plan(row))
+    return TileEvent(row, name, state, date, fraction, plan)
 
 
 def _addition(name: str, history: _History, table: Table, roles: dict, whole: list[int]) -> TileEvent:
@@ -236,19 +277,19 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
     lacking = [one for one in ("ra", "dec") if one not in roles]
     if lacking:
         raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
-    if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"[0-9]{1,18}", name):
+    if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
         raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
     row = history.row_of.get(name)
     place = [] if row is None else history.place(row).tolist()
     for k, one in enumerate(("ra", "dec", "position_angle", "pass")):
         if one in roles:
-            value = table[roles[one]][whole[0]]
-            value = float(u.Quantity(value, u.deg).value) if one != "pass" else int(value)
-            place[k : k + 1] = [value]
+            place[k : k + 1] = [float(to_numbers(table[roles[one]][whole[:1]], one)[0])]
         elif row is None:
-            place.append(1 if one == "pass" else 0.0)
-    if not (np.isfinite(place).all() and -90 <= place[1] <= 90):
+            place.append(1.0 if one == "pass" else 0.0)
+    if not (np.isfinite(place[:3]).all() and -90 <= place[1] <= 90):
         raise InputError(f"the position of tile {name} must be finite angles, got {short(place[:3])}")
+    if not (abs(place[3]) < MOST_WHOLE and place[3] == int(place[3])):
+        raise InputError(f"the pass of tile {name} must be a whole number, got {place[3]:g}")
     place[0], place[3] = place[0] % 360, int(place[3])
     if row is None:
         row = history.row_of[name] = history.n_tiles
@@ -260,10 +301,12 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
     return TileEvent(row, name, ADDED, place=tuple(place))
 
 
-def _present(event: TileEvent, states: TileStates) -> TileEvent | None:
+def _present(event: TileEvent, history: _History) -> TileEvent | None:
     """Return the recorded event that an equal event would repeat."""
+    states = history.states
     if event.state == ADDED:
-        return states.added.get(event.row)
+        is_known = event.row < history.n_tiles_before and np.array_equal(history.place(event.row), event.place)
+        return event if is_known else None
     if event.state == DROPPED:
         return event if event.row in states.dropped else None
     if event.state == PLANNED:
@@ -276,7 +319,7 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
     failed = {}
     if not rows:
         return failed
-    visits = read_fits_bytes(history.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
+    visits = history.visits(event)
     ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
     ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
     positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
@@ -297,13 +340,16 @@ def _states(table: Table, roles: dict) -> list[str] | None:
     return [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words]
 
 
-def _fractions(table: Table, roles: dict) -> list[float]:
-    if "fraction" not in roles:
-        return [1.0] * len(table)
-    values = np.ma.filled(np.ma.asarray(to_dimensionless(table[roles["fraction"]], "fraction")), np.nan).astype(float)
-    if not (values >= 0).all():
-        raise InputError(f"fraction must be a number of at least 0, got {values[~(values >= 0)][0]:g}")
-    return values.tolist()
+def _goods(table: Table, roles: dict) -> list[bool | None] | None:
+    """Return whether each row is good; None for missing values."""
+    if "good" not in roles:
+        return None
+    column = table[roles["good"]]
+    missing = np.ma.getmaskarray(np.ma.asarray(column))
+    if np.asarray(column).dtype.kind == "f":
+        missing = missing | np.isnan(np.asarray(column))
+    flags = to_flags(column, roles["good"]).tolist()
+    return [None if gone else flag for flag, gone in zip(flags, missing.tolist(), strict=True)]
 
 
 def _texts(table: Table, name: str | None) -> list[str] | None:
@@ -311,8 +357,13 @@ def _texts(table: Table, name: str | None) -> list[str] | None:
     if name is None:
         return None
     column = np.ma.asarray(table[name])
-    missing = np.ma.getmaskarray(column)
-    return ["" if gone else str(one) for one, gone in zip(np.asarray(column).tolist(), missing, strict=True)]
+    missing, values = np.ma.getmaskarray(column), np.asarray(column)
+    if values.dtype.kind == "f":  # integers with missing values
+        missing = missing | np.isnan(values)
+        if (values[~missing] == np.floor(values[~missing])).all():
+            values = np.where(missing, 0, values).astype(np.int64)
+    texts = ["" if gone or one is None else str(one) for one, gone in zip(values.tolist(), missing, strict=True)]
+    return [text.strip() for text in texts]
 
 
 def _on(date: str) -> str:

@@ -42,7 +42,9 @@ class TileStates:
         self._attempts: dict[int, dict[tuple, TileEvent]] = {}
         self.dropped: set[int] = set()
         self.added: dict[int, TileEvent] = {}
-        self._order: dict[tuple, None] = {}
+        # date of each observation; for observations without a date, the last date that was recorded before
+        self._order: dict[tuple, str] = {}
+        self._latest = ""
         for event in events:
             self.add(event)
 
@@ -59,16 +61,18 @@ class TileStates:
                 del self._order[key]
         else:
             self._attempts.setdefault(event.row, {})[event.observation] = event
-            self._order.setdefault(event.observation)
+            self._latest = max(self._latest, event.date)
+            self._order.setdefault(event.observation, event.date or self._latest)
 
     def of(self, row: int) -> list[TileEvent]:
-        """Return the observations of a tile."""
-        return list(self._attempts.get(row, {}).values())
+        """Return the observations of a tile, in the order of dates."""
+        found = self._attempts.get(row, {})
+        return [found[key] for key in sorted(found, key=self._order.get)]
 
     @property
     def attempts(self) -> list[TileEvent]:
-        """All observations, in the order in which they were first recorded."""
-        return [self._attempts[key[0]][key] for key in self._order]
+        """All observations, in the order of dates; those of a date, in the order in which they were recorded."""
+        return [self._attempts[key[0]][key] for key in sorted(self._order, key=self._order.get)]
 
     def state_of(self, row: int) -> TileEvent | str:
         """Return the observation that determines the state of a tile, or ``dropped`` or ``planned``."""
@@ -125,6 +129,8 @@ class Replay:
     def extend(self, n_targets: int) -> None:
         """Add targets without visits, so that there are ``n_targets`` targets."""
         more = n_targets - len(self.made)
+        if more:  # the new targets can be in the fields of all observed tiles
+            self.n_flagged = 0
         for name, value in {"made": 0, "failed": 0, "flags": 0, "last": -1, "is_good": False}.items():
             values = getattr(self, name)
             setattr(self, name, np.concatenate([values, np.full(more, value, dtype=values.dtype)]))

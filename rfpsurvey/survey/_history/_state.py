@@ -55,7 +55,7 @@ class SurveyState:
 
     Examples
     --------
-    >>>     >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.coordinates import SkyCoord
     >>> from tempfile import TemporaryDirectory
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
@@ -125,6 +125,9 @@ class SurveyState:
         states, (catalog, visits) = TileStates(events.of_tiles(until)), given
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
+            if visits is not None:  # recorded numbers of visits replace these numbers
+                catalog = replace(_in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
+                visits = None
             catalog, dropped = apply_changes(_in_memory(catalog, "events of targets"), events.target_tables, until)
         columns = _columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
@@ -173,6 +176,14 @@ class SurveyState:
     def changes_targets(self) -> bool:
         """Whether targets were added, dropped or changed."""
         return bool(self.events.target_tables)
+
+    def check_current(self) -> None:
+        """Raise an error if events were recorded in the folder after this state was read."""
+        if read_events(self.folder).digest != self.events.digest:
+            raise InputError(
+                f"visits must be the state after all events in {self.folder}, got a state that was read before the "
+                "last event was recorded; call Survey.state again"
+            )
 
     def check_catalog(self, catalog: object) -> None:
         """Raise an error if a catalog has another number of targets than that of the state."""

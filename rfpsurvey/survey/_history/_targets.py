@@ -7,17 +7,18 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from astropy.time import Time
 
 from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, brief, listed, number_of
+from rfpsurvey.errors import InputError, brief, check_choice, listed, number_of, warn
 from rfpsurvey.survey._history._events import Events, to_date
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
 IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
-DEFAULTS = {"kind": "science", "category": "", "fiber_type": ""}
+DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1)}
 # Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
 TOLERANCE_RAD = 5e-9
 
@@ -41,6 +42,11 @@ def target_changes(table: Table, events: Events, survey) -> QTable:
         raise InputError(
             f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
         )
+    known = (*NUMBERS, *TEXTS, "visits", "state", "dropped")
+    if not {*known} & {*lower}:
+        raise InputError(
+            f"a table of targets must have one of the columns {listed(known)}, got {listed(table.colnames)}"
+        )
     ids = np.asarray(to_labels(table[name], name))
     values, counts = np.unique(ids, return_counts=True)
     if (counts > 1).any():
@@ -53,17 +59,19 @@ def target_changes(table: Table, events: Events, survey) -> QTable:
     changes = QTable({ROW: rows, ID: ids})
     for one in NUMBERS:
         if one in lower:
-            changes[one] = _numbers(table[lower[one]], one)
+            changes[one] = to_numbers(table[lower[one]], one)
     for one in TEXTS:
         if one in lower:
-            changes[one] = np.ma.filled(np.ma.asarray(table[lower[one]]).astype(str), "").astype(str)
-    visits = _numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
-    to_visits(visits[np.isfinite(visits)], int(np.isfinite(visits).sum()))
-    changes["visits"] = np.where(np.isfinite(visits), visits, -1).astype(np.int16)
+            changes[one] = np.char.strip(np.ma.filled(np.ma.asarray(table[lower[one]]).astype(str), "").astype(str))
+    for kind in np.unique(changes["kind"]).tolist() if "kind" in changes.colnames else ():
+        check_choice(kind or "science", ("science", "standard", "sky"), "kind of target")
+    visits = to_numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
+    to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
+    changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)
     changes[DROPPED] = _dropped(table, lower)
     date = next((lower[one] for one in ("date", "night") if one in lower), None)
     changes["date"] = [""] * len(ids) if date is None else [to_date(one) for one in table[date]]
-    _check_new(changes, new, survey, ids)
+    _check_numbers(changes, new, survey, ids)
     return changes
 
 
@@ -85,15 +93,16 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str
     dropped, changed = np.zeros(len(catalog), dtype=bool), {}
     dropped[rows[new[late[new]]]] = True
     changes, rows = changes[~late], rows[~late]
-    for name in ("priority", "subpriority", "visits"):
-        values = np.asarray(changes[name])
-        given = np.isfinite(values) & ~((values < 0) & (name == "visits"))
-        old = getattr(catalog, name)
+    for name in ("priority", "subpriority", "visits", *TEXTS):
+        values, old = np.asarray(changes[name]), getattr(catalog, name)
+        given = values != "" if name in TEXTS else values >= 0 if name == "visits" else np.isfinite(values)
         if not given.any():
             continue
-        if old is None and name != "visits":
-            raise InputError(f"{name} must be recorded only for a catalog with this column, got one without it")
-        changed[name] = np.ones(len(catalog), dtype=np.uint8) if old is None else old.copy()
+        if old is None and name not in DEFAULTS:
+            warn(f"the recorded values of {name} have no effect, because the catalog has no column {name}")
+            continue
+        old = np.full(len(catalog), DEFAULTS[name]) if old is None else old
+        changed[name] = old.astype(np.result_type(old, values)) if name in TEXTS else old.copy()
         changed[name][rows[given]] = values[given]  # of several values for a target, the last one remains
     catalog = replace(catalog, numbered=False, **changed) if changed else catalog
     state = np.asarray(changes[DROPPED])
@@ -104,7 +113,9 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str
 def _stacked(tables: list[QTable]) -> QTable:
     """Return the rows of all tables, with missing values where a table lacks a column."""
     columns = {}
-    for name in dict.fromkeys(name for table in tables for name in (*table.colnames, "priority", "subpriority")):
+    for name in dict.fromkeys(
+        name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)
+    ):
         missing = "" if name in (*TEXTS, "date") else np.nan
         columns[name] = np.concatenate(
             [np.asarray(one[name]) if name in one.colnames else np.full(len(one), missing) for one in tables]
@@ -143,8 +154,14 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     return found, len(known)
 
 
-def _check_new(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> None:
-    """Raise an error if new targets lack a position, or columns that other targets have."""
+def _check_numbers(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> None:
+    """Raise an error if numbers are not valid, or if new targets lack a position or columns that other targets have."""
+    for name in {*NUMBERS} & {*changes.colnames}:
+        if np.isinf(np.asarray(changes[name])).any():
+            raise InputError(f"{name} must be finite numbers, got inf")
+    has_priority = bool(len(survey)) and "priority" in next(iter(survey)).colnames
+    if not has_priority and "priority" in changes.colnames:
+        raise InputError("priority must be recorded only for a survey of targets with priorities, got one without")
     if not len(new):
         return
     if not {"ra", "dec"} <= {*changes.colnames}:
@@ -152,10 +169,7 @@ def _check_new(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> Non
             "target must be a target of the survey, or have the columns ra and dec, got "
             f"{brief(tuple(ids[new].tolist()))}"
         )
-    needed = {"ra", "dec"}
-    if len(survey):
-        needed |= {"priority"} & {*next(iter(survey)).colnames}
-    for name in sorted(needed):
+    for name in ("dec", "priority", "ra") if has_priority else ("dec", "ra"):
         bad = new if name not in changes.colnames else new[~np.isfinite(np.asarray(changes[name])[new])]
         if len(bad):
             raise InputError(
@@ -166,11 +180,14 @@ def _check_new(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> Non
         raise InputError(f"dec must lie between -90 and 90 deg, got {dec[np.abs(dec) > 90][0]:g}")
 
 
-def _numbers(column, name: str) -> np.ndarray:
+def to_numbers(column, name: str) -> np.ndarray:
     """Return the values of a column in degrees, mas / yr or without a unit; NaN for missing values."""
-    unit = {"ra": u.deg, "dec": u.deg, "pmra": u.mas / u.yr, "pmdec": u.mas / u.yr}.get(name)
-    own = getattr(column, "unit", None)
-    values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan)
+    unit = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
+    unit, own = unit.get(name), getattr(column, "unit", None)
+    try:
+        values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be numbers: {error}") from None
     if own is None:
         return values
     try:
@@ -182,7 +199,11 @@ def _numbers(column, name: str) -> np.ndarray:
 def _dropped(table: Table, lower: dict) -> np.ndarray:
     """Return 1 for targets that are dropped, 0 for targets that are observed again, and -1 for others."""
     if "dropped" in lower:
-        return to_flags(table[lower["dropped"]], "dropped").astype(np.int16)
+        column = table[lower["dropped"]]
+        missing = np.ma.getmaskarray(np.ma.asarray(column))
+        if np.asarray(column).dtype.kind == "f":
+            missing = missing | np.isnan(np.asarray(column))
+        return np.where(missing, -1, to_flags(column, "dropped")).astype(np.int16)
     if "state" not in lower:
         return np.full(len(table), -1, dtype=np.int16)
     words = np.ma.filled(np.ma.asarray(table[lower["state"]]).astype(str), "").tolist()
@@ -207,19 +228,19 @@ def _check_same(catalog: Catalog, table: QTable, rows: np.ndarray) -> None:
         apart = np.linalg.norm(to_vectors(place) - to_vectors(catalog.coord[rows[given]]), axis=1)
         if (apart > TOLERANCE_RAD).any():
             worst = rows[given][np.argmax(apart)]
-            raise InputError(
-                f"the position of target {catalog.id[worst]} must be that in the catalog, got another position; "
-                "drop the target, and add one with another identifier"
+            warn(
+                f"{(apart > TOLERANCE_RAD).sum()} recorded positions of targets, such as that of target "
+                f"{catalog.id[worst]}, differ from the catalog and are not used; to move a target, drop it, and add "
+                "one with another identifier"
             )
 
 
 def _joined(catalog: Catalog, new: QTable) -> Catalog:
     """Return a catalog with further targets, whose positions refer to the epoch of the catalog."""
-    if catalog.epoch is not None and not catalog.epoch.isscalar:
-        raise InputError(
-            "targets must be added only to a catalog with one epoch, got a catalog with an epoch for each target"
-        )
-    n, icrs = len(new), catalog.coord.icrs
+    n, icrs, epoch = len(new), catalog.coord.icrs, catalog.epoch
+    if epoch is not None and not epoch.isscalar:
+        warn("the catalog has an epoch for each target; the last epoch is assumed for added targets")
+        epoch = Time(np.concatenate([epoch.jyear, np.full(n, epoch.jyear.max())]), format="jyear")
     coordinates = {
         "ra": np.concatenate([icrs.ra.deg, np.asarray(new["ra"])]) * u.deg,
         "dec": np.concatenate([icrs.dec.deg, np.asarray(new["dec"])]) * u.deg,
@@ -230,23 +251,17 @@ def _joined(catalog: Catalog, new: QTable) -> Catalog:
             coordinates[key] = np.concatenate([getattr(icrs, key).to_value(u.mas / u.yr), own]) * u.mas / u.yr
     columns = {"id": np.concatenate([catalog.id, np.asarray(new[ID])])}
     for name in ("priority", "subpriority", "visits", *TEXTS):
-        old = getattr(catalog, name)
-        if old is None and name != "visits" and not (name in TEXTS and name in new.colnames and any(new[name])):
+        own, old, default = np.asarray(new[name]), getattr(catalog, name), DEFAULTS.get(name, 0.0)
+        lacking = own == "" if name in TEXTS else ~(own >= 0) if name == "visits" else ~np.isfinite(own)
+        if old is None and (name not in DEFAULTS or lacking.all()):
             continue
-        if name == "visits":
-            own = np.where(np.asarray(new["visits"]) < 0, 1, np.asarray(new["visits"]))
-            old = np.ones(len(catalog), dtype=np.uint8) if old is None else old
-        elif name in TEXTS:
-            own = np.asarray(new[name]) if name in new.colnames else np.full(n, "")
-            own = np.where(own == "", DEFAULTS[name], own)
-            old = np.full(len(catalog), DEFAULTS[name]) if old is None else old
-        elif name not in new.colnames:
-            raise InputError(f"{name} must be recorded for new targets, because the catalog has this column")
-        else:
-            own = np.asarray(new[name])
-        columns[name] = np.concatenate([old, own])
+        if name not in DEFAULTS and lacking.any():
+            warn(f"the {name} of {number_of(int(lacking.sum()), 'added target')} is not recorded; 0 is assumed")
+        old = np.full(len(catalog), default) if old is None else old
+        columns[name] = np.concatenate([old, np.where(lacking, default, own)])
     extra = None if catalog.extra is None else QTable({k: _extended(v, n) for k, v in catalog.extra.items()})
-    return replace(catalog, coord=SkyCoord(**coordinates), extra=extra, numbered=False, **columns)
+    coord = SkyCoord(**coordinates)
+    return replace(catalog, coord=coord, extra=extra, epoch=epoch, numbered=False, **columns)
 
 
 def _extended(column, n: int):

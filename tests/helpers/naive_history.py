@@ -1,0 +1,89 @@
+"""A second implementation of the state of a survey: every observation in a list, every count in a dict."""
+
+from dataclasses import dataclass, field
+from io import BytesIO
+
+from astropy.io import fits
+
+
+@dataclass
+class Observation:
+    """What was recorded for a tile and a date, and the content of the plan of the tile at that time."""
+
+    tile: str
+    date: str
+    state: str
+    plan: bytes
+    failed: frozenset = frozenset()
+
+    def visits(self) -> list[tuple]:
+        """Return the identifier of the target, the positioner and the success of the plan for each science visit."""
+        with fits.open(BytesIO(self.plan)) as units:
+            rows = units[1].data
+            kinds = rows["kind"] if "kind" in rows.names else ["science"] * len(rows)
+            return [
+                (int(row["target_id"]), str(row["positioner"]), bool(row["observed"]))
+                for row, kind in zip(rows, kinds, strict=True)
+                if row["target_row"] >= 0 and kind == "science"
+            ]
+
+
+@dataclass
+class NaiveHistory:
+    """All records of a survey in the order in which they were made."""
+
+    log: list = field(default_factory=list)
+    """Pairs of a word (``observe``, ``cancel``, ``drop``) and an observation."""
+
+    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=()) -> None:
+        self.log.append(("observe", Observation(tile, date, state, plan, frozenset(failed))))
+
+    def cancel(self, tile: str, date: str = "") -> None:
+        self.log.append(("cancel", Observation(tile, date, "planned", b"")))
+
+    def drop(self, tile: str, date: str = "") -> None:
+        self.log.append(("drop", Observation(tile, date, "dropped", b"")))
+
+    def observations(self, until: str | None = None) -> list[Observation]:
+        """Return the observations that count, in the order of dates."""
+        found: list[Observation] = []
+        for word, one in self.log:
+            if until is not None and one.date > until:
+                continue
+            if word == "cancel":
+                found = [other for other in found if other.tile != one.tile]
+            elif word == "observe":
+                same = [k for k, old in enumerate(found) if (old.tile, old.date) == (one.tile, one.date)]
+                if same:
+                    found[same[0]] = one
+                else:
+                    found.append(one)
+        return sorted(found, key=lambda one: one.date)
+
+    def of(self, tile: str, until: str | None = None) -> list[Observation]:
+        return [one for one in self.observations(until) if one.tile == tile]
+
+    def state_of(self, tile: str, until: str | None = None) -> str:
+        """Return done, partly, dropped or planned."""
+        found = self.of(tile, until)
+        if any(one.state == "done" for one in found):
+            return "done"
+        words = [w for w, one in self.log if one.tile == tile and not (until is not None and one.date > until)]
+        if words and words[-1] == "drop":
+            return "dropped"
+        return "partly" if found and found[-1].state == "partly" else "planned"
+
+    def counts(self, until: str | None = None) -> dict[int, dict]:
+        """Return the visits of each target that was visited: made, failed, last, last_tile, last_date."""
+        found: dict[int, dict] = {}
+        for one in self.observations(until):
+            if one.state == "partly":
+                continue
+            for target, positioner, is_free in one.visits():
+                if not is_free:  # lost to a collision
+                    continue
+                own = found.setdefault(target, {"made": 0, "failed": 0})
+                good = one.state == "done" and positioner not in one.failed
+                own["made" if good else "failed"] += 1
+                own.update(last="good" if good else "bad", last_tile=one.tile, last_date=one.date)
+        return found

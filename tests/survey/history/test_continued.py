@@ -1,0 +1,229 @@
+"""Surveys that are continued after records: no plan with which a tile was observed is lost or confused with another."""
+
+import shutil
+
+import numpy as np
+import pytest
+from living import content, differences, events, instrument, part, sha, targets, tiling
+
+import rfpsurvey as rs
+from rfpsurvey.survey import SurveyState
+
+
+@pytest.fixture(scope="module")
+def case():
+    return targets(), instrument(), tiling()
+
+
+@pytest.fixture(scope="module")
+def planned(case, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("planned") / "survey"
+    rs.plan_survey(*case, folder=folder, allocator="nearest")
+    return folder
+
+
+@pytest.fixture
+def survey(planned, tmp_path):
+    """Return a survey in a folder of its own."""
+    return rs.Survey.read(shutil.copytree(planned, tmp_path / "survey"))
+
+
+def replan(case, survey, state=None, **options):
+    state = survey.state(case[0]) if state is None else state
+    return rs.plan_survey(*case, folder=survey.folder, resume=True, visits=state, allocator="nearest", **options)
+
+
+def test_a_state_that_was_read_before_an_event_is_refused(case, survey):
+    """Regression: the plan of the tile that was observed in between was replaced, and lost."""
+    state = survey.state(case[0])
+    survey.record(events(tile=11, date="2026-01-03"))
+    before = content(survey.folder)
+    with pytest.raises(rs.InputError, match=r"read before the last event was recorded; call Survey\.state again"):
+        replan(case, survey, state)
+    assert content(survey.folder) == before
+
+
+def test_a_plan_up_to_a_date_keeps_the_plans_of_later_observations(case, survey):
+    """Regression: the plan of a tile that was observed after the date was replaced, and lost."""
+    survey.record(events(tile=[11, 12], date=["2026-01-03", "2026-01-05"]))
+    whole = survey.state(case[0])
+    early = survey.state(case[0], until="2026-01-03")
+    assert early.summary["n_tiles_observed"] == 1
+    for _ in range(2):
+        replan(case, survey, early)
+    assert (survey.state(case[0]).observed == whole.observed).all()
+    again = replan(case, survey)
+    assert again.summary["n_visits_made"] == whole.observed.sum()
+
+
+def test_the_plan_of_an_observation_that_was_canceled_remains_for_earlier_dates(case, survey):
+    survey.record(events(tile=11, date="2026-01-03"))
+    early = survey.state(case[0])
+    survey.record(events(tile=11, date="2026-01-05", state="planned"))
+    replan(case, survey)
+    assert (survey.state(case[0], until="2026-01-03").observed == early.observed).all()
+    assert not survey.state(case[0]).observed.any()
+
+
+def test_a_failed_observation_that_is_corrected_gets_its_plan_back(case, survey):
+    first = part(survey.folder, 0)
+    survey.record(events(tile=[11, 12], date="2026-01-03", state=["bad", "done"]))
+    survey.record(events(target=int(survey.tile(11)["target_id"][0]), state="dropped"))
+    second = replan(case, survey)
+    assert part(survey.folder, 0) != first
+    other = part(survey.folder, 0)
+    second.record(events(tile=11, date="2026-01-04", state="bad"))
+    second.record(events(tile=11, date="2026-01-03", state="done"))
+    third = replan(case, second)
+    assert part(survey.folder, 0) == first
+    assert (survey.folder / f"events/plans/{sha(other)}.fits").read_bytes() == other
+    state = third.state(case[0])
+    assert state.summary["n_visits_made"] == third.tiles["n_observed"][:2].sum()
+    assert state.failed.sum() == rs.Survey.read(survey.folder).summary["n_visits_failed"] > 0
+
+
+def test_a_survey_without_events_is_planned_again(case, survey):
+    """Regression: the state could not be written to the folder of events, which did not exist."""
+    before = content(survey.folder / "tiles")
+    assert (
+        differences(replan(case, survey), rs.plan_survey(*case, visits=survey.state(case[0]), allocator="nearest"))
+        == []
+    )
+    assert content(survey.folder / "tiles") == before
+
+
+def test_other_visits_with_the_same_events_make_another_plan(case, survey):
+    """Regression: a finished survey was returned with the requested visits of the earlier plan."""
+    survey.record(events(tile=11, date="2026-01-03"))
+    for number in (1, 2):
+        state = survey.state(case[0], visits=number)
+        again = replan(case, survey, state)
+        assert (again.outcomes["requested"] == state.requested).all()
+        assert differences(again, rs.plan_survey(*case, visits=state, allocator="nearest")) == []
+
+
+def test_a_dropped_tile_needs_a_plan_before_it_is_observed(case, survey):
+    """Regression: a KeyError was raised."""
+    survey.record(events(tile=13, state="dropped"))
+    again = replan(case, survey)
+    before = content(survey.folder)
+    for table in (events(tile=13), events(tile=13, positioner=1)):
+        with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
+            again.record(table)
+    assert content(survey.folder) == before
+    again.record(events(tile=13, state="planned"))
+    with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
+        again.record(events(tile=13))
+    assert replan(case, again).record(events(tile=13))["n_events"] == 1
+
+
+def test_a_moved_tile_needs_a_plan_before_it_is_observed(case, survey):
+    """Regression: the plan for the former position was recorded as the plan of the observation."""
+    moved = events(tile=13, state="added", ra=120.05, dec=30.05)
+    assert survey.record(moved)["n_events"] == 1
+    with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
+        survey.record(events(tile=13))
+    again = replan(case, survey)
+    assert again.record(moved)["n_known"] == 1
+    assert again.tiles["ra"][2].value == 120.05
+    assert again.record(events(tile=13))["n_events"] == 1
+
+
+@pytest.mark.parametrize("angle", [0.0, 370.0, -20.0])
+def test_an_added_tile_is_planned_and_observed(case, survey, angle):
+    new = events(tile=20, state="added", ra=-240.0, dec=30.05, position_angle=angle)
+    survey.record(new)
+    assert survey.record(new) == {"n_events": 0, "n_known": 1, "n_ignored": 0}
+    with pytest.raises(rs.InputError, match="tile 20 has no plan yet; plan the survey again"):
+        survey.record(events(tile=20))
+    again = replan(case, survey)
+    assert len(again) == 7
+    assert again.record(new)["n_known"] == 1
+    # a survey that was read before it was planned again records the same
+    assert survey.record(events(tile=20, date="2026-01-03"))["n_events"] == 1
+    assert replan(case, survey).tiles["state"][6] == "done"
+
+
+def test_a_tile_in_its_present_place_is_not_moved(case, survey):
+    row = survey.tiles[1]
+    same = events(tile=12, state="added", ra=row["ra"].value, dec=row["dec"].value)
+    assert survey.record(same) == {"n_events": 0, "n_known": 1, "n_ignored": 0}
+
+
+def test_an_unfinished_plan_is_not_recorded(case, survey, monkeypatch):
+    """Regression: a KeyError was raised if the survey was read before it was planned again."""
+    survey.record(events(tile=11, date="2026-01-03"))
+
+    def fail(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rfpsurvey.survey._folder.Folder.put_part", fail)
+        with pytest.raises(KeyboardInterrupt):
+            replan(case, survey)
+    with pytest.raises(rs.InputError, match="not finished .* continue the survey with resume=True"):
+        survey.record(events(tile=14, date="2026-01-05"))
+    again = replan(case, survey, SurveyState.read(survey.folder, case[0]))
+    assert again.tiles["state"].tolist()[0] == "done"
+
+
+def test_an_observation_is_later_than_the_events_of_its_plan(case, survey):
+    survey.record(events(tile=11, date="2026-01-03"))
+    again = replan(case, survey)
+    for one in (survey, again):  # also for a survey that was read before it was planned again
+        with pytest.raises(rs.InputError, match="tile 12 on 2026-01-03 must be later than 2026-01-03"):
+            one.record(events(tile=12, date="2026-01-03"))
+    assert again.record(events(tile=12, date="2026-01-04"))["n_events"] == 1
+
+
+def test_a_tile_is_observed_only_once(case, survey):
+    """Regression: if an earlier observation was corrected, the visits of the tile were counted twice."""
+    survey.record(events(tile=11, date="2026-01-03", state="partly"))
+    survey.record(events(tile=11, date="2026-01-04"))
+    before = survey.state(case[0]).observed
+    with pytest.raises(rs.InputError, match="tile 11 must be observed only once, got .*-03 and on 2026-01-04"):
+        survey.record(events(tile=11, date="2026-01-03"))
+    assert (survey.state(case[0]).observed == before).all()
+    survey.record(events(tile=11, date="2026-01-04", state="bad"))
+    survey.record(events(tile=11, date="2026-01-03"))
+    assert (survey.state(case[0]).observed == before).all()
+
+
+def test_the_failures_of_a_corrected_observation_are_those_of_its_plan(case, survey):
+    """Regression: targets that failed were looked up in the present plan of the tile."""
+    first = survey.tile(11)
+    survey.record(events(tile=11, date="2026-01-03", state="bad"))
+    survey.record(events(target=first["target_id"][:2].tolist(), state="dropped"))
+    second = replan(case, survey)
+    only = sorted({*first["target_id"].tolist()} - {*second.tile(11)["target_id"].tolist()})
+    assert only
+    second.record(events(tile=11, target=only[0], date="2026-01-03"))
+    state = second.state(case[0])
+    assert state.failed[case[0].id == only[0]] == 1
+    assert state.observed[case[0].id == only[0]] == 0
+
+
+def test_added_targets_in_observed_fields_have_the_same_outcome_without_checkpoint(case, survey):
+    """Regression: targets added after an observation were not marked as inside its field, unlike without checkpoint."""
+    survey.record(events(tile=survey.tiles["tile"].tolist(), date="2026-01-03"))
+    replan(case, survey)
+    new = events(target=[5000 + k for k in range(40)], priority=[1] * 40)
+    rng = np.random.default_rng(1)
+    new["ra"], new["dec"] = rng.uniform(119.7, 120.3, 40), rng.uniform(29.7, 30.3, 40)
+    survey.record(new)
+    one = replan(case, survey)
+    (survey.folder / "events/state.npz").unlink()
+    other = rs.plan_survey(*case, visits=survey.state(case[0]), allocator="nearest")
+    assert differences(one, other) == []
+    assert "out of reach" in one.outcome_names[-40:]
+
+
+def test_a_folder_planned_with_the_events_of_another_folder_takes_no_records(case, survey, tmp_path):
+    """Regression: the first record in such a folder began a new history without the earlier observations."""
+    survey.record(events(tile=11, date="2026-01-03"))
+    state = survey.state(case[0])
+    copy = rs.plan_survey(*case, folder=tmp_path / "copy", visits=state, allocator="nearest")
+    assert differences(copy, replan(case, survey)) == []
+    for use in (lambda: copy.record(events(tile=12, date="2026-01-05")), lambda: copy.state(case[0])):
+        with pytest.raises(rs.InputError, match=r"000001\.json is missing, although .* was planned with 1 file of"):
+            use()

@@ -1,0 +1,285 @@
+"""Random histories of a small survey, compared with a second implementation of the history."""
+
+import os
+import shutil
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from living import N, content, differences, events, instrument, part, sha, targets, tiling
+from naive_history import NaiveHistory
+
+import rfpsurvey as rs
+from rfpsurvey.survey import SurveyState, VisitRule
+from rfpsurvey.survey._folder import Folder
+
+INSTRUMENT = instrument()
+TINY = tiling()
+ALLOCATORS = ["nearest", "repair"] * 8 + ["joint"]
+FRACTIONS = {"done": 1.0, "partly": 0.5, "bad": 0.0}
+
+
+class InterruptedPlanError(Exception):
+    pass
+
+
+class History(RuleBasedStateMachine):
+    """A survey in a folder, and everything that was recorded in a second implementation."""
+
+    @initialize(
+        seed=st.integers(0, 9), kinds=st.booleans(), allocator=st.sampled_from(["nearest", "repair"] * 8 + ["joint"])
+    )
+    def begin(self, seed, kinds, allocator):
+        self.home = Path(tempfile.mkdtemp())
+        self.folder = self.home / "survey"
+        self.sky = targets(seed, kinds=kinds)
+        requirements = ["standard=1", "sky=1"] if kinds else []
+        self.allocator = rs.AllocationOptions(allocator, requirements=requirements) if allocator != "joint" else "joint"
+        self.survey = self.plan()
+        self.naive = NaiveHistory()
+        self.day, self.planned_day = 1, 0
+        self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
+        self.unplanned, self.frozen = set(), {}
+        self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
+        self.kind = dict.fromkeys(self.visits, "science")
+        if kinds:
+            self.kind = dict(zip(self.sky.id.tolist(), self.sky.kind.tolist(), strict=True))
+        self.dropped, self.n_added = set(), 0
+
+    def teardown(self):
+        if hasattr(self, "home"):
+            shutil.rmtree(self.home)
+
+    def plan(self, state=None, **options):
+        options = {"folder": self.folder, "resume": state is not None, **options}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rs.RfpsurveyWarning)
+            return rs.plan_survey(self.sky, INSTRUMENT, TINY, allocator=self.allocator, visits=state, rng=1, **options)
+
+    def record(self, table, accepted):
+        """Record a table, and check that it is accepted or refused without a change of the folder."""
+        before = content(self.folder)
+        if not accepted:
+            with pytest.raises(rs.InputError) as caught:
+                self.survey.record(table)
+            assert "\n" not in str(caught.value)
+            assert content(self.folder) == before
+            return False
+        self.survey.record(table)
+        assert before.items() <= content(self.folder).items()
+        return True
+
+    @rule(
+        tile=st.integers(0, 9),
+        state=st.sampled_from(["done", "done", "partly", "bad"]),
+        late=st.booleans(),
+        fails=st.lists(st.integers(0, 6), max_size=3),
+        by_target=st.booleans(),
+        by_fraction=st.booleans(),
+        order=st.randoms(use_true_random=False),
+    )
+    def observe(self, tile, state, late, fails, by_target, by_fraction, order):
+        row = tile % len(self.names)
+        name, self.day = self.names[row], self.day + 1
+        day = self.planned_day + 1 if late else self.day
+        date = f"2026-01-{day:02d}" if day < 32 else f"2026-02-{day - 31:02d}"
+        before = self.naive.of(name)
+        old = [one for one in before if one.date == date]
+        kept = self.naive.state_of(name) == "partly"
+        done = [one for one in before if one.state == "done" and one.date != date]
+        if old:
+            accepted = not (state == "done" and done)
+        else:
+            accepted = not done and name not in self.unplanned and (day > self.planned_day or kept)
+        plan = old[0].plan if old else b"" if name in self.unplanned else part(self.folder, row)
+        rows = [{"tile": name, "date": date}]
+        rows[0].update(
+            {"fraction": {"done": 1.0, "partly": 0.5, "bad": 0.0}[state]} if by_fraction else {"state": state}
+        )
+        failed = set()
+        if plan:
+            visits = rs._io.read_fits_bytes(plan, "plan")[0]
+            for k in {k % len(visits) for k in fails} if len(visits) else ():
+                failed.add(str(visits["positioner"][k]))
+                key = "target" if by_target else "positioner"
+                rows.append(
+                    {"tile": name, "date": date, key: str(visits["target_id" if by_target else "positioner"][k])}
+                )
+        order.shuffle(rows)
+        columns = {key: [one.get(key, 1.0 if key == "fraction" else "") for one in rows] for one in rows for key in one}
+        if self.record(events(**columns), accepted):
+            self.naive.observe(name, date, state, plan, failed)
+
+    @rule(tile=st.integers(0, 9))
+    def cancel(self, tile):
+        name = self.names[tile % len(self.names)]
+        self.day += 1
+        self.record(events(tile=name, state="planned"), True)
+        self.naive.cancel(name)
+
+    @rule(tile=st.integers(0, 9))
+    def drop(self, tile):
+        name = self.names[tile % len(self.names)]
+        if self.record(events(tile=name, state="dropped"), self.naive.state_of(name) != "done"):
+            self.naive.drop(name)
+
+    @rule(tile=st.integers(0, 12), x=st.integers(-20, 20), y=st.integers(-20, 20), number=st.integers(1, 3))
+    def move(self, tile, x, y, number):
+        """Add a tile, or move an existing tile."""
+        is_new = tile >= len(self.names) and len(self.names) < 9
+        name = str(50 + len(self.names)) if is_new else self.names[tile % len(self.names)]
+        table = events(tile=name, state="added", ra=120 + x / 100, dec=30 + y / 100 + self.day / 1e5)
+        self.day += 1  # no two tiles are at the same place
+        table["pass"] = number
+        if self.record(table, not self.naive.of(name)):
+            self.unplanned.add(name)
+            if is_new:
+                self.names.append(name)
+
+    @rule(chosen=st.lists(st.integers(0, N - 1), min_size=1, max_size=6, unique=True), what=st.integers(0, 3))
+    def change(self, chosen, what):
+        """Add, drop or take back targets, or change numbers of visits."""
+        ids = [1000 + k for k in chosen]
+        if what == 0:
+            ids = [2000 + self.n_added + k for k in range(len(chosen))]
+            self.n_added += len(chosen)
+            table = events(target=ids, ra=[119.8 + k / 150 for k in chosen], dec=30.05, priority=2, visits=2)
+            self.visits |= dict.fromkeys(ids, 2)
+            self.kind |= dict.fromkeys(ids, "science")
+        elif what == 1:
+            table = events(target=ids, visits=chosen[0] % 4)
+            self.visits |= dict.fromkeys(ids, chosen[0] % 4)
+        else:
+            table = events(target=ids, state="dropped" if what == 2 else "planned")
+            self.dropped = self.dropped | {*ids} if what == 2 else self.dropped - {*ids}
+        self.record(table, True)
+
+    @rule(after=st.none() | st.integers(0, 6), beside=st.booleans())
+    def replan(self, after, beside):
+        """Plan the rest; after some files, the plan is interrupted and continued."""
+        state = SurveyState.read(self.folder, self.sky)
+        if after is not None:
+            put, calls = Folder.put_part, []
+
+            def fail(folder, tile, data):
+                if len(calls) >= after:
+                    raise InterruptedPlanError
+                calls.append(tile)
+                put(folder, tile, data)
+
+            Folder.put_part = fail
+            try:
+                self.plan(state)
+            except InterruptedPlanError:
+                if beside:
+                    state = SurveyState.read(self.folder, self.sky)
+            finally:
+                Folder.put_part = put
+        self.survey = self.plan(state)
+        self.unplanned = {name for name in self.names if self.naive.state_of(name) == "dropped"}
+        self.planned_day = self.day
+        self.check_plan()
+
+    def check_plan(self):
+        survey, counts = self.survey, self.naive.counts()
+        for row, name in enumerate(self.names):
+            done = [one for one in self.naive.of(name) if one.state == "done"]
+            kept = done[-1:] or (self.naive.of(name)[-1:] if self.naive.state_of(name) == "partly" else [])
+            if kept:
+                assert sha(part(self.folder, row)) == sha(kept[0].plan)
+        assert survey.tiles["state"].tolist() == [self.naive.state_of(name) for name in self.names]
+        made = {key: one["made"] for key, one in counts.items()}
+        planned = {}
+        n_observed = np.zeros(len(self.names), dtype=int)
+        for name in self.names:
+            if self.naive.state_of(name) == "done":
+                continue
+            for one in survey.tile(name):
+                if one["observed"] and one["target_row"] >= 0 and self.kind[int(one["target_id"])] == "science":
+                    planned[int(one["target_id"])] = planned.get(int(one["target_id"]), 0) + 1
+        for row, name in enumerate(self.names):
+            for one in self.naive.of(name):
+                if one.state == "done":
+                    good = [v for v in one.visits() if v[2] and v[1] not in one.failed]
+                    n_observed[row] = len(good)
+                    assert survey.tiles["n_observed"][row] == len(good)
+                    assert survey.tiles["date"][row] == one.date
+                    assert survey.tiles["n_failed"][row] == sum(v[2] for v in one.visits()) - len(good)
+        total = {"requested": 0, "observed": 0, "complete": 0, "targets": 0}
+        for target, requested, observed in zip(
+            *(survey.outcomes[name].tolist() for name in ("target_id", "requested", "observed")), strict=True
+        ):
+            own = made.get(target, 0)
+            if self.kind[target] != "science":
+                assert observed == 0
+                continue
+            assert requested == (own if target in self.dropped else max(own, self.visits[target]))
+            assert observed == min(requested, own + planned.get(target, 0))
+            assert target not in self.dropped or planned.get(target, 0) == 0 or self.naive_begun(target)
+            total["requested"] += requested
+            total["observed"] += observed
+            total["complete"] += 0 < requested == observed
+            total["targets"] += requested > 0
+        summary = survey.summary
+        assert summary["n_visits_made"] == sum(made.values())
+        assert summary["n_visits_failed"] == sum(one["failed"] for one in counts.values())
+        assert summary["n_visits_observed"] == total["observed"] == survey.tiles["n_observed"].sum()
+        assert summary["n_visits_requested"] == total["requested"]
+        last = survey.completeness[survey.completeness["priority"] == "all"][-1]
+        names = ("n_requested", "n_observed", "n_complete", "n_targets")
+        assert [last[name] for name in names] == [total[name[2:]] for name in names]
+        assert sum(summary["outcomes"].values()) == len(survey.outcomes)
+        again = self.plan(self.survey.state(self.sky), folder=None, resume=False)
+        assert differences(survey, again) == []
+        read = rs.Survey.read(self.folder)
+        assert differences(survey, read) == []
+
+    def naive_begun(self, target):
+        """Return whether a partly observed tile has the target."""
+        tiles = [name for name in self.names if self.naive.state_of(name) == "partly"]
+        return any(target == v[0] for name in tiles for v in self.naive.of(name)[-1].visits())
+
+    @rule(day=st.none() | st.integers(0, 20), without=st.booleans(), retries=st.none() | st.integers(0, 1))
+    def read(self, day, without, retries):
+        """Read the state, with or without the checkpoint, up to a date, and with or without a rule."""
+        until = None if day is None else f"2026-01-{day + 1:02d}"
+        path = self.folder / "events/state.npz"
+        if without and path.exists():
+            path.unlink()
+        rule = VisitRule(retries=retries)
+        state = SurveyState.read(self.folder, self.sky, rule=rule, until=until)
+        assert not path.exists() or not without
+        counts = self.naive.counts(until)
+        nobody = {"made": 0, "failed": 0, "last": "none", "last_tile": "", "last_date": ""}
+        for one in state.table:
+            target = int(one["target_id"])
+            own = counts.get(target, nobody)
+            found = {"made": one["observed"], "failed": one["failed"]} | {k: one[k] for k in one.colnames[-3:]}
+            assert found == own, target
+            wanted = max(own["made"], self.visits[target])
+            if target in self.dropped or (retries is not None and own["failed"] > retries):
+                wanted = own["made"]
+            assert (one["requested"], one["left"]) == (wanted, wanted - own["made"]), target
+
+
+def run(number, steps):
+    few = settings(
+        max_examples=number,
+        stateful_step_count=steps,
+        deadline=None,
+        suppress_health_check=[*HealthCheck],
+        print_blob=False,
+    )
+    run_state_machine_as_test(History, settings=few)
+
+
+@pytest.mark.parametrize(
+    "number", [30, pytest.param(int(os.environ.get("RFPSURVEY_HISTORIES", 10_000)), marks=pytest.mark.exhaustive)]
+)
+def test_random_histories(number):
+    run(number, 12)

@@ -1,0 +1,278 @@
+"""Tables that `Survey.record` refuses with one sentence, without any change in the folder."""
+
+import shutil
+import warnings
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table, vstack
+from astropy.time import Time
+from living import content, differences, events, instrument, targets, tiling
+
+import rfpsurvey as rs
+from rfpsurvey._folder import locked
+
+
+@pytest.fixture(scope="module")
+def case():
+    return targets(), instrument(), tiling()
+
+
+@pytest.fixture(scope="module")
+def planned(case, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("planned") / "survey"
+    rs.plan_survey(*case, folder=folder, allocator="nearest")
+    return folder
+
+
+@pytest.fixture
+def survey(planned, tmp_path):
+    return rs.Survey.read(shutil.copytree(planned, tmp_path / "survey"))
+
+
+def refuse(survey, table, sentence, **options):
+    before = content(survey.folder)
+    with pytest.raises(rs.InputError, match=sentence) as caught:
+        survey.record(table, **options)
+    assert "\n" not in str(caught.value)
+    assert content(survey.folder) == before
+
+
+def missing(value):
+    return MaskedColumn([value], mask=[True])
+
+
+def added(name=30, **columns):
+    return Table({"tile": [name], "state": ["added"], **{key: np.atleast_1d(v) for key, v in columns.items()}})
+
+
+TILES = [
+    (events(tile=99), "tile must be a tile of the survey, such as 11, got '99'"),
+    (events(tile=11, target=99), "target must be a target of tile 11 with a visit, got '99'"),
+    (events(tile=11, positioner=99), "positioner must be a positioner of tile 11 with a visit, got '99'"),
+    (events(tile=11, state="fine"), "unknown state of a tile 'fine'"),
+    (events(tile=11, date="yesterday"), "date must be a date such as 2026-01-03, got 'yesterday'"),
+    (events(tile=11, date="2026-13-03"), "date must be a date such as 2026-01-03, got '2026-13-03'"),
+    (events(tile=11, date=61043.0), "date must be a date such as 2026-01-03, got '61043'"),
+    (events(tile=11, date=True), "date must be a date such as 2026-01-03, got 'True'"),
+    (events(tile=11, fraction=-0.1), "fraction must be a finite number of at least 0, got -0.1"),
+    (events(tile=11, fraction=np.nan), "fraction must be a finite number of at least 0, got nan"),
+    (events(tile=11, fraction=np.inf), "fraction must be a finite number of at least 0, got inf"),
+    (events(tile=11, fraction="half"), "fraction must be numbers"),
+    (Table({"tile": [11], "fraction": missing(1.0)}), "fraction must be a finite number of at least 0, got nan"),
+    (Table({"tile": [11], "good": missing(True)}), "good must be given for every tile, got a missing value"),
+    (events(tile=11, good=np.nan), "good must be given for every tile, got a missing value"),
+    (events(tile=11, good="perhaps"), "good must hold booleans or numbers, got text such as 'perhaps'"),
+    (Table({"tile": missing(11)}), "tile must be integers or text for every row"),
+    (events(tile=11.5), "tile must be integers or text for every row, got numbers such as 11.5"),
+    (Table(), "must have a column tile or target, got the columns none"),
+    (Table({"color": [1]}), "must have a column tile or target, got the columns color"),
+    (events(tile=[11, 11]), "must have one row for each tile and date, got 2 rows for tile 11"),
+    (events(tile=11, date=["2026-01-03", "2026-01-04", ""]), "date must be given in all rows of tile 11"),
+    (events(tile=11, positioner=["", "1"], state=["done", "bad"]), "must have the same state, got bad and done"),
+    (events(tile=11, positioner=["", "1"], state=""), "the state of tile 11 must be given with its failed visits"),
+    (added(), "an added tile must have the columns ra and dec, got no ra and dec"),
+    (added(ra=np.nan, dec=0), "the position of tile 30 must be finite angles"),
+    (added(ra=missing(1.0), dec=0), "the position of tile 30 must be finite angles"),
+    (added(ra=1, dec=95), "the position of tile 30 must be finite angles"),
+    (added(ra="08:00:00", dec=30), "ra must be numbers"),
+    (added(ra=1 * u.mm, dec=30 * u.deg), "ra must have the unit deg, got mm"),
+    (added(ra=1, dec=30, **{"pass": 1.5}), "the pass of tile 30 must be a whole number, got 1.5"),
+    (added(ra=1, dec=30, **{"pass": missing(1)}), "the pass of tile 30 must be a whole number, got nan"),
+    (added(ra=1, dec=30, **{"pass": "x"}), "pass must be numbers"),
+    (added(ra=1, dec=30, **{"pass": 1e30}), r"the pass of tile 30 must be a whole number, got 1e\+30"),
+    (added("x", ra=1, dec=1), "the names of added tiles must be whole numbers, as those of the survey, got 'x'"),
+    (added("011", ra=1, dec=1), "the names of added tiles must be whole numbers, as those of the survey, got '011'"),
+    (5, "table must be an astropy Table, a QTable or a DataFrame, got 5"),
+    ("nothing.ecsv", "nothing.ecsv: there is no such file"),
+]
+
+
+@pytest.mark.parametrize(("table", "sentence"), TILES, ids=[sentence[-40:] for _, sentence in TILES])
+def test_tables_of_tiles(survey, table, sentence):
+    refuse(survey, table, sentence)
+
+
+TARGETS = [
+    (Table({"target": missing(1001), "visits": [2]}), "target must be integers or text for every row"),
+    (events(target="a", visits=2), "the identifiers of targets must be numbers, as in the catalog, got text"),
+    (events(target=1001), "a table of targets must have one of the columns priority, .*, got target"),
+    (events(target=1001, good=False), "a table of targets must have one of the columns .*, got target, good"),
+    (events(target=9, priority=1), r"target must be a target of the survey, or have the columns ra and dec, got 9"),
+    (events(target=9, ra=1.0, dec=1.0), "priority must be a finite number for every new target, got none for 9"),
+    (events(target=9, ra=np.nan, dec=1.0, priority=1), "ra must be a finite number for every new target"),
+    (events(target=9, ra=1.0, dec=99.0, priority=1), "dec must lie between -90 and 90 deg, got 99"),
+    (events(target=1001, visits=256), "visits must be whole numbers from 0 to 255, got 256"),
+    (events(target=1001, visits=-1), "visits must be whole numbers from 0 to 255, got -1"),
+    (events(target=1001, visits=1.5), "visits must be whole numbers from 0 to 255, got 1.5"),
+    (events(target=1001, visits=np.inf), "visits must be whole numbers from 0 to 255, got inf"),
+    (events(target=1001, visits="x"), "visits must be numbers"),
+    (events(target=1001, priority=np.inf), "priority must be finite numbers, got inf"),
+    (Table({"target": [1001], "priority": [1.0] * u.mm}), "priority must have the unit of a plain number, got mm"),
+    (events(target=1001, kind="star"), "unknown kind of target 'star'"),
+    (events(target=1001, state="done"), "the state of a target must be dropped, planned or added, got 'done'"),
+    (events(target=[1001, 1001], visits=2), "must have one row for each target, got 2 rows for 1001"),
+]
+
+
+@pytest.mark.parametrize(("table", "sentence"), TARGETS, ids=[sentence[-40:] for _, sentence in TARGETS])
+def test_tables_of_targets(survey, table, sentence):
+    """Regression: some of these tables were recorded, and no state could be read afterward."""
+    refuse(survey, table, sentence)
+
+
+def test_priorities_of_a_survey_without_priorities(case, tmp_path):
+    """Regression: the table was recorded, and no state could be read afterward."""
+    plain = rs.Catalog(case[0].coord)
+    survey = rs.plan_survey(plain, *case[1:], folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, events(target=5, priority=3), "priority must be recorded only for a survey of targets with")
+    survey.record(events(target=5, visits=2, category="a"))
+    state = survey.state(plain)
+    assert state.left[5] == 2
+    assert state.catalog.category.tolist() == [""] * 5 + ["a"] + [""] * 54
+
+
+def test_a_tile_is_given_once(survey):
+    refuse(survey, events(tile=11), "tile must be given only for a table without a column of tiles", tile=11)
+    refuse(survey, events(positioner=1), "tile must be a tile of the survey, such as 11, got '99'", tile=99)
+    assert survey.record(events(positioner=1), tile=11)["n_events"] == 1
+
+
+def test_an_observed_tile_is_not_dropped_or_moved_or_observed_again(survey):
+    survey.record(events(tile=11, date="2026-01-03"))
+    survey.record(events(tile=12, date="2026-01-03", state="bad"))
+    refuse(survey, events(tile=11, state="dropped"), "tile 11 must not be dropped, because it was observed on 2026")
+    refuse(survey, added(11, ra=1, dec=1), "tile 11 must not be moved, because an observation of it was recorded")
+    refuse(survey, added(12, ra=1, dec=1), "tile 12 must not be moved, because an observation of it was recorded")
+    refuse(survey, events(tile=11, date="2026-01-04"), "tile 11 was already observed on 2026-01-03")
+    refuse(survey, events(tile=11), "tile 11 was already observed on 2026-01-03")
+    first = survey.tiles[1]
+    twin = added(ra=first["ra"].value, dec=first["dec"].value, **{"pass": first["pass"]})
+    refuse(survey, twin, "tiles 12 and 30 are the same")
+
+
+def test_two_writers(survey):
+    with locked(survey.folder, survey.folder / "lock"):
+        refuse(survey, events(tile=11), "another run uses this folder")
+
+
+def test_a_survey_without_a_folder(case):
+    survey = rs.plan_survey(*case, allocator="nearest")
+    with pytest.raises(rs.InputError, match="record needs a survey in a folder, got a survey that was planned without"):
+        survey.record(events(tile=11))
+    with pytest.raises(rs.InputError, match="a state needs a survey in a folder"):
+        survey.state(case[0])
+
+
+@pytest.mark.parametrize(
+    "date",
+    [
+        ["2026-01-03"],
+        [20260103],
+        [20260103.0],
+        ["2026-1-3"],
+        ["20260103"],
+        ["2026-01-03T23:59:59"],
+        Time(["2026-01-03T23:59:59"]),
+        np.array(["2026-01-03"], dtype="datetime64[D]"),
+    ],
+)
+def test_dates(survey, date):
+    """Regression: dates in columns of floating-point numbers were refused."""
+    survey.record(Table({"tile": [11], "date": date}))
+    assert survey.record(events(tile=11, date="2026-01-03"))["n_known"] == 1
+
+
+@pytest.mark.parametrize("date", [[""], [0], [None], [np.nan], missing("2026-01-03")])
+def test_missing_dates(survey, date):
+    survey.record(Table({"tile": [11], "date": date}))
+    assert survey.record(events(tile=11))["n_known"] == 1
+
+
+def test_stacked_tables_have_missing_values(survey, case):
+    """Regression: the missing fraction in the row of a failed visit was refused, and missing positioners were 'nan'."""
+    tiles = Table({"tile": [11, 12], "date": ["2026-01-03"] * 2, "good": [True, False], "fraction": [1.0, 0.5]})
+    failed = Table({"tile": [11], "date": ["2026-01-03"], "positioner": [1], "reason": ["stuck"]})
+    one = vstack([tiles, failed])
+    assert survey.record(one)["n_events"] == 2
+    assert survey.record(one.to_pandas())["n_known"] == 2
+    floats = events(tile=[11, 11], date="2026-01-03", positioner=[np.nan, 1.0])
+    floats["reason"] = ["", "stuck"]
+    assert survey.record(floats)["n_known"] == 1
+    assert survey.state(case[0]).summary["n_visits_failed"] == 1 + survey.tiles["n_observed"][1]
+
+
+def test_failed_visits_keep_the_state_of_the_tile(survey, case):
+    """Regression: a tile whose observation was bad became observed if failed visits of this tile were recorded."""
+    for state in ("bad", "partly"):
+        survey.record(events(tile=11, date="2026-01-03", state=state))
+        survey.record(events(tile=11, date="2026-01-03", positioner=1))
+        assert survey.state(case[0]).summary["n_tiles_observed"] == 0
+    survey.record(events(tile=12, positioner=1, state="bad"))
+    assert survey.state(case[0]).summary["n_tiles_observed"] == 0
+    survey.record(events(tile=13, positioner=1))
+    assert survey.state(case[0]).summary["n_tiles_observed"] == 1
+
+
+def test_angles_of_added_tiles_have_units(survey):
+    """Regression: units of the columns of added tiles were ignored."""
+    survey.record(added(ra=7200 * u.arcmin, dec=1800 * u.arcmin))
+    assert survey.record(added(ra=120.0, dec=30.0))["n_known"] == 1
+
+
+def test_a_missing_flag_of_a_target_changes_nothing(survey, case):
+    """Regression: a missing value in the column ``dropped`` took back that the target was dropped."""
+    survey.record(events(target=1001, dropped=True))
+    survey.record(Table({"target": [1001], "dropped": missing(True)}))
+    survey.record(events(target=1001, dropped=np.nan))
+    assert survey.state(case[0]).left[1] == 0
+    survey.record(events(target=1001, dropped=False))
+    assert survey.state(case[0]).left[1] > 0
+
+
+def test_positions_and_columns_that_cannot_be_used_cause_warnings(survey, case):
+    """Regression: no state could be read afterward."""
+    survey.record(events(target=1001, ra=120.0, dec=30.0, subpriority=0.5))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        state = survey.state(case[0])
+    texts = sorted(str(one.message) for one in told)
+    assert len(texts) == 2
+    assert "1 recorded positions of targets, such as that of target 1001, differ from the catalog" in texts[0]
+    assert "the recorded values of subpriority have no effect" in texts[1]
+    assert (state.catalog.coord[1].ra, state.catalog.coord[1].dec) == (case[0].coord[1].ra, case[0].coord[1].dec)
+
+
+def test_kinds_and_categories_are_changed(survey, case):
+    """Regression: recorded kinds, categories and fiber types of known targets were ignored without a warning."""
+    survey.record(events(target=[1001, 1002], kind=["standard", ""], category=["", "long name"]))
+    state = survey.state(case[0])
+    assert state.catalog.kind.tolist() == ["science", "standard"] + ["science"] * 58
+    assert state.catalog.category[1:3].tolist() == ["", "long name"]
+    assert (
+        differences(rs.plan_survey(*case, visits=state), rs.plan_survey(state.catalog, *case[1:], visits=state)) == []
+    )
+
+
+def test_visits_of_the_first_plan_are_changed_by_events(case, tmp_path):
+    """Regression: recorded numbers of visits were ignored if the first plan was given its numbers of visits."""
+    numbers = np.full(60, 3)
+    survey = rs.plan_survey(*case, visits=numbers, folder=tmp_path / "survey", allocator="nearest")
+    survey.record(events(target=[1001, 7], visits=[1, 2], ra=[np.nan, 120], dec=[np.nan, 30], priority=[np.nan, 1]))
+    assert survey.state(case[0], visits=numbers).requested.tolist() == [3, 1] + [3] * 58 + [2]
+
+
+def test_targets_are_added_to_catalogs_with_subpriorities_or_epochs(case, tmp_path):
+    """Regression: no state could be read after targets were added to such a catalog."""
+    coord = case[0].coord
+    moving = type(coord)(
+        coord.ra, coord.dec, pm_ra_cosdec=np.ones(60) * u.mas / u.yr, pm_dec=np.ones(60) * u.mas / u.yr
+    )
+    sky = rs.Catalog(moving, subpriority=np.linspace(0, 1, 60), epoch=Time(np.linspace(2015, 2016, 60), format="jyear"))
+    survey = rs.plan_survey(sky, *case[1:], epoch=2026.0, folder=tmp_path / "survey", allocator="nearest")
+    survey.record(events(target=99, ra=120.0, dec=30.0))
+    with pytest.warns(rs.RfpsurveyWarning) as told:
+        state = survey.state(sky)
+    assert sorted(str(one.message)[:11] for one in told) == ["the catalog", "the subprio"]
+    assert len(rs.plan_survey(sky, *case[1:], epoch=2026.0, visits=state, allocator="nearest").outcomes) == 61
