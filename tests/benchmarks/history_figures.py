@@ -103,9 +103,8 @@ def main():
         print(f"all {seconds:.0f} s; complete replay {replaying:.1f} s, equal: {same}")
         print(f"{frozen} of {len(again.kept)} observed tiles unchanged")
         print(f"visits made {int(again.observed.sum())}, failed {int(again.failed.sum())}")
-        print(
-            f"peak memory {peak_gb():.2f} GB; bytes per tile: plans {sizes[0] // observed}, events {sizes[1] // observed}"
-        )
+        plans, events = (size // observed for size in sizes)
+        print(f"peak memory {peak_gb():.2f} GB; bytes per tile: plans {plans}, events {events}")
 
 
 if __name__ == "__main__":
