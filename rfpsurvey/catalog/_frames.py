@@ -39,6 +39,9 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
 
 
 def _is_records(given) -> bool:
+    """Return whether an object is a structured array or a list of dicts, one for each row."""
+    if isinstance(given, list):
+        return len(given) > 0 and all(isinstance(row, dict) for row in given)
     return isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names is not None
 
 

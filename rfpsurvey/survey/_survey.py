@@ -205,7 +205,7 @@ class Survey:
 
         Parameters
         ----------
-        table : Table, DataFrame or path-like
+        table : Table, DataFrame, list of dict, or path-like
             Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
             ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
             ``positioner`` or ``target``, and ``reason``. Without a state, a tile is bad if ``good`` is false or
