@@ -53,12 +53,8 @@ class Folder(RequestFolder):
             return
         self._state.check_current()
         now = self._request
-        first = before.get("first") or {name: before.get(name) for name in ("passes", "tiles")}
-        changed = ("passes", "tiles", "visits", "events", "first")
-        if self._state.changes_targets or "rule" in now["events"] or "rule" in before.get("events", {}):
-            changed += ("catalog",)
-        elif before.get("catalog") != now["catalog"]:
-            changed = tuple(name for name in changed if name != "catalog")
+        first = before.get("first") or {name: before.get(name) for name in ("catalog", "passes", "tiles")}
+        changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}
         earlier = {name: value for name, value in before.items() if name not in changed}

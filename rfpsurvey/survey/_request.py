@@ -61,6 +61,8 @@ class Request:
     """Options of the joint plan; None if the tiles are planned one after the other."""
     state: SurveyState | None = None
     """The state of the survey, if events were recorded."""
+    first_source: object = None
+    """The catalog before the recorded events; None if it is ``source``."""
     first: dict = field(default_factory=dict)
     """Tiles and passes before the recorded events, in the form of `identity`."""
 
@@ -175,7 +177,11 @@ class Request:
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         about["tiles"] = tiles_digest(self.tiling, self.conditions)
-        first = {"first": self.first} if self.first else {}
+        first = {}
+        if self.first:
+            own = self.first_source
+            text = about["catalog"] if own is None else f"{number_of(len(own), 'target')}, digest {own.digest()}"
+            first = {"first": {**self.first, "catalog": text}}
         return {**about, **first, **self._events, **self.parameters, "software": self.software}
 
     @property
