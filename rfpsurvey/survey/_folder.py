@@ -30,13 +30,16 @@ class Folder(RequestFolder):
         Whether to continue an unfinished survey.
     state : SurveyState, optional
         State of the survey that is planned; plans of tiles that it does not keep are planned again.
+    first_catalog : callable, optional
+        Function that returns the entry ``catalog`` of the request of the first plan.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None):
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None, first_catalog=None):
         super().__init__(path, request, resume=resume)
+        self._first_catalog = first_catalog
         self._n, self._state, self._is_new_state = n_tiles, state, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
@@ -53,16 +56,15 @@ class Folder(RequestFolder):
             return
         self._state.check_current()
         now = self._request
-        first = before.get("first") or {name: before.get(name) for name in ("passes", "tiles")}
-        changed = ("passes", "tiles", "visits", "events", "first")
-        if self._state.changes_targets or "rule" in now["events"] or "rule" in before.get("events", {}):
-            changed += ("catalog",)
-        elif before.get("catalog") != now["catalog"]:
-            changed = tuple(name for name in changed if name != "catalog")
+        first, now_first = before.get("first"), now["first"]
+        if first is None:
+            first = {name: before.get(name) for name in ("catalog", "passes", "tiles")}
+            now_first = {name: now_first[name] for name in ("passes", "tiles")} | {"catalog": self._first_catalog()}
+        changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}
         earlier = {name: value for name, value in before.items() if name not in changed}
-        own, self._request = self._request, {**same, **now["first"]}
+        own, self._request = self._request, {**same, **now_first}
         try:
             super()._compare({**earlier, **first})
         finally:

@@ -205,6 +205,12 @@ def prepare_request(
         catalog = as_catalog(catalog)
         used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
+    first_source = None
+    if state is not None and state.first is not catalog and not isinstance(catalog, PartitionedCatalog):
+
+        def first_source() -> InMemory:
+            return InMemory(state.first if used is None else state.first.at_epoch(used))
+
     if joint is not None:
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
         if first.subpriority is not None:
@@ -226,6 +232,7 @@ def prepare_request(
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
         state=state,
+        first_source=first_source,
     )
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")

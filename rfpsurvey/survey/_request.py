@@ -61,6 +61,8 @@ class Request:
     """Options of the joint plan; None if the tiles are planned one after the other."""
     state: SurveyState | None = None
     """The state of the survey, if events were recorded."""
+    first_source: object = None
+    """The catalog before the recorded events; None if it is ``source``."""
     first: dict = field(default_factory=dict)
     """Tiles and passes before the recorded events, in the form of `identity`."""
 
@@ -175,8 +177,13 @@ class Request:
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         about["tiles"] = tiles_digest(self.tiling, self.conditions)
-        first = {"first": self.first} if self.first else {}
+        first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}
         return {**about, **first, **self._events, **self.parameters, "software": self.software}
+
+    def first_catalog(self) -> str:
+        """Return the entry ``catalog`` of the `identity` of the first plan, before events changed targets."""
+        source = self.source if self.first_source is None else self.first_source()
+        return f"{number_of(len(source), 'target')}, digest {source.digest()}"
 
     @property
     def _events(self) -> dict:

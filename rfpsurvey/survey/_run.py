@@ -31,7 +31,14 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
     where = nullcontext()
     if path is not None:
         request.check_text()
-        where = Folder(path, request.identity(), len(request.tiling), resume=resume, state=request.state)
+        where = Folder(
+            path,
+            request.identity(),
+            len(request.tiling),
+            resume=resume,
+            state=request.state,
+            first_catalog=request.first_catalog,
+        )
     with where as folder:
         n = len(request.tiling)
         found = (

@@ -1,5 +1,8 @@
 """Continue a survey from its state: observed tiles keep their plans, and the others are planned."""
 
+import hashlib
+import json
+
 import numpy as np
 
 from rfpsurvey.survey._bookkeeping import DONE, REACHED, SEEN, Bookkeeping
@@ -16,6 +19,8 @@ def begin(request, bookkeeping: Bookkeeping) -> None:
     are omitted, because their outcome does not depend on the marks.
     """
     own, source = request.state.replayed, request.source
+    about = json.dumps([request.instrument.provenance["digest"], request.parameters], default=str, sort_keys=True)
+    own.mark_for(hashlib.sha256(about.encode()).hexdigest())
     unseen = source.to_slots((own.made == 0).astype(np.uint8))
     for event in own.attempts[own.n_flagged :]:
         if event.state == OBSERVED:

@@ -76,7 +76,7 @@ def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -
         history = _History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
-            changes = target_changes(table, events, survey)
+            changes, n_known = target_changes(table, events, survey)
         else:
             tiles, n_known, n_ignored = _tile_events(table, roles, history, enough, tile)
             if any(event.state == ADDED for event in tiles):

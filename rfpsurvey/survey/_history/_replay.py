@@ -111,6 +111,8 @@ class Replay:
         The observations.
     n_flagged : int
         Number of observations whose targets in reach are marked in ``flags``.
+    marked_for : str
+        Digest of the instrument and the options for which they are marked.
     counts : dict
         For each observed tile, its counts by the name of the header card.
     n_good, n_failed : dict
@@ -121,7 +123,7 @@ class Replay:
         self.made, self.failed, self.flags = (np.zeros(n_targets, dtype=np.uint8) for _ in range(3))
         self.last, self.is_good = np.full(n_targets, -1, dtype=np.int32), np.zeros(n_targets, dtype=bool)
         self.attempts: list[TileEvent] = []
-        self.n_flagged = 0
+        self.n_flagged, self.marked_for = 0, ""
         self.counts: dict[int, dict[str, int]] = {}
         self.n_good: dict[int, int] = {}
         self.n_failed: dict[int, int] = {}
@@ -134,6 +136,12 @@ class Replay:
         for name, value in {"made": 0, "failed": 0, "flags": 0, "last": -1, "is_good": False}.items():
             values = getattr(self, name)
             setattr(self, name, np.concatenate([values, np.full(more, value, dtype=values.dtype)]))
+
+    def mark_for(self, digest: str) -> None:
+        """Remove the marks of targets in fields and in reach if they were made for another instrument or options."""
+        if self.marked_for != digest:
+            self.flags &= LOST
+            self.n_flagged, self.marked_for = 0, digest
 
     def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
         """Add an observation, and the visits of its plan."""
@@ -168,6 +176,7 @@ class Replay:
             "keys": np.array([_key(one) for one in self.attempts], dtype="S64"),
             **{name: getattr(self, name) for name in ("made", "failed", "last", "is_good", "flags")},
             "n_flagged": np.array(self.n_flagged),
+            "marked_for": np.array([self.marked_for], dtype="S64"),
             "names": np.array(names, dtype="S24"),
             "rows": np.array(rows, dtype=np.int64),
             "counts": np.array([[self.counts[row].get(name, 0) for name in names] for row in rows], dtype=np.int64),
@@ -240,6 +249,7 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
         "last": ("i4", n),
         "is_good": ("?", n),
         "n_flagged": ("i8", ()),
+        "marked_for": ("S64", (1,)),
         "names": ("S24", n),
         **dict.fromkeys(("rows", "n_good", "n_failed"), ("i8", n)),
         "counts": ("i8", (None, None)),
@@ -255,6 +265,7 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
     for name in ("made", "failed", "flags", "last", "is_good"):
         setattr(found, name, stored[name])
     found.attempts, found.n_flagged = attempts[: len(keys)], int(stored["n_flagged"])
+    found.marked_for = stored["marked_for"].tolist()[0].decode()
     names, rows = [name.decode() for name in stored["names"].tolist()], stored["rows"].tolist()
     for row, counts in zip(rows, stored["counts"].tolist(), strict=True):
         found.counts[row] = dict(zip(names, counts, strict=True))

@@ -12,11 +12,13 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal
+from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, TileEvent, read_events, to_date
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
 from rfpsurvey.survey._history._rule import LAST, VisitRule
 from rfpsurvey.survey._history._targets import apply_changes
 from rfpsurvey.survey._history._tiles import add_tiles
+from rfpsurvey.survey._source import digest
 from rfpsurvey.tile import describe
 from rfpsurvey.tiling import Tiling
 
@@ -173,9 +175,19 @@ class SurveyState:
         return self.states.attempts
 
     @property
-    def changes_targets(self) -> bool:
-        """Whether targets were added, dropped or changed."""
-        return bool(self.events.target_tables)
+    def first(self) -> Catalog | PartitionedCatalog:
+        """The catalog of the first plan."""
+        return self.given[0]
+
+    @cached_property
+    def digest(self) -> str:
+        """A digest of the catalog of the first plan, which is computed faster than the digest in its `Request`."""
+        if isinstance(self.first, PartitionedCatalog):
+            return f"{number_of(len(self.first), 'target')}, digest {self.first.parts.digest()}"
+        icrs, columns = self.first.coord.icrs, ("id", *PLANNED_COLUMNS)
+        arrays = [icrs.ra.deg, icrs.dec.deg, *(getattr(self.first, name) for name in columns)]
+        own = digest(*arrays, *self.first.arrays.extra.values())
+        return f"{number_of(len(self.first), 'target')}, digest {own}"
 
     def check_current(self) -> None:
         """Raise an error if events were recorded in the folder after this state was read."""
@@ -186,12 +198,12 @@ class SurveyState:
             )
 
     def check_catalog(self, catalog: object) -> None:
-        """Raise an error if a catalog has another number of targets than that of the state."""
-        n = len(catalog)
-        if n not in (len(self), self.events.files[0].n_targets if self.events.files else len(self)):
+        """Raise an error if a catalog is neither that of the first plan nor that of the state."""
+        given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+        if not any(_is_same(given, own) for own in (self.first, self.catalog)):
             raise InputError(
-                f"the catalog must be that of the state, with {number_of(len(self), 'target')}, got "
-                f"{number_of(n, 'target')}"
+                f"the catalog must be that of the state, with {number_of(len(self), 'target')}, got another catalog "
+                f"with {number_of(len(given), 'target')}"
             )
 
     @property
@@ -273,16 +285,22 @@ class SurveyState:
         Raises
         ------
         InputError
-            If the number of tiles differs from that of the first plan.
+            If the tiles are not those of the first plan.
         """
-        if not self.states.added:
-            return tiling
-        first = self.events.files[0].n_tiles
+        first = self.events.files[0].n_tiles if self.events.files else len(tiling)
         if len(tiling) != first:
             raise InputError(
                 f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
             )
-        return add_tiles(tiling, self.states.added)
+        tiling = add_tiles(tiling, self.states.added) if self.states.added else tiling
+        names = np.asarray(tiling.table["tile"]).astype(str).tolist()
+        for event in self.events.of_tiles():
+            if names[event.row] != event.tile:
+                raise InputError(
+                    f"tiles must be those of the first plan, got the tile {names[event.row]} in row {event.row} "
+                    f"instead of {event.tile}"
+                )
+        return tiling
 
     def __len__(self):
         return len(self.observed)
@@ -304,6 +322,17 @@ def _columns_of(catalog, visits: object) -> dict:
     n = len(catalog)
     requested = own.pop("visits") if visits is None else to_visits(visits, n)
     return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
+
+
+def _is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
+    """Return whether two catalogs are equal in all columns that a plan uses."""
+    if one is other:
+        return True
+    if isinstance(one, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
+        return type(one) is type(other) and one.parts.digest() == other.parts.digest()
+    places = [np.column_stack([sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg]) for sky in (one, other)]
+    columns = [[sky.id, sky.visits, *(getattr(sky, name) for name in PLANNED_COLUMNS)] for sky in (one, other)]
+    return all(np.array_equal(a, b) for a, b in zip([places[0], *columns[0]], [places[1], *columns[1]], strict=True))
 
 
 def _last_of(own: Replay) -> np.ndarray:

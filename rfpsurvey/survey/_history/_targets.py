@@ -19,6 +19,8 @@ IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
 DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1)}
+# Missing value of a column, by the kind of its data type; -1 for integers.
+MISSING = {"f": np.nan, "U": "", "b": False}
 # Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
 TOLERANCE_RAD = 5e-9
 
@@ -31,10 +33,11 @@ class ChangedTargets(NamedTuple):
     """Whether each target was dropped."""
 
 
-def target_changes(table: Table, events: Events, survey) -> QTable:
+def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     """Return the changes that a table of targets contains, with the row of each target, or raise an error.
 
-    Missing values change nothing. Targets that the survey does not contain are added.
+    Missing values change nothing. Targets that the survey does not contain are added. The changes contain no rows that
+    were already recorded; the second value is the number of these rows.
     """
     lower = {name.lower(): name for name in reversed(table.colnames)}
     name = next((lower[one] for one in IDS if one in lower), None)
@@ -72,7 +75,30 @@ def target_changes(table: Table, events: Events, survey) -> QTable:
     date = next((lower[one] for one in ("date", "night") if one in lower), None)
     changes["date"] = [""] * len(ids) if date is None else [to_date(one) for one in table[date]]
     _check_numbers(changes, new, survey, ids)
-    return changes
+    known = _known(changes, events)
+    return changes[~known], int(known.sum())
+
+
+def _known(changes: QTable, events: Events) -> np.ndarray:
+    """Return which rows contain only values that were already recorded, and that were not changed since then."""
+    rows, known = np.asarray(changes[ROW]), np.ones(len(changes), dtype=bool)
+    for name in {*changes.colnames} - {ROW, ID, "date"}:
+        values = np.asarray(changes[name])
+        last = values.copy()
+        last[:] = MISSING.get(last.dtype.kind, -1)
+        for _, table in events.target_tables:
+            if name in table.colnames:
+                _, own, other = np.intersect1d(rows, table[ROW], return_indices=True)
+                found = np.asarray(table[name])[other]
+                last = last.astype(np.result_type(last, found))
+                last[own[_given(found)]] = found[_given(found)]
+        known &= ~_given(values) | (values == last)
+    return known
+
+
+def _given(values: np.ndarray) -> np.ndarray:
+    """Return which values of a column are not missing."""
+    return {"f": np.isfinite, "U": lambda texts: texts != ""}.get(values.dtype.kind, lambda codes: codes >= 0)(values)
 
 
 def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str | None = None) -> ChangedTargets:
@@ -95,7 +121,7 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str
     changes, rows = changes[~late], rows[~late]
     for name in ("priority", "subpriority", "visits", *TEXTS):
         values, old = np.asarray(changes[name]), getattr(catalog, name)
-        given = values != "" if name in TEXTS else values >= 0 if name == "visits" else np.isfinite(values)
+        given = _given(values)
         if not given.any():
             continue
         if old is None and name not in DEFAULTS:
@@ -267,7 +293,7 @@ def _joined(catalog: Catalog, new: QTable) -> Catalog:
 def _extended(column, n: int):
     """Return a column with n missing values at the end."""
     values = np.asarray(getattr(column, "value", column))
-    missing = {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1)
+    missing = MISSING.get(values.dtype.kind, -1)
     values = np.concatenate([values, np.full(n, missing).astype(values.dtype)])
     unit = getattr(column, "unit", None)
     return values if unit is None else values * unit

@@ -1,0 +1,216 @@
+"""States and plans with other input, and with files that are missing or damaged; nothing is written then."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import QTable
+from living import content, differences, events, instrument, targets, tiling
+
+import rfpsurvey as rs
+from rfpsurvey.survey import SurveyState, VisitRule
+
+WIDE = rs.FocalPlane.hexagonal(rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm), rings=1, pitch=25.6 * u.mm)
+OTHER = rs.Instrument("other", WIDE, plate_scale=200 * u.mm / u.deg)
+DAMAGES = ["cut", "edited", "missing first", "missing last", "exchanged", "empty", "other version"]
+
+
+@pytest.fixture(scope="module")
+def case():
+    return targets(), instrument(), tiling()
+
+
+@pytest.fixture(scope="module")
+def recorded(case, tmp_path_factory):
+    """Return the folder of a survey with four files of events, which was then planned again."""
+    folder = tmp_path_factory.mktemp("recorded") / "survey"
+    survey = rs.plan_survey(*case, folder=folder, allocator="nearest")
+    survey.record(events(tile=[11, 12], date="2026-01-03", fraction=[1.0, 0.5]))
+    survey.record(events(target=1001, visits=3))
+    survey.record(events(target=5000, visits=2, ra=120.1, dec=30.0, priority=2))
+    survey.record(events(tile=13, date="2026-01-04"))
+    rs.plan_survey(*case, folder=folder, allocator="nearest", resume=True, visits=survey.state(case[0]))
+    return folder
+
+
+@pytest.fixture
+def folder(recorded, tmp_path):
+    return shutil.copytree(recorded, tmp_path / "survey")
+
+
+def replan(case, folder, **options):
+    state = SurveyState.read(folder, case[0]) if "visits" not in options else options.pop("visits")
+    return rs.plan_survey(*case, folder=folder, visits=state, **{"resume": True, "allocator": "nearest", **options})
+
+
+def refuse(folder, sentence, call):
+    before = content(folder)
+    with pytest.raises(rs.InputError, match=sentence) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+    assert content(folder) == before
+
+
+@pytest.mark.parametrize("what", ["ids", "fewer", "more", "priority", "place"])
+def test_another_catalog(case, folder, what):
+    """Regression: another catalog with the same number of targets was accepted, and not used."""
+    sky = case[0]
+    other = {
+        "ids": replace(sky, id=sky.id + 1),
+        "fewer": sky[:-1],
+        "more": targets(1)[np.r_[np.arange(60), 0, 1]],
+        "priority": replace(sky, priority=sky.priority + 1),
+        "place": replace(sky, coord=sky.coord[::-1]),
+    }[what]
+    state = SurveyState.read(folder, sky)
+    sentence, own = "the catalog must be that of the state, with 61 targets, got another", (other, *case[1:])
+    refuse(folder, sentence, lambda: replan(own, folder, visits=state))
+    if what in ("ids", "fewer", "more"):
+        refuse(folder, "the catalog must be that of", lambda: SurveyState.read(folder, other))
+    else:
+        other_state = SurveyState.read(folder, other)
+        refuse(folder, "holds another survey: catalog differs", lambda: replan(own, folder, visits=other_state))
+
+
+@pytest.mark.parametrize("what", ["ids", "fewer"])
+def test_another_catalog_without_changed_targets(case, tmp_path, what):
+    survey = rs.plan_survey(*case, folder=tmp_path / "survey", allocator="nearest")
+    survey.record(events(tile=11, date="2026-01-03"))
+    last = survey.tile(11)["target_row"].max()
+    other = replace(case[0], id=case[0].id + 1) if what == "ids" else case[0][:last]
+    refuse(survey.folder, "the catalog must be that of the survey", lambda: survey.state(other))
+
+
+def test_equal_catalogs_are_the_same_catalog(case, folder):
+    state = SurveyState.read(folder, case[0])
+    same = rs.Catalog.from_table(case[0].to_table())
+    for sky in (same, state.catalog):
+        assert replan((sky, *case[1:]), folder, visits=state).summary == rs.Survey.read(folder).summary
+
+
+def test_other_tiles_instruments_and_options(case, folder):
+    sky, tiny, tiles = case
+    table = tiles.table.copy()
+    table["ra"][0] += 0.01 * u.deg
+    for other, options, sentence in (
+        ((sky, tiny, tiles.table[:-1]), {}, "tiles must be the 6 tiles of the first plan, got 5 tiles"),
+        (
+            (sky, tiny, tiles.table[::-1]),
+            {},
+            "got the tile 16 in row 0 instead of 11",
+        ),
+        ((sky, tiny, table), {}, "holds another survey: tiles differs"),
+        ((sky, OTHER, tiles), {}, "holds another survey: instrument"),
+        (case, {"allocator": "repair"}, "holds another survey: allocator differs"),
+        (case, {"rng": 1}, "holds another survey: rng differs"),
+        (case, {"order": "given"}, "holds another survey: order differs"),
+        (case, {"passes": [1]}, "must be the 6 tiles of the first plan, got 3"),
+        (case, {"resume": False}, "holds a survey; continue it with resume=True|use resume=True"),
+        (case, {"visits": None}, r"holds a survey with recorded events; plan the rest with visits=Survey\.state"),
+    ):
+        refuse(folder, sentence, lambda other=other, options=options: replan(other, folder, **options))
+    state = SurveyState.read(folder, sky)
+    with pytest.raises(rs.InputError, match="tiles must be the 6 tiles of the first plan, got 5 tiles"):
+        rs.plan_survey(sky, tiny, tiles.table[:-1], visits=state)
+
+
+def test_a_state_that_was_used_with_another_instrument(case, folder):
+    """Regression: outcomes depended on the instrument for which the state was used before."""
+    state = SurveyState.read(folder, case[0])
+    expected = rs.plan_survey(case[0], OTHER, case[2], visits=state)
+    (folder / "events/state.npz").unlink()
+    again = SurveyState.read(folder, case[0])
+    assert differences(rs.plan_survey(case[0], OTHER, case[2], visits=again), expected) == []
+    own = rs.plan_survey(*case, visits=again, allocator="nearest")
+    assert differences(own, rs.Survey.read(folder)) == []
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_files_of_events(case, folder, damage):
+    """Regression: the last file of events could be removed."""
+    state, survey = SurveyState.read(folder, case[0]), rs.Survey.read(folder)
+    one, two, last = (folder / f"events/00000{k}.json" for k in (1, 2, 4))
+    sentence = "is damaged"
+    if damage == "cut":
+        one.write_bytes(one.read_bytes()[:-200])
+    elif damage == "edited":
+        one.write_text(one.read_text().replace("2026-01-03", "2026-01-02"))
+        sentence = r"000001\.json is damaged \(its digest differs from its content\)"
+    elif damage == "empty":
+        one.write_bytes(b"")
+    elif damage == "missing first":
+        one.unlink()
+        sentence = r"000001\.json is missing, but 000002\.json exists"
+    elif damage == "missing last":
+        last.unlink()
+        sentence = r"000004\.json is missing, although .* was planned with 4 files of events"
+    elif damage == "exchanged":
+        one.rename(folder / "events/other")
+        two.rename(one)
+        (folder / "events/other").rename(two)
+        sentence = "must follow the events before it"
+    else:
+        content_of = json.loads(one.read_text())
+        one.write_text(json.dumps({**content_of, "events": {**content_of["events"], "version": 2}}))
+    for call in (
+        lambda: SurveyState.read(folder, case[0]),
+        lambda: survey.record(events(tile=14, date="2026-01-09")),
+        lambda: replan(case, folder, visits=state),
+    ):
+        refuse(folder, sentence, call)
+
+
+@pytest.mark.parametrize("damage", ["cut", "missing"])
+def test_damaged_tables_of_targets(case, folder, damage):
+    path = next((folder / "events").glob("*.fits"))
+    path.write_bytes(path.read_bytes()[:-5]) if damage == "cut" else path.unlink()
+    refuse(folder, "is missing or damaged", lambda: SurveyState.read(folder, case[0]))
+
+
+@pytest.mark.parametrize("damage", ["cut", "missing"])
+def test_damaged_plans(case, folder, damage):
+    path, survey = folder / "tiles/000/000000.fits", rs.Survey.read(folder)
+    path.write_bytes(path.read_bytes()[:-5]) if damage == "cut" else path.unlink()
+    sentence = r"000000\.fits must be the plan with which the tile in row 0 was observed"
+    (folder / "events/state.npz").unlink()
+    refuse(folder, sentence, lambda: SurveyState.read(folder, case[0]))
+    refuse(folder, sentence, lambda: survey.record(events(tile=11, date="2026-01-03", positioner=1)))
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed", "empty"])
+def test_a_damaged_checkpoint_is_not_used(case, folder, damage):
+    before, path = SurveyState.read(folder, case[0]), folder / "events/state.npz"
+    stored = path.read_bytes()
+    damaged = {"cut": stored[:-9], "changed": stored[:700] + b"x" + stored[701:], "empty": b""}[damage]
+    path.write_bytes(damaged)
+    after = SurveyState.read(folder, case[0])
+    assert (after.table == before.table).all()
+    replan(case, folder, visits=after)
+
+
+def test_rules_without_end_or_with_too_many_visits(case, folder):
+    survey = rs.Survey.read(folder)
+    wrong = {
+        "must end, got 256 requested visits": lambda t: {"visits": t["observed"].astype(int) + 1},
+        "must request at most 255 visits, got 300": lambda t: {"visits": np.full(len(t), 300)},
+        "visits must be whole numbers from 0 to 255, got -1": lambda t: {"visits": np.full(len(t), -1)},
+        "visits must be whole numbers from 0 to 255, got nan": lambda t: {"visits": np.full(len(t), np.nan)},
+        "priorities must be finite numbers": lambda t: {"priority": np.full(len(t), np.nan)},
+        "must return a dict or a table with the columns": lambda t: {"color": np.ones(len(t))},
+        "visits must be one number or have the shape": lambda t: {"visits": [1, 2]},
+        "ZeroDivisionError": lambda t: 1 // 0,
+    }
+    for sentence, function in wrong.items():
+        refuse(folder, sentence, lambda function=function: survey.state(case[0], rule=VisitRule(function=function)))
+    for options in ({"visits": 256}, {"after_success": 0}, {"retries": -1}, {"visits": 1.5}, {"function": "nowhere"}):
+        with pytest.raises(rs.InputError):
+            VisitRule(**options)
+    with pytest.raises(rs.InputError, match="visits must be whole numbers from 0 to 255, got 256"):
+        VisitRule(table=QTable({"visits": [256]}))
+    with pytest.raises(rs.InputError, match="rule must be a VisitRule"):
+        survey.state(case[0], rule="always")
+    with pytest.raises(rs.InputError, match="date must be a date such as 2026-01-03, got 'tomorrow'"):
+        survey.state(case[0], until="tomorrow")

@@ -1,0 +1,94 @@
+"""Recording, planning and checkpoints that are killed at random moments, and repeated."""
+
+import multiprocessing
+import os
+import time
+
+import numpy as np
+import pytest
+from living import content, events, instrument, targets, tiling
+
+import rfpsurvey as rs
+from rfpsurvey.survey import SurveyState
+
+pytestmark = [
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
+    pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
+]
+CASE = targets(), instrument(), tiling()
+
+
+def record(folder, table):
+    rs.Survey.read(folder).record(table)
+
+
+def plan(folder, first=False):
+    state = None if first else SurveyState.read(folder, CASE[0])
+    rs.plan_survey(*CASE, folder=folder, resume=True, visits=state, allocator="nearest")
+
+
+STEPS = [
+    (plan, True),
+    (record, events(tile=[11, 12, 13], date="2026-01-03", state=["done", "bad", "partly"])),
+    (plan,),
+    (record, events(target=[1001, 2001], state=["dropped", ""], ra=120.1, dec=30.0, priority=2.0)),
+    (record, events(tile=30, state="added", ra=120.03, dec=30.01)),
+    (plan,),
+    (record, events(tile=[30, 12], date="2026-01-05")),
+    (record, events(tile=12, date="2026-01-03", state="planned")),
+    (plan,),
+]
+
+
+@pytest.mark.filterwarnings("ignore:.*recorded positions")
+@pytest.mark.parametrize("n", [6, pytest.param(50, marks=pytest.mark.exhaustive)])
+def test_killed_at_random_moments(tmp_path, rng, n):
+    """Each command is killed up to four times, and then repeated until it ends; ``n`` processes are killed."""
+    context = multiprocessing.get_context("fork")
+    expected, seconds = {}, {}
+    for k, (function, *arguments) in enumerate(STEPS):
+        begin = time.perf_counter()
+        function(tmp_path / "whole", *arguments)
+        seconds[k], expected[k] = time.perf_counter() - begin, content(tmp_path / "whole")
+    assert len(expected[8]) == 20
+    killed, run = 0, 0
+    while killed < n:
+        run += 1
+        folder = tmp_path / f"survey-{run}"
+        for k, (function, *arguments) in enumerate(STEPS):
+            for _ in range(rng.integers(0, 5)):
+                process = context.Process(target=function, args=(folder, *arguments))
+                process.start()
+                process.join(rng.uniform(0, seconds[k]))
+                killed += process.is_alive()
+                process.kill()
+                process.join()
+            function(folder, *arguments)
+            assert content(folder) == expected[k], k
+
+
+@pytest.mark.filterwarnings("ignore:.*recorded positions")
+def test_repeated_commands_change_nothing(tmp_path):
+    """Regression: equal records of targets were appended again."""
+    for function, *arguments in STEPS:
+        function(tmp_path / "survey", *arguments)
+        before = content(tmp_path / "survey")
+        if function is record or arguments != [True]:
+            function(tmp_path / "survey", *arguments)
+        assert content(tmp_path / "survey") == before
+
+
+def test_equal_changes_of_targets_are_known(tmp_path):
+    plan(tmp_path / "survey", True)
+    survey = rs.Survey.read(tmp_path / "survey")
+    new = events(target=[1001, 7], visits=[2, 3], ra=[np.nan, 120.0], dec=[np.nan, 30.0], priority=[np.nan, 1.0])
+    assert survey.record(new)["n_events"] == 2
+    assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0}
+    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {"n_events": 1, "n_known": 1, "n_ignored": 0}
+    assert survey.record(events(target=1001, visits=1))["n_events"] == 1
+    assert survey.record(events(target=1001, visits=2))["n_events"] == 1
+    assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
+    assert survey.record(events(target=[1001], category=["longer"]))["n_events"] == 1
+    assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
+    assert survey.record(events(target=[1001], category=["a"]))["n_known"] == 1
+    assert survey.state(CASE[0]).catalog.visits[[1, 2, 60]].tolist() == [2, 2, 3]
