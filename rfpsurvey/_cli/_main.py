@@ -31,6 +31,7 @@ COMMANDS = {
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
     "potential": "Find the tiles and positioners that reach each point of a catalog of random points.",
     "probability": "Estimate the probability that arms collide, with a confidence interval.",
+    "record": "Record what was observed, or which tiles and targets changed, in the folder of a survey.",
     "score": "Find the collisions in an assignment that was made by another program.",
     "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "
     "observed.",

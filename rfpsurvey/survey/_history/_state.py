@@ -275,6 +275,18 @@ class SurveyState:
         )
 
 
+def first_visits(
+    catalog: object, rule: VisitRule, visits: object = None
+) -> tuple[Catalog | PartitionedCatalog, np.ndarray]:
+    """Return a catalog with the priorities, and the requested visits, that a rule determines before any observation."""
+    catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+    columns, none = _columns_of(catalog, visits), np.zeros(len(catalog), dtype=np.uint8)
+    wanted, priority = rule.apply({**columns, "observed": none, "failed": none, "last": none})
+    if priority is not columns["priority"]:
+        catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
+    return catalog, wanted
+
+
 def _columns_of(catalog, visits: object) -> dict:
     """Return the columns of a catalog that rules use."""
     names = ("id", "priority", "category", "kind", "visits")
