@@ -35,6 +35,7 @@ COMMANDS = {
     "score": "Find the collisions in an assignment that was made by another program.",
     "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "
     "observed.",
+    "status": "Print what a survey has observed, what is planned, and what remains.",
     "survey": "Plan the tiles of a survey so that as many targets as possible are observed the requested number of "
     "times.",
     "tile": "Place the tiles of a survey.",

@@ -37,9 +37,9 @@ def survey_folder(path: object) -> Path | None:
         return None
     if not (folder / RECORD).is_file():
         raise InputError(
-            f"{folder} must be a folder that the command rfpsurvey survey wrote, with the file {RECORD}, got a survey "
-            "that was planned in Python; plan the rest there with visits=Survey.state(...), or give the catalog and all "
-            f"options of the first plan, with --folder {folder} --replan"
+            f"{folder} must be a folder that rfpsurvey survey wrote, with the file {RECORD}, got a survey that was "
+            "planned in Python; plan the rest there with visits=Survey.state(...), or give the catalog and all options "
+            f"of the first plan, with --folder {folder} --replan"
         )
     return folder
 

@@ -1,6 +1,7 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._history import SurveyState, VisitRule
+from rfpsurvey.survey._history._status import survey_status
 from rfpsurvey.survey._joint import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
@@ -20,5 +21,6 @@ __all__ = [
     "plan_survey",
     "prepare_request",
     "reach_of",
+    "survey_status",
     "work",
 ]

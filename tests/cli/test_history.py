@@ -294,3 +294,58 @@ def test_invalid_rules_are_one_sentence(run, files, tmp_path):
     assert message in sentence(*run(*words, "--set", "rule.after_success=0")[::2])
     assert "there is no such file" in sentence(*run(*words, "--set", "rule.table=no.ecsv")[::2])
     assert not (tmp_path / "new").exists()
+
+
+@pytest.fixture
+def observed(call, plan, tmp_path):
+    """Return a survey with two observed tiles, of which three visits failed, and a dropped tile."""
+    folder = plan()
+    failed = rs.Survey.read(folder).tile(11)["positioner"][:3]
+    table = write(
+        tmp_path / "a.csv", tile=[11, 12, 13], date=["2026-01-03", "2026-01-05", ""], state=["done", "done", "dropped"]
+    )
+    call("record", folder, table)
+    call("record", folder, write(tmp_path / "b.csv", positioner=failed, date=["2026-01-03"] * 3), "--tile", 11)
+    return folder
+
+
+def test_the_status_is_that_of_the_library(call, observed, tmp_path):
+    out, lines = call("status", observed)
+    assert "the last plan does not take all recorded events into account" in out
+    call("survey", observed, "--replan")
+    out, again = call("status", observed, "--output", tmp_path / "targets.fits", "--plot", tmp_path / "status.png")
+    assert "the last plan does not" not in out
+    survey, state = rs.Survey.read(observed), rs.survey.SurveyState.read(observed, _catalog(observed))
+    assert again["observed"] == lines["observed"]
+    s = survey.summary
+    # the label "observed" is that of tiles and that of visits
+    assert again["visits requested"] == [str(s["n_visits_requested"])]
+    assert again["failed visits"] == lines["failed visits"] == ["3"]
+    assert again["planned"] == [str(s["n_visits_observed"] - int(state.observed.sum()))]
+    assert again["first and last date"] == ["2026-01-03", "2026-01-05"]
+    table = Table.read(tmp_path / "targets.fits")
+    assert (np.asarray(table["observed"]) == state.observed).all()
+    assert table["last_date"].tolist().count("2026-01-05") == int((state.table["last_date"] == "2026-01-05").sum()) > 0
+    assert (tmp_path / "status.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_status_of_an_earlier_date(call, observed):
+    _, lines = call("status", observed, "--until", "2026-01-04")
+    assert lines["first and last date"] == ["2026-01-03", "2026-01-03"]
+
+
+def test_the_report_of_the_status(call, observed, tmp_path):
+    call("status", observed, "--report", tmp_path / "status.html")
+    page = (tmp_path / "status.html").read_text()
+    assert "Status of a survey with sdss_apo" in page
+    assert "Events were recorded after the last plan" in page
+    assert "2026-01-05" in page
+
+
+def test_invalid_input_of_the_status_is_one_sentence(run, observed, tmp_path):
+    assert "does not hold a survey" in sentence(*run("status", tmp_path)[::2])
+    assert "date must be a date" in sentence(*run("status", observed, "--until", "soon")[::2])
+    assert "must end in" in sentence(*run("status", observed, "--output", tmp_path / "x.txt")[::2])
+    (observed / "plan.toml").unlink()
+    assert "with the file plan.toml" in sentence(*run("status", observed, "--report", tmp_path / "x.html")[::2])
+    assert not (tmp_path / "x.html").exists()

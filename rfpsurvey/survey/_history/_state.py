@@ -52,16 +52,22 @@ class SurveyState:
         The rule.
     until : str or None
         Date of the last events that are taken into account; None if all events are.
+    replayed : Replay
+        The visits of all targets that follow from the observations.
+    states : TileStates
+        The states of all tiles.
 
     Examples
     --------
-    >>>     >>> from astropy.coordinates import SkyCoord
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> from astropy.table import Table
     >>> from tempfile import TemporaryDirectory
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
     >>> with TemporaryDirectory() as folder:
     ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
-    ...     said = survey.record([{"tile": 0, "date": "2026-01-03", "state": "done"}])
+    ...     said = survey.record(Table({"tile": [0], "date": ["2026-01-03"], "state": ["done"]}))
     ...     state = survey.state(sky)
     >>> bool(state.observed.sum() == survey.summary["n_visits_observed"])
     True
@@ -166,7 +172,18 @@ class SurveyState:
         return bool(self.events.target_tables)
 
     def check_catalog(self, catalog: object) -> None:
-        """Raise an error if a catalog has another number of targets than that of the state."""
+        """Raise an error if a catalog has another number of targets than that of the state.
+
+        Parameters
+        ----------
+        catalog : Catalog or PartitionedCatalog
+            The targets of the first plan, or of the state.
+
+        Raises
+        ------
+        InputError
+            If the number of targets differs.
+        """
         n = len(catalog)
         if n not in (len(self), self.events.files[0].n_targets if self.events.files else len(self)):
             raise InputError(
