@@ -26,6 +26,7 @@ COMMANDS = {
     "compare-allocators": "Compare allocators on the same field.",
     "convert": "Convert a plan to the format of another program.",
     "design": "Scan designs of positioners, optionally around the design of an instrument, and find the best designs.",
+    "diff": "List the tiles and fibers that differ between two plans of a survey, and the reasons.",
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",

@@ -349,3 +349,23 @@ def test_invalid_input_of_the_status_is_one_sentence(run, observed, tmp_path):
     (observed / "plan.toml").unlink()
     assert "with the file plan.toml" in sentence(*run("status", observed, "--report", tmp_path / "x.html")[::2])
     assert not (tmp_path / "x.html").exists()
+
+
+def test_differences_of_two_plans(call, observed, tmp_path):
+    shutil.copytree(observed, tmp_path / "before")
+    assert call("diff", tmp_path / "before", observed)[0] == "the surveys are the same: 4 tiles\n"
+    call("survey", observed, "--replan")
+    out, lines = call("diff", tmp_path / "before", observed, "--output", tmp_path / "changes.fits")
+    table = Table.read(tmp_path / "changes.fits")
+    expected = rs.survey.diff_surveys(tmp_path / "before", observed)
+    assert table["reason"].tolist() == expected["reason"].tolist()
+    assert lines["tiles: observed"] == ["2"]
+    assert lines["tiles: dropped"] == ["1"]
+    n = int(((expected["tile"] == "14") & (expected["positioner"] != "")).sum())
+    assert f"tile 14: {n} fibers changed" in out
+    assert "tile 11: observed\n" in out
+
+
+def test_invalid_input_of_differences_is_one_sentence(run, observed, tmp_path):
+    assert "does not hold a survey" in sentence(*run("diff", observed, tmp_path)[::2])
+    assert "must end in" in sentence(*run("diff", observed, observed, "--output", tmp_path / "x.txt")[::2])
