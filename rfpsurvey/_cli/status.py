@@ -48,7 +48,7 @@ def status(
         if len(found) > 1:
             print("visits of each class of targets:")
             _print.print_table(found)
-        if not found.meta["is_planned"]:
+        if until is None and not found.meta["is_planned"]:
             _print.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "
                 f"{folder} --replan"

@@ -85,6 +85,12 @@ STATUS = {
     "n_impossible": "    no tile reaches the target",
     "n_failed": "failed visits",
 }
+STATES = {
+    "observed": "  finished",
+    "partly observed": "  partly observed",
+    "dropped": "  dropped",
+    "planned": "  not yet observed",
+}
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 TOTAL = "any target"
 LEVELS = {
@@ -238,12 +244,12 @@ def estimate_facts(estimate: "Estimate") -> dict:
 def status_facts(status: "QTable") -> dict:
     """Return the labels and values of the status of a survey."""
     one, tiles = status[0], status.meta["tiles"]
-    count = {name: sum(row[name] for row in tiles) for name in ("observed", "partly observed", "dropped", "planned")}
+    count = {label: sum(row[name] for row in tiles) for name, label in STATES.items()}
     values = {name: int(one[name]) for name in status.colnames if name.startswith("n_")}
     dates = [date for date in status.meta["progress"]["date"] if date]
     return {
         "tiles": sum(count.values()),
-        **{f"  {name}": n for name, n in count.items() if n or name in ("observed", "planned")},
+        **count,
         **({"first and last date": f"{dates[0]} {dates[-1]}"} if dates else {}),
         **{label: values[name] for name, label in STATUS.items()},
     }

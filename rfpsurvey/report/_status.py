@@ -28,7 +28,9 @@ def page_of_status(status: Table, where: str) -> Page:
     picture = Picture("Progress of the survey.", plot_survey_status(status)[0].figure, words)
     progress = status.meta["progress"]
     dates = QTable({"date": progress["date"], "tiles": progress["n_tiles"], **_by_class(progress["n_observed"])})
-    blocks = [Facts("", status_facts(status)), *([] if status.meta["is_planned"] else [Text(NOT_PLANNED)])]
+    until = status.meta["events"].get("until")
+    note = f"Observations until {until} are taken into account." if until else NOT_PLANNED
+    blocks = [Facts("", status_facts(status)), *([] if status.meta["is_planned"] else [Text(note)])]
     sections = [
         Section("Result", blocks),
         Section("Progress", [picture, *([Rows("Observed tiles and visits up to each date.", dates)] if dates else [])]),

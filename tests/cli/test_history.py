@@ -318,7 +318,8 @@ def test_the_status_is_that_of_the_library(call, observed, tmp_path):
     survey, state = rs.Survey.read(observed), rs.survey.SurveyState.read(observed, _catalog(observed))
     assert again["observed"] == lines["observed"]
     s = survey.summary
-    # the label "observed" is that of tiles and that of visits
+    assert again["observed"] == [str(int(state.observed.sum()))]
+    assert [again[name] for name in ("finished", "dropped", "not yet observed")] == [["2"], ["1"], ["1"]]
     assert again["visits requested"] == [str(s["n_visits_requested"])]
     assert again["failed visits"] == lines["failed visits"] == ["3"]
     assert again["planned"] == [str(s["n_visits_observed"] - int(state.observed.sum()))]
@@ -330,7 +331,9 @@ def test_the_status_is_that_of_the_library(call, observed, tmp_path):
 
 
 def test_the_status_of_an_earlier_date(call, observed):
-    _, lines = call("status", observed, "--until", "2026-01-04")
+    out, lines = call("status", observed, "--until", "2026-01-04")
+    assert lines["finished"] == ["1"]
+    assert "the last plan" not in out
     assert lines["first and last date"] == ["2026-01-03", "2026-01-03"]
 
 
@@ -369,3 +372,13 @@ def test_differences_of_two_plans(call, observed, tmp_path):
 def test_invalid_input_of_differences_is_one_sentence(run, observed, tmp_path):
     assert "does not hold a survey" in sentence(*run("diff", observed, tmp_path)[::2])
     assert "must end in" in sentence(*run("diff", observed, observed, "--output", tmp_path / "x.txt")[::2])
+
+
+def test_a_rule_is_an_entry_point_of_a_package(call, plan, install):
+    install(
+        "mine", "def rule(table):\n    return {'visits': 3 - (table['priority'] == 1)}\n", visit_rules={"mine": "rule"}
+    )
+    folder = plan("--set", "rule.function=mine")
+    assert tomllib.loads((folder / "plan.toml").read_text())["rule"] == {"function": "mine"}
+    survey = rs.Survey.read(folder)
+    assert (survey.outcomes["requested"] == 3 - (_catalog(folder).priority == 1)).all()
