@@ -28,15 +28,18 @@ def test_every_public_name_is_on_the_api_page_once():
 
 
 CONSOLE = [
-    pytest.param(block, id=f"{page.stem}-{number}")
+    pytest.param(page, block, id=f"{page.stem}-{number}")
     for page in sorted(DOCS.glob("*.rst"))
     for number, block in enumerate(re.findall(r"code-block:: console\n\n((?:    .*\n|\n)+)", page.read_text()))
 ]
 
 
-@pytest.mark.parametrize("block", CONSOLE)
-def test_commands_print_what_the_page_shows(block, run, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("page", "block"), CONSOLE)
+def test_commands_print_what_the_page_shows(page, block, run, tmp_path, monkeypatch):
+    """Blocks with a caption are files, which the commands of the page read."""
     monkeypatch.chdir(tmp_path)
+    for name, text in re.findall(r":caption: (\S+)\n\n((?:    .*\n|\n)+)", page.read_text()):
+        (tmp_path / name).write_text(re.sub("^    ", "", text, flags=re.MULTILINE).strip("\n") + "\n")
     lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial_commands.rst").read_text(), re.DOTALL).group(1)
     (tmp_path / "gaia.csv").write_text(lines.replace("... ", ""))
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)

@@ -17,7 +17,7 @@ from rfpsurvey._io import write_bytes
 from rfpsurvey._outputs import check_output
 from rfpsurvey.errors import InputError
 
-__all__ = ["Given", "command"]
+__all__ = ["Given", "command", "pairs"]
 
 SPELLINGS = {
     "instrument.name": "--instrument",
@@ -121,7 +121,11 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
     """Add the values of a plan file, of --set, and of all other options, which override each other in this order."""
     keys, values, earlier = given.keys, given.values, set[str]()
     word = typed.get("argument")
-    if "write_plan" in typed and word is not None and _plan_file.is_plan_file(word):
+    if typed.get("replan_") and word is not None and (folder := _plan_file.survey_folder(word)) is not None:
+        _plan_file.add_file(keys, values, folder / _plan_file.RECORD)
+        add(keys, values, "output.folder", word)  # the folder may have been moved or copied
+        word = None
+    elif "write_plan" in typed and word is not None and _plan_file.is_plan_file(word):
         _plan_file.add_file(keys, values, Path(word))
         word = None
     for text in typed["set"] or []:
@@ -133,7 +137,7 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
         if value in (None, False, []):
             continue
         if dict in key.kinds:
-            value = _pairs(value, option)
+            value = pairs(value, option)
         for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
             if isinstance(one, str):
                 if not one.strip():
@@ -143,13 +147,13 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
                 add(keys, values, name, one)
 
 
-def _pairs(texts: list[str], option: str) -> dict[str, str]:
+def pairs(texts: list[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
     """Convert options of the form NAME=VALUE to a dict."""
     found = {}
     for text in texts:
         name, sign, value = text.partition("=")
         if not (sign and name and value):
-            raise InputError(f"{option} must have the form NAME=VALUE, got {text!r}")
+            raise InputError(f"{option} must have the form {form}, got {text!r}")
         found[name] = value
     return found
 

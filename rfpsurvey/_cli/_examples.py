@@ -97,8 +97,33 @@ Examples:
   rfpsurvey survey stars.fits --tiles tiles.ecsv --visits 2 --folder plan \\
       --write-plan plan.toml
   rfpsurvey survey plan.toml --workers 2
+  rfpsurvey survey stars.fits --tiles tiles.ecsv --folder plan \\
+      --set rule.after_success=4 --set rule.retries=2
+  rfpsurvey survey plan --replan --report rest.html
   rfpsurvey survey hats_catalog --tiles tiles.ecsv \\
       --set scheduler=tcp://10.0.0.1:8786 --folder plan
+"""
+
+RECORD_EXAMPLES = """\b
+Examples:
+  rfpsurvey record plan night1.ecsv
+  rfpsurvey record plan mtl-done-tiles.ecsv
+  rfpsurvey record plan night2.csv --column date=night --enough 0.9
+  rfpsurvey record plan confSummaryF-998.par --tile 17
+  rfpsurvey record plan new_targets.ecsv
+"""
+
+STATUS_EXAMPLES = """\b
+Examples:
+  rfpsurvey status plan
+  rfpsurvey status plan --until 2026-01-31 --output targets.fits
+  rfpsurvey status plan --plot status.png --report status.html
+"""
+
+DIFF_EXAMPLES = """\b
+Examples:
+  rfpsurvey diff before plan
+  rfpsurvey diff before plan --output changes.ecsv
 """
 
 SELECT_EXAMPLES = """\b

@@ -237,6 +237,7 @@ class ConditionsKeys:
 Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
 SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyAllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
+Rule = Annotated[dict, Part(rs.survey.VisitRule)]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", 0]
 Epoch = Annotated[

@@ -26,14 +26,17 @@ COMMANDS = {
     "compare-allocators": "Compare allocators on the same field.",
     "convert": "Convert a plan to the format of another program.",
     "design": "Scan designs of positioners, optionally around the design of an instrument, and find the best designs.",
+    "diff": "List the tiles and fibers that differ between two plans of a survey, and the reasons.",
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
     "potential": "Find the tiles and positioners that reach each point of a catalog of random points.",
     "probability": "Estimate the probability that arms collide, with a confidence interval.",
+    "record": "Record what was observed, or which tiles and targets changed, in the folder of a survey.",
     "score": "Find the collisions in an assignment that was made by another program.",
     "select": "Plan a survey many times with random subpriorities, and write the probability that each target is "
     "observed.",
+    "status": "Print what a survey has observed, what is planned, and what remains.",
     "survey": "Plan the tiles of a survey so that as many targets as possible are observed the requested number of "
     "times.",
     "tile": "Place the tiles of a survey.",

@@ -15,16 +15,33 @@ from rfpsurvey._cli._keys import Key, Located, Part, add, find, located
 from rfpsurvey._readers import read_toml
 from rfpsurvey.errors import InputError, warn
 
-__all__ = ["add_file", "add_text", "complete", "default_text", "is_plan_file", "to_toml"]
+__all__ = ["RECORD", "add_file", "add_text", "complete", "default_text", "is_plan_file", "survey_folder", "to_toml"]
+
+RECORD = "plan.toml"
+"""Name of the plan file in the folder of a survey."""
 
 WIDTH = 80
 # Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
-OF_ONE_RUN = ("output.resume", "output.overwrite")
+OF_ONE_RUN = ("output.resume", "output.replan", "output.overwrite")
 
 
 def is_plan_file(path: object) -> bool:
     """Return whether the path in place of a catalog is the path of a plan file."""
     return Path(str(path)).suffix.lower() == ".toml"
+
+
+def survey_folder(path: object) -> Path | None:
+    """Return the path if it is the folder of a survey with a plan file, and None if it is no folder of a survey."""
+    folder = Path(str(path))
+    if not (folder / "survey.json").is_file():
+        return None
+    if not (folder / RECORD).is_file():
+        raise InputError(
+            f"{folder} must be a folder that rfpsurvey survey wrote, with the file {RECORD}, got a survey that was "
+            "planned in Python; plan the rest there with visits=Survey.state(...), or give the catalog and all options "
+            f"of the first plan, with --folder {folder} --replan"
+        )
+    return folder
 
 
 def add_file(keys: dict, values: dict, path: Path) -> None:

@@ -11,22 +11,22 @@ from time import perf_counter
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _groups
+from rfpsurvey._cli._plan_file import RECORD
 from rfpsurvey._cli._print import files, print_table, print_text
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import warn_no_effect
 from rfpsurvey.report import survey_facts
+from rfpsurvey.survey import SurveyState, VisitRule
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["read_tiles", "run", "targets_of", "tiles_of", "workers"]
+__all__ = ["read_tiles", "run", "targets_of", "tiles_of", "visits_of", "workers"]
 
 MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
 
 LITTLE = 0.001  # the fraction of visits below which the text before a search advises against a long search
-PLAN = "plan.toml"
-"""Name of the plan file in the folder of a survey."""
 
 
 def targets_of(keys, model: "rs.Instrument", seed: int):
@@ -38,6 +38,21 @@ def targets_of(keys, model: "rs.Instrument", seed: int):
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
     return _app.read_catalog(keys)
+
+
+def visits_of(keys, targets) -> "SurveyState | VisitRule | int | None":
+    """Return the parameter ``visits`` of `plan_survey`: the state of a survey that is planned again, or a rule."""
+    folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
+    if keys.output.replan:
+        if folder is None or not (folder / "survey.json").is_file():
+            raise rs.InputError(
+                "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
+                f"{folder or keys.catalog.path or 'no folder'}"
+            )
+        return SurveyState.read(folder, targets, rule=rule, visits=visits)
+    if not keys.rule:
+        return visits
+    return rule if visits is None or rule.visits is not None else replace(rule, visits=visits)
 
 
 def read_tiles(keys) -> "rs.Tiling | None":
@@ -171,7 +186,7 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
         options["allocator"] = replace(options["allocator"], inform=_print_gain)
     stored = "state of the search and the finished tiles" if is_joint else "finished tiles"
     kept = (
-        f"the {stored} are stored in the folder; continue with --resume"
+        f"the {stored} are stored in the folder; continue with {'the same command' if output.replan else '--resume'}"
         if output.folder
         else "no tiles were stored, because --folder was not given"
     )
@@ -184,7 +199,7 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
         keeps_plan = False
     finally:
         if record is not None and record.is_file() and not keeps_plan:
-            write_bytes(output.folder / PLAN, given.record(output.folder, tables, ("output.folder",)).encode())
+            write_bytes(output.folder / RECORD, given.record(output.folder, tables, ("output.folder",)).encode())
     seconds = perf_counter() - begin
     survey.provenance["plan_file"] = given.record(Path(), tables, ("output.folder",))
     with files(

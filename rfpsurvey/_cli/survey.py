@@ -20,6 +20,10 @@ class SurveyOutputKeys(_groups.OutputKeys):
         Folder to which the finished tiles are written.
     resume : bool, optional
         Continue the unfinished survey in the folder.
+    replan : bool, optional
+        Plan the rest of a survey, whose folder is given in place of the catalog, from the events that were recorded
+        (rfpsurvey record). Observed tiles keep their plans. All options have the values of the first plan, unless
+        they are given.
     plot : Path, optional
         Plot the tiles on the sky and the completeness (.png, .pdf or .svg).
     quality : Path, optional
@@ -29,6 +33,7 @@ class SurveyOutputKeys(_groups.OutputKeys):
 
     folder: Path | None = None
     resume: bool = False
+    replan: bool = False
     plot: Path | None = None
     quality: Path | None = None
 
@@ -42,6 +47,7 @@ class SurveyKeys(_groups.WorkerKeys):
     tiles: _groups.TilesKeys
     options: _groups.SurveyOptions
     joint: Annotated[dict, Part(rs.JointOptions, omit=("allocator",))]
+    rule: _groups.Rule
     conditions: _groups.Conditions
     output: SurveyOutputKeys
     order: _groups.Order = "color"
@@ -52,8 +58,8 @@ class SurveyKeys(_groups.WorkerKeys):
 
 @command(
     SurveyKeys,
-    "tiles.path instrument.name options.allocator options.constraints catalog.visits tiles.passes epoch order "
-    "catalog.columns output.folder output.resume workers rng output.plot output.report output.overwrite",
+    "tiles.path instrument.name options.allocator options.constraints catalog.visits tiles.passes epoch "
+    "catalog.columns output.folder output.resume output.replan workers rng output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.SURVEY_EXAMPLES,
 )
@@ -66,13 +72,13 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     targets = _surveys.targets_of(keys.catalog, model, keys.rng)
     options = {
         "allocator": _app.allocator_of(keys.options, keys.joint, keys.order),
-        "visits": keys.catalog.visits,
+        "visits": _surveys.visits_of(keys, targets),
         "passes": keys.tiles.passes,
         "epoch": keys.epoch,
         "lost_in_collision": keys.lost_in_collision,
         "order": keys.order,
         "folder": keys.output.folder,
-        "resume": keys.output.resume,
+        "resume": keys.output.resume or keys.output.replan,
         "rng": keys.rng,
     }
     tiling = _conditions.tiles_under(_surveys.tiles_of(tiling, targets, model), keys.conditions)

@@ -16,6 +16,7 @@ from rfpsurvey.plot._quality import plot_quality
 from rfpsurvey.plot._selection import plot_selection
 from rfpsurvey.plot._sky import plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
+from rfpsurvey.plot._survey_status import plot_survey_status
 from rfpsurvey.plot._targets import plot_targets
 from rfpsurvey.plot._tiling import draw_tiling
 
@@ -37,6 +38,7 @@ __all__ = [
     "plot_residuals",
     "plot_selection",
     "plot_speed_accuracy",
+    "plot_survey_status",
     "plot_targets",
     "plot_tiling",
 ]

@@ -7,6 +7,8 @@ import numpy as np
 from rfpsurvey.errors import number_of
 
 if TYPE_CHECKING:
+    from astropy.table import QTable
+
     from rfpsurvey.probability import Estimate
     from rfpsurvey.selection import SelectionProbabilities
     from rfpsurvey.survey import Survey
@@ -70,6 +72,24 @@ SELECTION = {
     "n_assigned": "assigned fibers, all realizations",
     "n_lost": "  lost to collisions",
     "n_observed": "visits observed, all realizations",
+}
+STATUS = {
+    "n_targets": "targets with requested visits",
+    "n_complete": "  complete",
+    "n_requested": "visits requested",
+    "n_observed": "  observed",
+    "n_left": "  remaining",
+    "n_planned": "    planned",
+    "n_not_assigned": "    in reach, not assigned",
+    "n_lost": "    lost to a collision",
+    "n_impossible": "    no tile reaches the target",
+    "n_failed": "failed visits",
+}
+STATES = {
+    "observed": "  finished",
+    "partly observed": "  partly observed",
+    "dropped": "  dropped",
+    "planned": "  not yet observed",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 TOTAL = "any target"
@@ -219,3 +239,17 @@ def estimate_facts(estimate: "Estimate") -> dict:
         "seconds": f"{estimate.seconds:.3f}",
     }
     return {label: value for label, value in lines.items() if value not in ("", "nan")}
+
+
+def status_facts(status: "QTable") -> dict:
+    """Return the labels and values of the status of a survey."""
+    one, tiles = status[0], status.meta["tiles"]
+    count = {label: sum(row[name] for row in tiles) for name, label in STATES.items()}
+    values = {name: int(one[name]) for name in status.colnames if name.startswith("n_")}
+    dates = [date for date in status.meta["progress"]["date"] if date]
+    return {
+        "tiles": sum(count.values()),
+        **count,
+        **({"first and last date": f"{dates[0]} {dates[-1]}"} if dates else {}),
+        **{label: values[name] for name, label in STATUS.items()},
+    }

@@ -17,6 +17,7 @@ from rfpsurvey.report._designs import is_designs, page_of_designs
 from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._selection import page_of_selection
+from rfpsurvey.report._status import page_of_status
 from rfpsurvey.report._survey import page_of_survey, page_of_tiling
 from rfpsurvey.report._tables import page_of_allocators, page_of_estimate, page_of_instruments, page_of_table
 from rfpsurvey.report._tile import page_of_tile
@@ -39,6 +40,7 @@ The arguments of the function are the result, and the name of the file that cont
 """
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
     "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
+    "survey_status": (page_of_status, {"priority", "n_requested", "n_observed", "n_planned", "n_lost", "n_impossible"}),
     "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
 }
 """For each value of ``meta["made_by"]`` of a table, the function that makes its page, and the required columns."""

@@ -1,6 +1,8 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._history import SurveyState, VisitRule
+from rfpsurvey.survey._history._diff import diff_surveys
+from rfpsurvey.survey._history._status import survey_status
 from rfpsurvey.survey._joint import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
@@ -16,9 +18,11 @@ __all__ = [
     "Survey",
     "SurveyState",
     "VisitRule",
+    "diff_surveys",
     "in_order",
     "plan_survey",
     "prepare_request",
     "reach_of",
+    "survey_status",
     "work",
 ]

@@ -15,7 +15,7 @@ from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_l
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.survey._history import SurveyState
+from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits
 from rfpsurvey.survey._joint import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
@@ -34,7 +34,7 @@ def plan_survey(
     tiles: Tiling | Table | SkyCoord,
     *,
     allocator: AllocationOptions | JointOptions | str | Callable = DEFAULT_ALLOCATOR,
-    visits: int | np.ndarray | None = None,
+    visits: int | np.ndarray | SurveyState | VisitRule | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
@@ -68,12 +68,13 @@ def plan_survey(
         `JointOptions`, all tiles are planned together, which increases the number of visits. If worker
         processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
         the search of an allocator ends at its time limit, the plan may not be reproducible.
-    visits : int or array_like of int, shape (n_targets,), optional
+    visits : int, array_like of int of shape (n_targets,), SurveyState or VisitRule, optional
         Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
         catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
         assigned, except required targets. A tile observes a target at most once. For a
         `~rfpsurvey.catalog.PartitionedCatalog`, the values must be in the order in which its method ``read`` returns
-        the targets.
+        the targets. With a `~rfpsurvey.survey.SurveyState`, observed tiles keep their plans, and the other tiles are
+        planned for the visits that remain. A `~rfpsurvey.survey.VisitRule` determines the visits of the first plan.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
@@ -183,6 +184,8 @@ def prepare_request(
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     state = visits if isinstance(visits, SurveyState) else None
+    if isinstance(visits, VisitRule):
+        catalog, visits = first_visits(catalog, visits)
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested

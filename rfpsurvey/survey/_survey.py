@@ -196,7 +196,14 @@ class Survey:
             table[name] = with_unit(rows[name], units.get(name))
         return table
 
-    def record(self, table: Table | str | os.PathLike, *, enough: float = 1.0, tile: int | str | None = None) -> dict:
+    def record(
+        self,
+        table: Table | str | os.PathLike,
+        *,
+        enough: float = 1.0,
+        tile: int | str | None = None,
+        columns: dict[str, str] | None = None,
+    ) -> dict:
         """Record what was observed, or which tiles or targets changed, in the folder of the survey.
 
         Each call appends one file to the folder. A later record of the same tile and date corrects the earlier record;
@@ -214,11 +221,15 @@ class Survey:
             successful. Added tiles have the columns ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A
             table without the column ``tile`` changes targets: it has the column ``target``, and optionally
             ``priority``, ``visits``, ``state`` (``dropped`` or ``planned``) and, for targets that are added, ``ra``,
-            ``dec`` and the columns of the catalog.
+            ``dec`` and the columns of the catalog. The usual names of columns in tables of DESI are also read
+            (``TILEID``, ``ZDATE``, ``LASTNIGHT``, ``OBSSTATUS``, ``TARGETID``). The path of a confSummaryF file of
+            SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional
             The tile of all rows of a table without the column ``tile``.
+        columns : dict of str to str, optional
+            Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
 
         Returns
         -------
@@ -234,7 +245,7 @@ class Survey:
         """
         from rfpsurvey.survey._history._record import record
 
-        return record(self, table, enough=enough, tile=tile)
+        return record(self, table, enough=enough, tile=tile, columns=columns)
 
     def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
         """Return the state of the survey that follows from the recorded events.

@@ -13,6 +13,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable
 from matplotlib.figure import Figure
+from statuses import status_table
 
 import flat
 import rfpsurvey as rs
@@ -226,6 +227,12 @@ def test_probability_against_time():
     )
     figure, room = Figure(figsize=(9, 5)), {"top": 0.8, "wspace": 0.35}
     return rs.plot.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
+
+
+@kept
+def test_status_of_a_survey():
+    figure, room = Figure(figsize=(11, 5)), {"bottom": 0.25, "left": 0.07, "right": 0.91, "wspace": 0.45}
+    return rs.plot.plot_survey_status(status_table(), axes=figure.subplots(1, 2, gridspec_kw=room))[0].figure
 
 
 @kept

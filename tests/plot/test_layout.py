@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from statuses import status_table
 
 import flat
 import rfpsurvey as rs
@@ -85,6 +86,7 @@ def results(presets, small):
             sky, small, rs.place_tiles(sky, small, passes=2), 16, allocator="nearest"
         ),
         "estimate": flat.collision_probability(presets["sdss_apo"], method="quadrature", max_iterations=32),
+        "status": status_table(),
         "instruments": instruments,
         "allocators": allocators,
         "scan": scan,
@@ -135,6 +137,7 @@ PLOTS = {
     "tiles of the whole sky": lambda r: rs.plot.plot_tiling(r["sky"], color="tile"),
     "passes of a tiling": lambda r: rs.plot.draw_tiling(r["strip"], region=rs.Region.parse("box 100 150 20 26")),
     "completeness": lambda r: rs.plot.plot_completeness(r["survey"]),
+    "status": lambda r: rs.plot.plot_survey_status(r["status"])[0],
     "selection": lambda r: rs.plot.plot_selection(r["selection"]),
     "survey": lambda r: draw_survey(r["survey"]),
     "instruments": lambda r: rs.plot.plot_instruments(r["instruments"]),

@@ -2,6 +2,6 @@
 
 from rfpsurvey.survey._history._continue import begin, state_columns
 from rfpsurvey.survey._history._rule import VisitRule
-from rfpsurvey.survey._history._state import SurveyState
+from rfpsurvey.survey._history._state import SurveyState, first_visits
 
-__all__ = ["SurveyState", "VisitRule", "begin", "state_columns"]
+__all__ = ["SurveyState", "VisitRule", "begin", "first_visits", "state_columns"]

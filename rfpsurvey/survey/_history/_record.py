@@ -1,5 +1,6 @@
 """Convert a table of observations, or of changes to tiles or targets, to events, and append them to a survey."""
 
+import os
 import re
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from rfpsurvey._folder import LOCK, locked, read_index
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_flags, to_labels
 from rfpsurvey.catalog import as_table
-from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, short
+from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short
 from rfpsurvey.survey._folder import TABLES, part_name
+from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
 from rfpsurvey.survey._history._events import (
     ADDED,
     BAD,
@@ -29,7 +31,7 @@ from rfpsurvey.survey._history._events import (
     to_date,
 )
 from rfpsurvey.survey._history._replay import TileStates
-from rfpsurvey.survey._history._targets import target_changes, to_numbers
+from rfpsurvey.survey._history._targets import NUMBERS, TEXTS, target_changes, to_numbers
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling
@@ -59,12 +61,18 @@ SYNONYMS = {
 """States of tiles in tables, and the state of the survey that each of them stands for; "" changes nothing."""
 
 
-def record(survey, table: object, *, enough: float = 1.0, tile: object = None) -> dict[str, int]:
+def record(
+    survey, table: object, *, enough: float = 1.0, tile: object = None, columns: dict[str, str] | None = None
+) -> dict[str, int]:
     """Append events to the folder of a survey; see `Survey.record`."""
     if survey.folder is None:
         raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
     folder = Path(survey.folder)
-    table = _io.read_table(table) if isinstance(table, str | Path) else as_table(table)[0]
+    if is_configuration(table):
+        table = visits_of_configuration(table, survey, tile)
+    else:
+        table = _io.read_table(table) if isinstance(table, str | os.PathLike) else as_table(table)[0]
+    table = _renamed(table, columns or {})
     roles = _roles_of(table)
     if tile is not None and "tile" in roles:
         raise InputError(
@@ -137,6 +145,17 @@ class _History:
     def _planned_place(self, row: int) -> np.ndarray:
         one = self.survey.tiles[row]
         return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
+
+
+def _renamed(table: Table, columns: dict[str, str]) -> Table:
+    """Return a table whose columns with the given names, by role, have the names of their roles."""
+    for role, name in columns.items():
+        check_choice(role, (*ROLES, "visits", "dropped", *NUMBERS, *TEXTS), "role of a column")
+        if name not in table.colnames:
+            raise InputError(f"columns must name columns of the table ({listed(table.colnames)}), got {name!r}")
+    others = [name for name in table.colnames if name.lower() not in columns and name not in columns.values()]
+    named = {role: table[name] for role, name in columns.items()}
+    return Table({**named, **{name: table[name] for name in others}}, copy=False) if columns else table
 
 
 def _roles_of(table: Table) -> dict[str, str]:

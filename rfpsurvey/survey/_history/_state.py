@@ -54,16 +54,21 @@ class SurveyState:
         The rule.
     until : str or None
         Date of the last events that are taken into account; None if all events are.
+    replayed : Replay
+        The visits of all targets that follow from the observations.
+    states : TileStates
+        The states of all tiles.
 
     Examples
     --------
+    >>> import astropy.units as u
     >>> from astropy.coordinates import SkyCoord
     >>> from tempfile import TemporaryDirectory
     >>> import rfpsurvey as rs
     >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
     >>> with TemporaryDirectory() as folder:
     ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
-    ...     said = survey.record([{"tile": 0, "date": "2026-01-03", "state": "done"}])
+    ...     said = survey.record([{"tile": 0, "date": "2026-01-03"}])
     ...     state = survey.state(sky)
     >>> bool(state.observed.sum() == survey.summary["n_visits_observed"])
     True
@@ -198,7 +203,18 @@ class SurveyState:
             )
 
     def check_catalog(self, catalog: object) -> None:
-        """Raise an error if a catalog is neither that of the first plan nor that of the state."""
+        """Raise an error if a catalog is neither that of the first plan nor that of the state.
+
+        Parameters
+        ----------
+        catalog : Catalog or PartitionedCatalog
+            The catalog.
+
+        Raises
+        ------
+        InputError
+            If the catalog is another catalog.
+        """
         given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
         if not any(_is_same(given, own) for own in (self.first, self.catalog)):
             raise InputError(
@@ -311,6 +327,18 @@ class SurveyState:
             f"<SurveyState of {number_of(len(self), 'target')}: {number_of(s['n_tiles_observed'], 'tile')} observed, "
             f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left.sum())} left>"
         )
+
+
+def first_visits(
+    catalog: object, rule: VisitRule, visits: object = None
+) -> tuple[Catalog | PartitionedCatalog, np.ndarray]:
+    """Return a catalog with the priorities, and the requested visits, that a rule determines before any observation."""
+    catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+    columns, none = _columns_of(catalog, visits), np.zeros(len(catalog), dtype=np.uint8)
+    wanted, priority = rule.apply({**columns, "observed": none, "failed": none, "last": none})
+    if priority is not columns["priority"]:
+        catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
+    return catalog, wanted
 
 
 def _columns_of(catalog, visits: object) -> dict:

@@ -1,0 +1,52 @@
+"""The command ``rfpsurvey diff``."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from rfpsurvey._cli import _examples, _main, _print
+from rfpsurvey._io import write_table
+from rfpsurvey._outputs import WRITABLE, check_output
+from rfpsurvey.errors import number_of
+from rfpsurvey.survey import diff_surveys
+
+MOST_TILES = 40
+
+
+@_main.app.command(epilog=_examples.DIFF_EXAMPLES)
+def diff(
+    first: Annotated[Path, typer.Argument(help="Folder of a survey, such as a copy of its first plan.")],
+    second: Annotated[Path, typer.Argument(help="Folder of another plan of the survey.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Write a table with a row for each tile and each fiber that changed.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
+) -> None:
+    """List the tiles and fibers that differ between two plans of a survey, and the reasons."""
+    if output is not None:
+        check_output(output, WRITABLE, overwrite=overwrite)
+    table = diff_surveys(first, second)
+    if output is not None:
+        write_table(table, output, overwrite=overwrite)
+    n_tiles = table.meta["n_tiles"]
+    if len(table) == 0:
+        print(f"the surveys are the same: {number_of(n_tiles[0], 'tile')}")
+    is_tile = np.asarray(table["positioner"]) == ""
+    for what, rows in (("tiles", is_tile), ("fibers", ~is_tile)):
+        for reason, n in Counter(np.asarray(table["reason"])[rows].tolist()).most_common():
+            print(f"{f'{what}: {reason}':<34}{n:>12}")
+    numbers = Counter(np.asarray(table["tile"])[~is_tile].tolist())
+    words = {tile: [] for tile in dict.fromkeys(np.asarray(table["tile"]).tolist())}
+    for tile, reason in zip(table["tile"][is_tile].tolist(), table["reason"][is_tile].tolist(), strict=True):
+        words[tile].append(reason)
+    for tile, n in numbers.items():
+        words[tile].append(f"{number_of(n, 'fiber')} changed")
+    for tile in list(words)[:MOST_TILES]:
+        _print.print_text(f"tile {tile}: {', '.join(words[tile])}")
+    if len(words) > MOST_TILES:
+        print(f"and {number_of(len(words) - MOST_TILES, 'more tile')}")
+    if output is not None:
+        print(f"wrote {output}")

@@ -1,0 +1,41 @@
+"""The command ``rfpsurvey record``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _command, _examples, _main
+from rfpsurvey.errors import number_of
+
+
+@_main.app.command(epilog=_examples.RECORD_EXAMPLES)
+def record(
+    folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
+    table: Annotated[
+        Path,
+        typer.Argument(
+            help="Table of observations (FITS, ECSV, CSV, VOTable or Parquet) with the columns tile, state, date, "
+            "fraction, positioner, target, good or reason, or with the columns of DESI (TILEID, ZDATE, OBSSTATUS, "
+            "LASTNIGHT); table of changes to targets; or a confSummaryF file of SDSS-V."
+        ),
+    ],
+    enough: Annotated[
+        float,
+        typer.Option(help="Fraction of the exposure from which a tile is done; below, it is partly observed."),
+    ] = 1.0,
+    tile: Annotated[str | None, typer.Option(help="The tile of all rows of a table without a column of tiles.")] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ROLE=NAME", help="Name of a column, such as date=night. The option may be repeated."),
+    ] = None,
+) -> None:
+    """Record what was observed, or which tiles and targets changed, in the folder of a survey."""
+    columns = _command.pairs(column or [], "--column", "ROLE=NAME")
+    found = rs.Survey.read(folder).record(table, enough=enough, tile=tile, columns=columns)
+    print(f"{'new events':<34}{found['n_events']:>12}")
+    print(f"{'events that were already known':<34}{found['n_known']:>12}")
+    print(f"{'tiles without an observation':<34}{found['n_ignored']:>12}")
+    if found["n_events"]:
+        print(f"{number_of(found['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")

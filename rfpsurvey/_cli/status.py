@@ -1,0 +1,55 @@
+"""The command ``rfpsurvey status``."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated
+
+import typer
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey._cli import _app, _examples, _main, _print
+from rfpsurvey._cli._survey_folder import survey_and_state
+from rfpsurvey.report import status_facts
+from rfpsurvey.survey import survey_status
+
+
+@_main.app.command(epilog=_examples.STATUS_EXAMPLES)
+def status(
+    folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
+    until: Annotated[
+        str | None, typer.Option(help="Date of the last observations that are taken into account, such as 2026-01-31.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Write a table with the state of each target (.fits or .ecsv).")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Plot the visits and tiles by date, and the visits of each class (.png, .pdf or .svg)."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
+) -> None:
+    """Print what a survey has observed, what is planned, and what remains."""
+    outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
+    _app.check_outputs(outputs)
+    survey, state = survey_and_state(folder, until)
+    found = survey_status(survey, state)
+    with _print.files(
+        outputs,
+        write=state.write,
+        draw=lambda: rs.plot.plot_survey_status(found)[0].figure,
+        report=(found, {}),
+    ):
+        for label, value in status_facts(found).items():
+            print(f"{label:<34}{value:>24}")
+        print("tiles of each pass by state:")
+        _print.print_table(QTable(rows=found.meta["tiles"]))
+        if len(found) > 1:
+            print("visits of each class of targets:")
+            _print.print_table(found)
+        if until is None and not found.meta["is_planned"]:
+            _print.print_text(
+                "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "
+                f"{folder} --replan"
+            )

@@ -1,0 +1,213 @@
+"""The differences of two surveys: tiles and fibers that changed, and the reason of each change."""
+
+import os
+from functools import cached_property
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey.errors import InputError, refusal
+from rfpsurvey.survey._folder import part_name
+from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, read_events
+from rfpsurvey.survey._history._replay import Replay, TileStates, replay
+from rfpsurvey.survey._history._targets import DROPPED as IS_DROPPED
+from rfpsurvey.survey._history._targets import ROW
+from rfpsurvey.survey._survey import Survey
+from rfpsurvey.tile import describe
+
+DIFF = {
+    "tile": "identifier of the tile",
+    "positioner": "identifier of the positioner; empty for a change of the whole tile",
+    "before": "target of the positioner in the first survey; empty if there is none",
+    "after": "target of the positioner in the second survey; empty if there is none",
+    "reason": "reason of the change",
+}
+STATES = {DONE: "observed", PARTLY: "partly observed", DROPPED: "dropped", "planned": "planned again"}
+REASONS = (
+    "other catalog",
+    "target dropped",
+    "target complete",
+    "target added",
+    "failed visit",
+    "priority changed",
+    "visits changed",
+)
+"""Reasons of changes of fibers; the first one that applies is given, and "other plan" if none applies."""
+OTHER = "other plan"
+NO_TARGET = -2
+"""Row of the target of a positioner without a target; the row of blank sky is -1."""
+
+
+def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.PathLike) -> QTable:
+    """Return the tiles and fibers that differ between two plans of a survey, with the reason of each difference.
+
+    Parameters
+    ----------
+    first, second : Survey or path-like
+        Two surveys, or their folders, such as a copy of a survey, and the survey that was planned again.
+
+    Returns
+    -------
+    QTable
+        Table with a row for each tile whose state or position differs, and for each positioner of a tile that has
+        another target. Columns: ``tile``, ``positioner`` (empty for a change of the whole tile), ``before`` and
+        ``after`` (identifiers of the targets as text; empty if there is none), and ``reason``. Reasons for tiles:
+        ``observed``, ``partly observed``, ``dropped``, ``planned again``, ``added``, ``removed``, ``moved``. Reasons
+        for fibers, of which the first one that applies is given: ``other catalog``, ``target dropped``, ``target
+        complete`` (the previous target needs no visit any more), ``target added`` (the new target is new),
+        ``failed visit`` (of the new target), ``priority changed``, ``visits changed`` (the number of requested visits),
+        and ``other plan``. If the surveys are equal, the table has no rows.
+
+    Raises
+    ------
+    InputError
+        If a folder does not contain a finished survey, or if a file is damaged.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> survey = rs.plan_survey(sky, "moons", SkyCoord(["6h20m"], ["+23d"]))
+    >>> len(rs.survey.diff_surveys(survey, survey))
+    0
+    """
+    one, two = _Side(first, "first"), _Side(second, "second")
+    names = list(dict.fromkeys([*one.row_of, *two.row_of]))
+    changes, compared = [], []
+    for name in names:
+        if not (name in one.row_of and name in two.row_of):
+            changes.append(_changes(name, ["added" if name in two.row_of else "removed"]))
+            continue
+        rows = one.row_of[name], two.row_of[name]
+        states = one.states[rows[0]], two.states[rows[1]]
+        reasons = [] if states[0] == states[1] else [STATES[states[1]]]
+        reasons += [] if one.place(rows[0]) == two.place(rows[1]) else ["moved"]
+        changes.append(_changes(name, reasons))
+        is_same = one.digest(rows[0]) is not None and one.digest(rows[0]) == two.digest(rows[1])
+        if DROPPED not in states and not is_same:
+            compared.append((name, rows))
+    for _, rows in compared:  # the priorities in all plans that differ are known before fibers are compared
+        one.see(rows[0]), two.see(rows[1])
+    changes += [_fibers(name, one, rows[0], two, rows[1]) for name, rows in compared]
+    order = {name: k for k, name in enumerate(names)}
+    columns = [np.concatenate([part[k] for part in changes]) for k in range(len(DIFF))]
+    table = QTable(dict(zip(DIFF, columns, strict=True)))
+    table = table[np.argsort([order[name] for name in table["tile"].tolist()], kind="stable")]
+    table.meta = {"made_by": "diff_surveys", "n_tiles": [len(one.row_of), len(two.row_of)]}
+    return describe(table, DIFF)
+
+
+class _Side:
+    """One of the two surveys, and the events with which it was planned."""
+
+    def __init__(self, survey: object, name: str):
+        if isinstance(survey, str | os.PathLike):
+            survey = Survey.read(survey)
+        if not isinstance(survey, Survey):
+            raise refusal(f"the {name} survey must be a Survey or the folder of a survey", survey)
+        self.survey, tiles = survey, survey.tiles
+        self.row_of = {str(one): row for row, one in enumerate(np.asarray(tiles["tile"]).tolist())}
+        self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
+        self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
+        self.priority = np.full(len(self.ids), np.nan)
+
+    def place(self, row: int) -> tuple:
+        one = self.survey.tiles[row]
+        return tuple(float(getattr(one[name], "value", one[name])) for name in ("ra", "dec", "position_angle", "pass"))
+
+    def digest(self, row: int) -> str | None:
+        """Return the checksum of the plan of a tile; None if the survey is in memory."""
+        known = None if self.survey.folder is None else self.survey._known.get(part_name(row))
+        return known[-1][1] if known else None
+
+    def visits(self, row: int) -> QTable:
+        return self.survey.tile(self.survey.tiles["tile"][row])
+
+    def see(self, row: int) -> None:
+        """Keep the priorities of the targets of a tile."""
+        visits = self.visits(row)
+        if "priority" in visits.colnames:
+            target = np.asarray(visits["target_row"])
+            self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
+
+    @cached_property
+    def events(self) -> Events | None:
+        """The events with which the survey was planned; None if there are none."""
+        about = self.survey.provenance.get("events")
+        if about is None or self.survey.folder is None:
+            return None
+        events = read_events(self.survey.folder)
+        return Events(events.folder, events.files[: about["n_files"]])
+
+    @cached_property
+    def replayed(self) -> Replay:
+        """The visits that were made and failed before the survey was planned."""
+        if self.events is None:
+            return Replay(len(self.ids))
+        until = self.survey.provenance["events"].get("until")
+        return replay(self.events, TileStates(self.events.of_tiles(until)), self.ids)
+
+    @cached_property
+    def dropped(self) -> np.ndarray:
+        """Whether each target was dropped."""
+        dropped = np.zeros(len(self.ids), dtype=bool)
+        for _, table in [] if self.events is None else self.events.target_tables:
+            state = np.asarray(table[IS_DROPPED])
+            dropped[np.asarray(table[ROW])[state >= 0]] = state[state >= 0] > 0
+        return dropped
+
+
+def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
+    """Return the columns of rows on changes of a whole tile."""
+    n = len(reasons)
+    return [np.full(n, name), *(np.full(n, "") for _ in range(3)), np.array(reasons, dtype=str)]
+
+
+def _fibers(name: str, one: _Side, row: int, two: _Side, other: int) -> list[np.ndarray]:
+    """Return the columns of rows on the fibers of a tile that have another target."""
+    visits = one.visits(row), two.visits(other)
+    fibers = [np.asarray(part["positioner"]) for part in visits]
+    if fibers[0].dtype.kind != fibers[1].dtype.kind:
+        raise InputError("the surveys must have the same instrument, got other identifiers of positioners")
+    both = np.union1d(*fibers)
+    targets, ids = [], []
+    for part, names in zip(visits, fibers, strict=True):
+        place = np.full(len(both), len(part))
+        place[np.searchsorted(both, names)] = np.arange(len(part))
+        targets.append(np.append(np.asarray(part["target_row"]), NO_TARGET)[place])
+        ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
+    changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
+    before, after = (target[changed] for target in targets)
+    reasons = _reasons(one, two, before, after)
+    return [np.full(len(before), name), both[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
+
+
+def _reasons(one: _Side, two: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the reason why each fiber has another target."""
+    n = min(len(one.ids), len(two.ids))
+    is_same = one.ids.dtype.kind == two.ids.dtype.kind and np.array_equal(one.ids[:n], two.ids[:n])
+    if not is_same:
+        return np.full(len(before), REASONS[0])
+
+    def of(target: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return the values of targets that both surveys have, and zero for others."""
+        return np.where((target >= 0) & (target < n), np.append(values[:n], 0)[np.minimum(target, n)], 0)
+
+    def any_of(values: np.ndarray) -> np.ndarray:
+        return of(before, values).astype(bool) | of(after, values).astype(bool)
+
+    made, again = one.replayed, two.replayed
+    complete = (again.made[:n] >= two.requested[:n]) & (again.made[:n] > made.made[:n])
+    both_known = np.isfinite(one.priority[:n]) & np.isfinite(two.priority[:n])
+    conditions = [
+        np.zeros(len(before), dtype=bool),
+        of(before, two.dropped[:n] & ~one.dropped[:n]).astype(bool),
+        of(before, complete).astype(bool),
+        after >= n,
+        of(after, again.failed[:n] > made.failed[:n]).astype(bool),
+        any_of(both_known & (one.priority[:n] != two.priority[:n])),
+        any_of(one.requested[:n] != two.requested[:n]),
+    ]
+    return np.select(conditions, REASONS, OTHER)

@@ -1,0 +1,195 @@
+"""The status of a survey: visits of each class of targets, states of tiles, and progress by date."""
+
+import json
+
+import numpy as np
+from astropy.table import QTable
+
+from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.errors import InputError, refusal
+from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
+from rfpsurvey.survey._history._events import DONE
+from rfpsurvey.survey._history._replay import visits_of
+from rfpsurvey.survey._history._state import SurveyState
+from rfpsurvey.survey._survey import Survey
+from rfpsurvey.tile import describe
+
+STATUS = {
+    "priority": "priority of the targets, or all",
+    "category": "category of the targets, or all",
+    "n_targets": "number of targets with requested visits",
+    "n_complete": "number of these targets with all requested visits",
+    "n_requested": "number of requested visits",
+    "n_observed": "number of successful visits",
+    "n_failed": "number of failed visits",
+    "n_left": "number of remaining visits, which are divided into those of the next columns",
+    "n_planned": "remaining visits of tiles that will be observed",
+    "n_not_assigned": "remaining visits without a fiber, of targets that a tile reaches",
+    "n_lost": "remaining visits of targets that were lost to a collision",
+    "n_impossible": "remaining visits of targets that no tile reaches",
+}
+COUNTS = tuple(name for name in STATUS if name.startswith("n_"))
+
+
+def survey_status(survey: Survey, state: SurveyState) -> QTable:
+    """Return the numbers of observed, planned and other visits for each class of targets.
+
+    Parameters
+    ----------
+    survey : Survey
+        The survey, as it was planned last.
+    state : SurveyState
+        The state of the survey, which can contain further events.
+
+    Returns
+    -------
+    QTable
+        Table with a row for all science targets and, if there are several, a row for each priority and each category.
+        Columns: ``priority``, ``category`` if there are several, ``n_targets`` (with requested visits), ``n_complete``
+        (targets with all requested visits), ``n_requested``, ``n_observed``, ``n_failed``, ``n_left`` (remaining
+        visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
+        ``n_lost`` (to a collision), ``n_impossible`` (no tile reaches the target). The ``meta`` contains ``tiles``
+        (numbers of tiles by state, for each pass), ``progress`` (numbers of observed tiles and visits up to each date),
+        and ``is_planned``, which states whether the last plan takes all events into account.
+
+    Raises
+    ------
+    InputError
+        If the state is that of another survey, or if a plan with which a tile was observed is missing.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> from tempfile import TemporaryDirectory
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
+    ...     status = rs.survey.survey_status(survey, survey.state(sky))
+    >>> bool(status["n_planned"][0] == survey.summary["n_visits_observed"])
+    True
+    """
+    if not isinstance(survey, Survey):
+        raise refusal("survey must be a Survey", survey)
+    if not isinstance(state, SurveyState):
+        raise refusal("state must be a SurveyState", state)
+    if survey.folder is None or survey.folder.resolve() != state.folder.resolve() or len(survey.outcomes) > len(state):
+        raise InputError(f"state must be the state of the survey, got that of the survey in {state.folder}")
+    columns = _columns_of(state.catalog)
+    wanted = np.where(columns["kind"] == "science", state.requested, 0) if columns["kind"] is not None else None
+    wanted = state.requested.astype(np.int64) if wanted is None else wanted.astype(np.int64)
+    observed = np.minimum(state.observed, wanted)
+    is_planned = json.loads(json.dumps(state.record)) == survey.provenance.get("events", _none(state))
+    left = wanted - observed
+    planned = np.minimum(_planned(survey, state, is_planned=is_planned), left)
+    rest, code = left - planned, _codes(survey, len(state))
+    impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH))
+    lost = code == Outcome.LOST_TO_A_COLLISION
+    values = {
+        "n_targets": wanted > 0,
+        "n_complete": (wanted > 0) & (left == 0),
+        "n_requested": wanted,
+        "n_observed": observed,
+        "n_failed": state.failed * (wanted > 0),
+        "n_left": left,
+        "n_planned": planned,
+        "n_not_assigned": rest * ~(lost | impossible),
+        "n_lost": rest * lost,
+        "n_impossible": rest * impossible,
+    }
+    classes = {"priority": priority_classes(columns["priority"], wanted)}
+    categories = category_classes(columns["category"], wanted)
+    if len(categories[1]) > 1:
+        classes["category"] = categories
+    table = _table(classes, values)
+    progress = _progress(state, *classes["priority"])
+    table.meta = {
+        "made_by": "survey_status",
+        "instrument": survey.provenance["instrument"]["name"],
+        "tiles": _tiles(survey, state),
+        "progress": progress,
+        "is_planned": bool(is_planned),
+        "events": state.record,
+    }
+    return describe(table, STATUS)
+
+
+def _columns_of(catalog) -> dict:
+    names = ("priority", "category", "kind")
+    if isinstance(catalog, Catalog):
+        return {name: getattr(catalog, name) for name in names}
+    return {name: catalog.parts.column(name) for name in names}
+
+
+def _none(state: SurveyState) -> dict | None:
+    """Return the record of a state without events, which a survey without events lacks."""
+    return None if state.events.files else json.loads(json.dumps(state.record))
+
+
+def _codes(survey: Survey, n: int) -> np.ndarray:
+    """Return the outcome of each target; targets that were added after the last plan are not assigned."""
+    code = np.asarray(survey.outcomes["outcome"])
+    return np.concatenate([code, np.full(n - len(code), Outcome.IN_REACH_NOT_ASSIGNED, dtype=code.dtype)])
+
+
+def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:
+    """Return the number of visits of each target in the tiles that will be observed."""
+    planned = np.zeros(len(state), dtype=np.int64)
+    if is_planned:
+        own = np.asarray(survey.outcomes["observed"]).astype(np.int64)
+        planned[: len(own)] = np.maximum(own - state.observed[: len(own)], 0)
+        return planned
+    for row, visits in enumerate(survey):
+        if row not in state.closed:
+            target = np.asarray(visits["target_row"])[np.asarray(visits["observed"])]
+            planned += np.bincount(target[target >= 0], minlength=len(state))
+    return planned
+
+
+def _table(classes: dict, values: dict) -> QTable:
+    """Return the table with a row for all targets, and a row for each class."""
+    rows = [(*["all"] * len(classes), *(int(one.sum()) for one in values.values()))]
+    for column, (class_of, names) in classes.items():
+        if len(names) < 2:
+            continue
+        counts = [np.bincount(class_of, weights=one, minlength=len(names)).astype(np.int64) for one in values.values()]
+        for k, name in enumerate(names):
+            rows.append((*(name if column == other else "all" for other in classes), *(int(one[k]) for one in counts)))
+    return QTable(rows=rows, names=(*classes, *values))
+
+
+def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
+    """Return the numbers of tiles by state, for each pass."""
+    number = {row: int(one) for row, one in enumerate(survey.tiles["pass"])}
+    number |= {row: event.place[3] for row, event in state.states.added.items()}
+    found: dict[int, dict] = {}
+    for row, one in number.items():
+        words = found.setdefault(one, {"pass": one, "observed": 0, "partly observed": 0, "dropped": 0, "planned": 0})
+        kept = state.closed.get(row, state.begun.get(row))
+        dropped = row in state.closed and kept is None
+        words["dropped" if dropped else "planned" if kept is None else _WORDS[kept.state]] += 1
+    return [found[one] for one in sorted(found)]
+
+
+_WORDS = {DONE: "observed", "partly": "partly observed"}
+
+
+def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:
+    """Return the numbers of observed tiles, and of visits by priority, up to each date."""
+    done = sorted((event for event in state.attempts if event.state == DONE), key=lambda event: event.date)
+    dates = list(dict.fromkeys(event.date for event in done))
+    tiles, visits = np.zeros(len(dates), dtype=np.int64), np.zeros((len(dates), len(names)), dtype=np.int64)
+    for event in done:
+        content, _ = read_fits_bytes(state.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+        target, good, _ = visits_of(event, content)
+        tiles[dates.index(event.date)] += 1
+        visits[dates.index(event.date)] += np.bincount(class_of[target[good]], minlength=len(names))
+    visits = visits.cumsum(axis=0)
+    by_class = dict(zip(names, visits.T.tolist(), strict=True)) if len(names) > 1 else {}
+    return {
+        "date": dates,
+        "n_tiles": tiles.cumsum().tolist(),
+        "n_observed": {"all": visits.sum(axis=1).tolist(), **by_class},
+    }
