@@ -14,9 +14,11 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.table import Table
+from astropy.table import Table, vstack
 
 import rfpsurvey as rs
+from rfpsurvey.instrument import pfs_fibers
+from rfpsurvey.projection import TangentPlane
 
 CENTER = SkyCoord("6h20m +23d")
 DATA = os.environ.get("RFPSURVEY_TEST_DATA")
@@ -30,6 +32,18 @@ class Scene:
     positioners: Table
     targets: Table
     settings: dict = field(default_factory=dict)
+
+    @property
+    def n_tiles(self) -> int:
+        """Number of tiles, or 0 if the scene is a single field."""
+        return len(self.settings.get("tiles", ()))
+
+    def tile(self, k: int, *, without: set = frozenset()) -> "Scene":
+        """Return the scene of a tile, without some science targets."""
+        t = self.targets[np.asarray(self.targets["tile"]) == k]
+        done = np.isin(np.asarray(t["id"]), list(without)) & (np.asarray(t["kind"]) == "science")
+        settings = {name: value for name, value in self.settings.items() if name != "tiles"}
+        return Scene(self.positioners, t[~done], settings)
 
     def write(self, path: Path) -> None:
         """Write the scene to a FITS file."""
@@ -182,7 +196,9 @@ def pfs(n: int, *, rules: bool = False) -> Scene:
     if rules:
         targets = with_calibration(targets, 3000, 600)
     rights = "dots: Subaru-PFS/pfs_instdata, no license stated"
-    return scene_of(instrument, targets, ("sky=400", "standard=100") if rules else (), name="pfs", rights=rights)
+    scene = scene_of(instrument, targets, ("sky=400", "standard=100") if rules else (), name="pfs", rights=rights)
+    scene.positioners["fiber"] = pfs_fibers()[0][scene.positioners["id"] - 1]
+    return scene
 
 
 def sdss_dark() -> Scene:
@@ -201,7 +217,7 @@ def field_a() -> Scene:
     kind = np.where(np.char.startswith(category, "sky"), "sky", "science").astype("U8")
     kind[np.char.startswith(category, "standard")] = "standard"
     columns = {
-        "id": np.arange(len(table)),
+        "id": table["rsid"],
         "x": table["x_wok"],
         "y": table["y_wok"],
         "priority": -np.asarray(table["priority"], dtype=float),
@@ -210,7 +226,11 @@ def field_a() -> Scene:
         "fiber_type": np.asarray(table["fiber_type"], dtype=str),
     }
     requirements = ("sky_boss=300", "standard_boss=20", "sky_apogee=50", "standard_apogee=20")
-    return scene_of(instrument, Table(columns), requirements, name="field_a", rights="SDSS-V, BSD-3")
+    scene = scene_of(instrument, Table(columns), requirements, name="field_a", rights="SDSS-V, BSD-3")
+    used = table[np.asarray(table["assigned"]) == 1]
+    pairs = zip(used["hole_id"], used["rsid"], strict=True)
+    scene.settings["recorded"] = [[str(hole), int(target)] for hole, target in pairs]
+    return scene
 
 
 def must() -> Scene:
@@ -255,6 +275,29 @@ def _data() -> str:
     return DATA
 
 
+def desi_tiles() -> Scene:
+    """Return four overlapping tiles of DESI with as many targets as fibers, each of which is observed once."""
+    built = rs.Instrument.from_desi(Path(_data()) / "desi" / "fp-metrology.csv.gz")
+    scene = desi(1)
+    around = CENTER.directional_offset_by([0, 120, 240] * u.deg, 0.7 * u.deg)
+    centers = SkyCoord([CENTER.ra, *around.ra], [CENTER.dec, *around.dec])
+    radius = built.field_radius + 0.7 * u.deg
+    n = len(centers) * len(scene.positioners)
+    density = n / (np.pi * radius.to_value("deg") ** 2) / u.deg**2
+    sky = rs.synthetic_catalog("poisson", CENTER, radius, density=density, rng=1).coord
+    priority = np.random.default_rng(1).integers(1, 4, len(sky)).astype(float)
+    edge = float(np.hypot(scene.positioners["x"], scene.positioners["y"]).max()) + 6
+    parts = []
+    for k, center in enumerate(centers):
+        x, y = TangentPlane(center, built.plate_scale, distortion=built.distortion).to_focal_plane(sky).to_value("mm").T
+        rows = np.flatnonzero(np.hypot(x, y) < edge)
+        columns = {"id": rows, "priority": priority[rows], "kind": "science", "category": "", "fiber_type": ""}
+        places = {"x": x[rows], "y": y[rows], "tile": k, "ra": sky.ra.deg[rows], "dec": sky.dec.deg[rows]}
+        parts.append(Table({name: np.broadcast_to(one, len(rows)) for name, one in {**columns, **places}.items()}))
+    tiles = [{"ra": float(one.ra.deg), "dec": float(one.dec.deg)} for one in centers]
+    return Scene(scene.positioners, vstack(parts), {**scene.settings, "preset": "desi", "tiles": tiles})
+
+
 SCENES: dict[str, Callable[[], Scene]] = {
     "desi_1": lambda: desi(1),
     "desi_2": lambda: desi(2),
@@ -271,13 +314,19 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "must_2": must,
     "hub": hub,
     "stuck": stuck,
+    "desi_tiles": desi_tiles,
 }
 """Functions that make the scenes. Some of them need the files of ``RFPSURVEY_TEST_DATA``."""
 
 
 def make(names: list[str]) -> Iterator[tuple[str, Scene]]:
-    """Yield scenes by name; scenes whose files are missing are reported and left out."""
+    """Yield scenes by name or from files; scenes whose data are missing are reported and left out."""
     for name in names or SCENES:
+        if name.endswith(".fits"):
+            yield Path(name).stem, Scene.read(Path(name))
+            continue
+        if name not in SCENES:
+            raise SystemExit(f"the scene must be a file (.fits) or one of {', '.join(SCENES)}, got {name}")
         try:
             yield name, SCENES[name]()
         except FileNotFoundError as error:

@@ -10,6 +10,8 @@ paths of the arms are not used. ``pairs_s`` is the time to find the candidates a
 of the program.
 """
 
+from importlib.metadata import version
+
 import cpsat
 import numpy as np
 import shapely
@@ -21,6 +23,7 @@ try:
 except ImportError as error:
     raise ImportError(f"kaiju cannot be imported: {error}") from error
 
+VERSION = f"{version('sdss-kaiju')}, OR-tools {cpsat.VERSION}"
 STEP = 0.1
 """Step of the joints (deg) of the grid, which matters for paths only."""
 

@@ -1,0 +1,152 @@
+"""The comparison of planners: the table of results, its tables and figure in the documentation, drivers and readers."""
+
+import csv
+import runpy
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import rfpsurvey as rs
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "planners"))
+import compare
+import results
+import scene as scenes
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "tests" / "benchmarks" / "planners"
+
+
+@pytest.fixture
+def small(presets, tmp_path):
+    """Return the path of a scene with seven LAMOST positioners and ten targets."""
+    plane = presets["lamost"].focal_plane
+    rows = np.sort(np.argsort(np.hypot(*plane.xy.value.T))[:7])
+    part = rs.FocalPlane(plane.xy[rows], plane.positioner, id=plane.id[rows])
+    instrument = rs.Instrument("small", part, plate_scale=presets["lamost"].plate_scale)
+    targets = scenes.in_circle(instrument, 10, 1)
+    path = tmp_path / "small.fits"
+    scenes.scene_of(instrument, targets, name="small").write(path)
+    return path
+
+
+def command(monkeypatch, capsys, *words):
+    """Run compare.py and return its output."""
+    monkeypatch.setattr(sys, "argv", ["compare.py", *map(str, words)])
+    compare.main()
+    return capsys.readouterr().out
+
+
+def row(scene, program, science, **changes):
+    """Return a row of results."""
+    usual = {name: kind() for name, kind in results.COLUMNS.items()}
+    return {**usual, "scene": scene, "program": program, "science": science, **changes}
+
+
+def test_results_have_all_columns_and_each_scene_and_program_once():
+    table = results.read(FOLDER / "results.ecsv")
+    assert table.colnames == list(results.COLUMNS)
+    assert set(table["scene"]) == set(scenes.SCENES)
+    assert len({(one["scene"], one["program"]) for one in table}) == len(table)
+    assert (FOLDER / "results.ecsv").stat().st_size < 30_000
+    classes = [sum(map(int, one["by_class"].split())) for one in table]
+    assert classes == table["science"].tolist()
+    assert (table["science_without_idle"] >= table["science"]).all()
+    for one in table:
+        assert all(one[name] for name in ("machine", "date", "limit")), one["program"]
+
+
+def test_tables_of_the_page_contain_the_results(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import planner_tables
+
+    planner_tables.write_tables(tmp_path)
+    page = (ROOT / "docs" / "planners.rst").read_text()
+    every = results.read(FOLDER / "results.ecsv")
+    found = set()
+    for name, titles in planner_tables.TABLES.items():
+        assert f":file: api/planners_{name}.csv" in page
+        with (tmp_path / f"planners_{name}.csv").open(newline="") as file:
+            given = list(csv.DictReader(file))
+        scene = None
+        for one in given:
+            scene = {title: key for key, title in titles.items()}.get(one["scene"], scene)
+            (k,) = np.flatnonzero((every["scene"] == scene) & (every["program"] == one["planner"]))
+            science, _, classes = one["science, by class"].partition(": ")
+            assert int(science.replace(",", "")) == every["science"][k]
+            assert classes.partition(" (")[0].split(", ") == every["by_class"][k].split()
+            shown = one["time (s)"].partition(",")[0]
+            assert not shown or float(shown) == pytest.approx(every["seconds"][k], rel=0.06)
+            found.add(scene)
+    assert found == set(scenes.SCENES)
+
+
+def test_the_figure_shows_the_results(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    with plt.rc_context():
+        drawn = runpy.run_path(str(ROOT / "docs" / "figures" / "planners.py"))
+        every = results.read(FOLDER / "results.ecsv")
+        for ax, scene in zip(drawn["figure"].axes, drawn["SCENES"], strict=True):
+            points = {(x, y) for line in ax.lines for x, y in line.get_xydata()}
+            some = every[(every["scene"] == scene) & np.isin(every["program"], ["repair", "optimal", "CP-SAT"])]
+            assert {(one["seconds"], one["science"]) for one in some} <= points
+        plt.close(drawn["figure"])
+
+
+def test_new_results_replace_rows_of_the_same_scene_and_program_only(tmp_path):
+    path = tmp_path / "results.ecsv"
+    first = [row("hub", "repair", 6, gap="0"), row("hub", "optimal", 9, seconds=1.23456), row("stuck", "repair", 259)]
+    results.write(results.merge(results.read(path), first, ["stuck", "hub"]), path)
+    again = [row("hub", "optimal", 10), row("hub", "CP-SAT", 11)]
+    results.write(results.merge(results.read(path), again, ["stuck", "hub"]), path)
+    table = results.read(path)
+    assert list(zip(table["scene"], table["program"], table["science"], strict=True)) == [
+        ("stuck", "repair", 259),
+        ("hub", "repair", 6),
+        ("hub", "optimal", 10),
+        ("hub", "CP-SAT", 11),
+    ]
+    assert table["gap"].tolist() == ["", "0", "", ""]
+
+
+def test_a_scene_is_compared_from_the_file_to_the_table(small, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "out.ecsv"
+    words = small, "--program", "repair", "--repeats", 1, "--output", path
+    out = command(monkeypatch, capsys, *words)
+    (found,) = results.read(path)
+    assert (found["scene"], found["program"], found["colliding"], found["wrong"]) == ("small", "repair", 0, 0)
+    assert 0 < found["science"] <= 7
+    assert f"science {found['science']:6}" in out
+    results.write(results.merge(results.read(path), [row("small", "other", 1)], []), path)
+    command(monkeypatch, capsys, *words)
+    assert len(results.read(path)) == 2
+
+
+def test_programs_that_are_not_known_are_refused(small, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        command(monkeypatch, capsys, small, "--program", "magic")
+    assert "--program must be one of" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match=r"the scene must be a file \(.fits\) or one of"):
+        command(monkeypatch, capsys, "magic")
+
+
+MISSING = {
+    "cpsat": (["ortools.sat.python"], "OR-tools cannot be imported"),
+    "desi_fiberassign": (["fiberassign"], "fiberassign cannot be imported"),
+    "pfs_netflow": (["ets_fiber_assigner"], "netflow, cobraOps or PuLP cannot be imported"),
+    "sdss_kaiju": (["kaiju", "kaiju.cKaiju"], "cannot be imported"),
+}
+
+
+@pytest.mark.parametrize("name", MISSING)
+def test_a_program_that_is_not_installed_is_skipped_with_the_reason(name, small, monkeypatch, capsys):
+    modules, reason = MISSING[name]
+    for module in modules:
+        monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    out = command(monkeypatch, capsys, small, "--program", name)
+    assert f"{name}: skipped, " in out
+    assert reason in out
