@@ -1,6 +1,7 @@
 """The comparison of planners: the table of results, its tables and figure in the documentation, drivers and readers."""
 
 import csv
+import importlib
 import runpy
 import sys
 from pathlib import Path
@@ -8,11 +9,13 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from astropy.table import Table, vstack
 
 import rfpsurvey as rs
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "planners"))
 import compare
+import ours
 import results
 import scene as scenes
 
@@ -150,3 +153,49 @@ def test_a_program_that_is_not_installed_is_skipped_with_the_reason(name, small,
     out = command(monkeypatch, capsys, small, "--program", name)
     assert f"{name}: skipped, " in out
     assert reason in out
+
+
+def test_tiles_are_planned_one_after_the_other_without_targets_that_have_a_fiber(presets):
+    """A planner that takes the first target of each tile observes three targets in three tiles."""
+    plane = presets["lamost"].focal_plane
+    part = rs.FocalPlane(plane.xy[:2], plane.positioner, id=plane.id[:2])
+    targets = scenes.in_circle(rs.Instrument("two", part, plate_scale=presets["lamost"].plate_scale), 4, 1)
+    scene = scenes.scene_of(rs.Instrument("two", part, plate_scale=presets["lamost"].plate_scale), targets, name="two")
+    tiles = vstack([scene.targets] * 3)
+    tiles["tile"] = np.repeat([0, 1, 2], 4)
+    scene = scenes.Scene(scene.positioners, tiles, {**scene.settings, "tiles": [{}] * 3})
+
+    def first(part, seconds, *, label):
+        assert (part.n_tiles, seconds, label) == (0, 2.0, "x")
+        return Table({"positioner": [part.positioners["id"][0]], "target": [part.targets["id"][0]]}), 1.5, {"gap": "0"}
+
+    plan, seconds, facts = compare.tile_by_tile(first)(scene, 6.0, label="x")
+    assert plan["target"].tolist() == [0, 1, 2]
+    assert plan["tile"].tolist() == [0, 1, 2]
+    assert (seconds, facts) == (4.5, {})
+
+
+CASES = {"cpsat": "lamost", "desi_fiberassign": "desi", "pfs_netflow": "pfs", "sdss_kaiju": "sdss_apo"}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_programs_that_are_installed_plan_a_small_scene(name, presets):
+    try:
+        program = importlib.import_module(name)
+    except ImportError as error:
+        pytest.skip(str(error))
+    whole = presets[CASES[name]]
+    plane = whole.focal_plane
+    rows = np.sort(np.argsort(np.hypot(*plane.xy.value.T))[:7])
+    part = rs.FocalPlane(plane.xy[rows], plane.positioner, id=plane.id[rows], fiber_type=plane.fiber_type[rows])
+    targets = scenes.in_circle(rs.Instrument("small", part, plate_scale=whole.plate_scale), 20, 1)
+    if name == "sdss_kaiju":
+        targets["fiber_type"] = "BOSS"
+    scene = scenes.scene_of(rs.Instrument("small", part, plate_scale=whole.plate_scale), targets, name="small")
+    best = compare.measure(scene, lambda one: ours.plan(one, 5.0, allocator="optimal"), 1)
+    for plan in program.PLANS.values():
+        found = compare.measure(scene, lambda one, plan=plan: plan(one, 5.0), 1)
+        assert found["wrong"] == 0
+        assert found["science"] <= best["science"] + found["colliding"]
+        if name != "desi_fiberassign":
+            assert (found["science_without_idle"], found["gap"]) == (best["science"], "0")
