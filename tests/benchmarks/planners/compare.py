@@ -7,9 +7,12 @@ the judge and the settings of each program.
 """
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import results
@@ -29,23 +32,23 @@ function plans the tiles of a scene together.
 """
 
 
-def programs(only: list[str] | None, seconds: float) -> Iterator[tuple[str, str, Callable]]:
+def programs(only: list[str], seconds: float) -> Iterator[tuple[str, str, Callable]]:
     """Yield the label, the version and the function of each program.
 
     The function returns the plan of a scene, the processor time (s) and facts.
     """
     ours = import_module("ours")
     for name in (*OURS, *RANDOM):
-        if name in (only or OURS):
+        if name in only:
             plan = ours.plan_together if name == "joint" else tile_by_tile(ours.plan)
             yield name, ours.VERSION, lambda scene, plan=plan, name=name: plan(scene, seconds, allocator=name)
     for name in PEERS:
-        if only and name not in only:
+        if name not in only:
             continue
         try:
             peer = import_module(name)
         except ImportError as error:
-            print(f"{name}: skipped, {error}")
+            print(f"{name}: skipped, {error}", flush=True)
             continue
         for label, plan in peer.PLANS.items():
             used = plan if getattr(peer, "JOINT", False) else tile_by_tile(plan)
@@ -102,17 +105,37 @@ def main() -> None:
     known = {*OURS, *RANDOM, *PEERS}
     if unknown := set(given.program or ()) - known:
         parser.error(f"--program must be one of {', '.join(sorted(known))}, got {', '.join(sorted(unknown))}")
-    rows, where = [], {"limit": given.limit, "machine": results.machine(), "date": results.today()}
-    for name, scene in make(given.names):
-        for label, version, function in programs(given.program, given.limit):
+    if unknown := [one for one in given.names if one not in SCENES and not one.endswith(".fits")]:
+        parser.error(f"the scene must be a file (.fits) or one of {', '.join(SCENES)}, got {', '.join(unknown)}")
+    asked = given.program or [*OURS, *PEERS]
+    groups = [[one for one in asked if one not in PEERS], *([one] for one in asked if one in PEERS)]
+    groups = [group for group in groups if group]
+    with TemporaryDirectory() as folder:
+        path = given.output or Path(folder) / "results.ecsv"
+        options = f"--limit={given.limit}", f"--repeats={given.repeats}", f"--output={path}"
+        if len(groups) == 1:
+            run(given.names, groups[0], given.limit, given.repeats, path)
+        else:  # OR-tools and highspy cannot be imported by the same process
+            for group in groups:
+                only = [f"--program={one}" for one in group]
+                subprocess.run([sys.executable, __file__, *given.names, *only, *options], check=True)
+        if given.plot:
+            draw(results.read(path), given.plot)
+
+
+def run(names: list[str], only: list[str], limit: float, repeats: int, path: Path) -> None:
+    """Run programs on scenes, print the results and write them to a table."""
+    where = {"limit": limit, "machine": results.machine(), "date": results.today()}
+    every = list(programs(only, limit))
+    for name, scene in make(names) if every else ():
+        for label, version, function in every:
             try:
                 if label.split()[0] in OURS:
                     function(scene)  # compile
-                found = measure(scene, function, given.repeats)
+                found = measure(scene, function, repeats)
             except NotImplementedError as error:
-                print(f"{name:14} {label:17} left out: {error}")
+                print(f"{name:14} {label:17} left out: {error}", flush=True)
                 continue
-            rows.append({"scene": name, "program": label, "version": version, **found, **where})
             print(
                 f"{name:14} {label:17} science {found['science']:6} by class {found['by_class']:16} standard "
                 f"{found['standard']:4} sky {found['sky']:4} missing {found['missing']:4} colliding "
@@ -120,16 +143,15 @@ def main() -> None:
                 f"gap {found['gap'] or '-'} wrong {found['wrong']} doubles {found['doubles']}",
                 flush=True,
             )
-            if given.output:
-                results.write(results.merge(results.read(given.output), rows, list(SCENES)), given.output)
-    if given.plot:
-        draw(rows, given.plot)
+            row = {"scene": name, "program": label, "version": version, **found, **where}
+            results.write(results.merge(results.read(path), [row], list(SCENES)), path)
 
 
-def draw(rows: list[dict], path: Path) -> None:
+def draw(rows: Table, path: Path) -> None:
     """Draw the number of observed targets against the time, one panel for each scene."""
     import matplotlib.pyplot as plt
 
+    rows = [dict(zip(rows.colnames, row, strict=True)) for row in rows]
     names = list(dict.fromkeys(row["scene"] for row in rows))
     n = int(np.ceil(np.sqrt(len(names))))
     figure, axes = plt.subplots(-(-len(names) // n), n, figsize=(3.4 * n, 3 * -(-len(names) // n)), squeeze=False)

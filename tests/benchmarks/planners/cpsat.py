@@ -24,7 +24,7 @@ from judge import EDGE, parts_of, sides_of
 try:
     from ortools.sat.python import cp_model
 except ImportError as error:
-    raise ImportError("OR-tools cannot be imported; install it with: pip install ortools") from error
+    raise ImportError(f"OR-tools cannot be imported: {error}; install it with: pip install ortools") from error
 
 VERSION = version("ortools")
 JOINT = True

@@ -325,8 +325,6 @@ def make(names: list[str]) -> Iterator[tuple[str, Scene]]:
         if name.endswith(".fits"):
             yield Path(name).stem, Scene.read(Path(name))
             continue
-        if name not in SCENES:
-            raise SystemExit(f"the scene must be a file (.fits) or one of {', '.join(SCENES)}, got {name}")
         try:
             yield name, SCENES[name]()
         except FileNotFoundError as error:
@@ -339,6 +337,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"scenes: {', '.join(SCENES)}")
     given = parser.parse_args()
+    if unknown := [name for name in given.names if name not in SCENES]:
+        parser.error(f"the scene must be one of {', '.join(SCENES)}, got {', '.join(unknown)}")
     given.folder.mkdir(parents=True, exist_ok=True)
     for name, scene in make(given.names):
         path = given.folder / f"{name}.fits"
