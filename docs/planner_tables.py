@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Table
 
 RESULTS = Path(__file__).parent.parent / "tests" / "benchmarks" / "planners" / "results.ecsv"
-SHOWN = ("repair", "optimal", "joint", "fiberassign", "netflow", "CP-SAT, kaiju", "CP-SAT", "recorded")
+SHOWN = ("repair", "optimal", "joint", "fiberassign", "netflow", "robostrategy", "CP-SAT, kaiju", "CP-SAT", "recorded")
 SUBPRIORITIES = ("repair random", "optimal random", "fiberassign", "fiberassign equal")
 HEADS = {
     "scene": "scene",

@@ -156,6 +156,7 @@ MISSING = {
     "desi_fiberassign": (["fiberassign"], "fiberassign cannot be imported"),
     "pfs_netflow": (["ets_fiber_assigner"], "netflow, cobraOps or PuLP cannot be imported"),
     "sdss_kaiju": (["kaiju", "kaiju.cKaiju"], "cannot be imported"),
+    "sdss_robostrategy": (["robostrategy"], "robostrategy cannot be imported"),
 }
 
 

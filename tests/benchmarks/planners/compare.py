@@ -24,7 +24,7 @@ OURS = ("nearest", "lamost_rule", "network_flow", "repair", "optimal", "joint")
 """Allocators of rfpsurvey; ``joint`` plans the tiles of a scene together."""
 RANDOM = ("repair random", "optimal random")
 """Allocators with random subpriorities, which run only if ``--program`` names them."""
-PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju", "recorded")
+PEERS = ("cpsat", "desi_fiberassign", "pfs_netflow", "sdss_kaiju", "sdss_robostrategy", "recorded")
 """Modules with a function ``plan`` that returns a plan, its processor time (s) and facts.
 
 ``PLANS`` contains the function of each setting, and ``VERSION`` the version of the program. ``JOINT`` is true if the
