@@ -3,6 +3,7 @@
 import csv
 import importlib.util
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -99,6 +100,32 @@ def test_the_figure_shows_the_results(monkeypatch):
             some = every[(every["scene"] == scene) & np.isin(every["program"], ["repair", "optimal", "CP-SAT"])]
             assert {(one["seconds"], one["science"]) for one in some} <= points
         plt.close(drawn["figure"])
+
+
+RANGES = {
+    "fiberassign": ("desi_1", "desi_2", "desi_5", "desi_1_rules", "desi_2_rules"),
+    "netflow": ("pfs_3600", "pfs_9600", "pfs_rules"),
+    "robostrategy": ("field_a", "sdss_dark"),
+}
+
+
+@pytest.mark.parametrize("name", ["README.rst", "docs/related.rst"])
+def test_the_table_of_packages_states_the_range_of_the_results(name):
+    """If results change, the rows of both tables must be written again."""
+    lines = (ROOT / name).read_text().splitlines()
+    table = results.read(FOLDER / "results.ecsv")
+    every = {(one["scene"], one["program"]): one for one in table}
+    for column, head, tolerance in (
+        ("seconds", "Relative planning time", 0.06),
+        ("science", "Relative number of", 5e-4),
+    ):
+        (line,) = [one for one in lines if one.startswith(head)]
+        shown = [float(one) for one in re.findall(r"[\d.]+", line)[1:]]
+        found = []
+        for program, some in RANGES.items():
+            ratios = [every[scene, program][column] / every[scene, "optimal"][column] for scene in some]
+            found += [min(ratios), max(ratios)]
+        assert shown == pytest.approx(found, rel=tolerance)
 
 
 def test_new_results_replace_rows_of_the_same_scene_and_program_only(tmp_path):
