@@ -275,27 +275,34 @@ def _data() -> str:
     return DATA
 
 
-def desi_tiles() -> Scene:
-    """Return four overlapping tiles of DESI with as many targets as fibers, each of which is observed once."""
-    built = rs.Instrument.from_desi(Path(_data()) / "desi" / "fp-metrology.csv.gz")
-    scene = desi(1)
-    around = CENTER.directional_offset_by([0, 120, 240] * u.deg, 0.7 * u.deg)
+def tiles_of(scene: Scene, instrument: rs.Instrument, step: u.Quantity) -> Scene:
+    """Return four overlapping tiles with as many targets as fibers, each of which is observed once.
+
+    One tile is in the center, and the others are at a distance ``step``. ``instrument`` is a preset, or has its optics.
+    """
+    around = CENTER.directional_offset_by([0, 120, 240] * u.deg, step)
     centers = SkyCoord([CENTER.ra, *around.ra], [CENTER.dec, *around.dec])
-    radius = built.field_radius + 0.7 * u.deg
-    n = len(centers) * len(scene.positioners)
-    density = n / (np.pi * radius.to_value("deg") ** 2) / u.deg**2
+    radius = instrument.field_radius + step
+    density = len(centers) * len(scene.positioners) / (np.pi * radius**2)
     sky = rs.synthetic_catalog("poisson", CENTER, radius, density=density, rng=1).coord
     priority = np.random.default_rng(1).integers(1, 4, len(sky)).astype(float)
-    edge = float(np.hypot(scene.positioners["x"], scene.positioners["y"]).max()) + 6
-    parts = []
+    p, parts = scene.positioners, []
+    edge = float((np.hypot(p["x"], p["y"]) + p["central_arm"] + p["eccentric_arm"]).max())
     for k, center in enumerate(centers):
-        x, y = TangentPlane(center, built.plate_scale, distortion=built.distortion).to_focal_plane(sky).to_value("mm").T
+        plane = TangentPlane(center, instrument.plate_scale, distortion=instrument.distortion)
+        x, y = plane.to_focal_plane(sky).to_value("mm").T
         rows = np.flatnonzero(np.hypot(x, y) < edge)
         columns = {"id": rows, "priority": priority[rows], "kind": "science", "category": "", "fiber_type": ""}
         places = {"x": x[rows], "y": y[rows], "tile": k, "ra": sky.ra.deg[rows], "dec": sky.dec.deg[rows]}
         parts.append(Table({name: np.broadcast_to(one, len(rows)) for name, one in {**columns, **places}.items()}))
     tiles = [{"ra": float(one.ra.deg), "dec": float(one.dec.deg)} for one in centers]
-    return Scene(scene.positioners, vstack(parts), {**scene.settings, "preset": "desi", "tiles": tiles})
+    return Scene(p, vstack(parts), {**scene.settings, "preset": instrument.name, "tiles": tiles})
+
+
+def desi_tiles() -> Scene:
+    """Return four overlapping tiles of DESI."""
+    scene = desi(1)
+    return tiles_of(scene, rs.Instrument.from_desi(Path(_data()) / "desi" / "fp-metrology.csv.gz"), 0.7 * u.deg)
 
 
 SCENES: dict[str, Callable[[], Scene]] = {
