@@ -155,6 +155,21 @@ def test_targets_and_positioners_that_the_scene_lacks_are_errors(presets):
     assert judged(scene, plan)["wrong"] == {"positioner or target that the scene lacks": 2}
 
 
+def test_the_judge_refuses_files_in_one_sentence(presets, tmp_path, monkeypatch, capsys):
+    scene, (a, _) = two_tiles(presets)
+    scene.write(tmp_path / "two.fits")
+    Table({"positioner": [a], "target": [5]}).write(tmp_path / "plan.ecsv")
+    for name, reason in (
+        ("plan.ecsv", "must have the column tile, got positioner, target"),
+        ("none.ecsv", "none.ecsv"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["judge.py", str(tmp_path / "two.fits"), str(tmp_path / name)])
+        with pytest.raises(SystemExit) as caught:
+            judge.main()
+        assert caught.value.code == 2
+        assert reason in capsys.readouterr().err
+
+
 def test_idle_arms_can_be_ignored_on_the_command_line(presets, tmp_path, monkeypatch, capsys):
     """A parked arm stands in the way of the arm at a target between them."""
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm, home=[180, 0] * u.deg)

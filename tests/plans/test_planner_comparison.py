@@ -103,6 +103,30 @@ def test_the_figure_shows_the_results(monkeypatch):
         plt.close(drawn["figure"])
 
 
+def test_the_text_of_the_page_agrees_with_the_results():
+    """If results change, the section on scenes in which rfpsurvey is not the best must be written again."""
+    page = " ".join((ROOT / "docs" / "planners.rst").read_text().split())
+    every = {(one["scene"], one["program"]): one for one in results.read(FOLDER / "results.ecsv")}
+    words = "no one two three four five six seven eight nine ten".split()
+
+    def top(scene, program):
+        return int(every[scene, program]["by_class"].split()[0])
+
+    assert f"{words[top('hub', 'CP-SAT')]} instead of {words[top('hub', 'optimal')]} targets in the top" in page
+    assert f"``repair`` finds {words[top('hub', 'repair')]} targets in the top class" in page
+    assert f"``repair`` lacks {words[every['field_a', 'repair']['missing']]} targets of the required numbers" in page
+    less = [f"{100 - 100 * top(one, 'repair') / top(one, 'optimal'):.0f} %" for one in ("sdss_dark", "moons_crowded")]
+    assert f"it observes {' and '.join(less)} fewer targets of the top class" in page
+    for scene in ("desi_1_rules", "desi_2_rules"):
+        assert every[scene, "optimal"]["seconds"] > every[scene, "fiberassign"]["seconds"]
+    recorded = every["field_a", "recorded"]
+    assert f"The judge counts {recorded['standard'] + recorded['sky']} of them as observed" in page
+    assert {scene for (scene, program), one in every.items() if program == "optimal" and one["gap"] != "0"} == {
+        "hub",
+        "desi_tiles",  # no bound of all tiles together
+    }
+
+
 RANGES = {
     "fiberassign": ("desi_1", "desi_2", "desi_5", "desi_1_rules", "desi_2_rules"),
     "netflow": ("pfs_3600", "pfs_9600", "pfs_rules"),

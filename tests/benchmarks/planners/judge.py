@@ -103,6 +103,8 @@ def judge(scene: tuple[Table, Table, dict], plan: Table, *, idle: bool = True) -
     positioners, targets, settings = scene
     parts = [(targets, plan)]
     if "tile" in targets.colnames:
+        if "tile" not in plan.colnames:
+            raise ValueError(f"a plan of several tiles must have the column tile, got {', '.join(plan.colnames)}")
         number, of_plan = np.asarray(targets["tile"]), np.asarray(plan["tile"])
         parts = [(targets[number == k], plan[of_plan == k]) for k in range(len(settings["tiles"]))]
     total, wrong, seen = Counter(), Counter(), {}
@@ -214,10 +216,13 @@ def main() -> None:
     parser.add_argument("plans", type=Path, nargs="+", metavar="PLAN")
     parser.add_argument("--ignore-idle", action="store_true", help="arms without a target are no obstacles")
     given = parser.parse_args()
-    scene = read_scene(given.scene)
-    for path in given.plans:
-        plan = read_plan(path, scene[0])
-        print(path, json.dumps(judge(scene, plan, idle=not given.ignore_idle)))
+    try:
+        scene = read_scene(given.scene)
+        for path in given.plans:
+            plan = read_plan(path, scene[0])
+            print(path, json.dumps(judge(scene, plan, idle=not given.ignore_idle)))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":
