@@ -11,6 +11,7 @@ from rfpsurvey._cli import app as command_line
 
 sys.path.insert(0, str(Path(__file__).parent))
 from inventories import linked_types, write_inventories
+from planner_tables import write_tables
 
 project = "rfpsurvey"
 author = "The rfpsurvey developers"
@@ -61,7 +62,7 @@ intersphinx_mapping = write_inventories(Path(__file__).parent / "_build" / "inve
 
 
 def write_help(app):
-    """Write the help of all commands to files, which pages include."""
+    """Write the help of all commands and the tables of the page on planners to files, which pages include."""
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     commands = (
@@ -94,6 +95,7 @@ def write_help(app):
         if result.exit_code:
             raise RuntimeError(f"rfpsurvey {' '.join(arguments)}: {result.output}")
         (folder / f"{name}.txt").write_text(result.stdout)
+    write_tables(folder)
 
 
 def setup(app):

@@ -11,18 +11,45 @@ of the program.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import version
 from threading import Event, Thread
 from time import process_time
 
 import numpy as np
 import shapely
-from astropy.table import Table
+from astropy.table import Table, vstack
 from judge import EDGE, parts_of, sides_of
 
 try:
     from ortools.sat.python import cp_model
 except ImportError as error:
-    raise ImportError("OR-tools cannot be imported; install it with: pip install ortools") from error
+    raise ImportError(f"OR-tools cannot be imported: {error}; install it with: pip install ortools") from error
+
+VERSION = version("ortools")
+JOINT = True
+SHIFT = 10_000.0
+"""Distance (mm) by which the tiles of a scene are separated in the model."""
+
+
+def side_by_side(scene):
+    """Return a scene with several tiles as one plane, on which the tiles lie beside each other.
+
+    The rows of the positioners repeat for each tile; targets keep their identifiers.
+    """
+    if not scene.n_tiles:
+        return scene
+    p, t = vstack([scene.positioners] * scene.n_tiles), scene.targets.copy()
+    p["x"] = np.asarray(p["x"]) + SHIFT * np.repeat(np.arange(scene.n_tiles), len(scene.positioners))
+    t["x"] = np.asarray(t["x"]) + SHIFT * np.asarray(t["tile"])
+    fixed = {
+        name: [[x + SHIFT * k, y, r] for k in range(scene.n_tiles) for x, y, r in scene.settings[name]]
+        for name in ("circles", "hidden")
+    }
+    polygons = [[[x + SHIFT * k, y] for x, y in q] for k in range(scene.n_tiles) for q in scene.settings["polygons"]]
+    if scene.settings["requirements"]:
+        raise NotImplementedError("requirements of several tiles are not translated")
+    return replace(scene, positioners=p, targets=t, settings={**scene.settings, **fixed, "polygons": polygons})
 
 
 def candidates(scene) -> dict[str, np.ndarray]:
@@ -138,12 +165,11 @@ def build(scene, found: dict[str, np.ndarray], close: tuple) -> tuple:
     model, n = cp_model.CpModel(), len(found["target"])
     a, b, hit = close
     x = [model.new_bool_var("") for _ in range(n)]
-    of = {
-        name: [[] for _ in range(len(table))]
-        for name, table in (("positioner", scene.positioners), ("target", scene.targets))
-    }
+    names, same = np.unique(np.asarray(scene.targets["id"]), return_inverse=True)  # one target, in any tile
+    rows = {"positioner": found["positioner"], "target": same[found["target"]]}
+    of = {"positioner": [[] for _ in scene.positioners], "target": [[] for _ in names]}
     for name, some in of.items():
-        for c, row in enumerate(found[name]):
+        for c, row in enumerate(rows[name]):
             some[row].append(x[c])
         for one in some:
             if len(one) > 1:
@@ -202,6 +228,8 @@ def maximize(model, x: list, goals: list, seconds: float) -> tuple[np.ndarray, l
 
 def plan(scene, seconds: float, *, pairs: Callable = pairs) -> tuple[Table, float, dict]:
     """Return the plan of a scene, the processor time (s) without the pairs, and facts about the search."""
+    n = len(scene.positioners)
+    scene = side_by_side(scene)
     begin = process_time()
     found = candidates(scene)
     close = pairs(scene, found)
@@ -216,6 +244,12 @@ def plan(scene, seconds: float, *, pairs: Callable = pairs) -> tuple[Table, floa
             "side": found["side"][rows],
         }
     )
-    open_levels = [bound - value for value, bound in levels if bound > value]
-    facts = {"gap": max(open_levels, default=0), "pairs_s": middle - begin, "levels": levels}
+    if "tile" in scene.targets.colnames:
+        table["tile"] = found["positioner"][rows] // n
+    unproven = max((bound - value for value, bound in levels), default=0)
+    facts = {"gap": f"{unproven} targets" if unproven else "0", "pairs_s": middle - begin, "levels": levels}
     return table, spent, facts
+
+
+PLANS = {"CP-SAT": plan}
+"""Label and function of each setting."""

@@ -11,6 +11,7 @@ targets of a class is random (``subpriority``); with ``equal``, all subprioritie
 """
 
 import os
+from importlib.metadata import version
 from time import process_time
 
 import numpy as np
@@ -34,6 +35,7 @@ try:
 except ImportError as error:
     raise ImportError(f"fiberassign cannot be imported: {error}") from error
 
+VERSION = version("fiberassign")
 TYPES = {"science": 1, "standard": 2, "sky": 4}
 TILE = 1
 

@@ -1,9 +1,9 @@
 """Count what a plan of fibers observes and which arms collide, with code that is independent of rfpsurvey.
 
 ``python tests/benchmarks/planners/judge.py SCENE PLAN [PLAN ...]`` prints the counts of plans of a scene. A plan is a
-table with the columns ``positioner`` and ``target`` and, optionally, ``side`` (right or left), or the file of another
-program (see ``read_plan``). Nothing of rfpsurvey is imported; arms are placed by trigonometry, and shapely measures the
-distances between them.
+table with the columns ``positioner`` and ``target`` and, optionally, ``side`` (right or left) and ``tile``, or the file
+of another program (see ``plan_files.py``). Nothing of rfpsurvey is imported; arms are placed by trigonometry, and
+shapely measures the distances between them.
 """
 
 import argparse
@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from astropy.io import fits
 from astropy.table import Table
+from plan_files import read_plan
 
 EDGE = 1e-6
 """Targets that are out of reach by less than this length (mm) count as in reach."""
@@ -27,21 +28,6 @@ def read_scene(path: Path) -> tuple[Table, Table, dict]:
     for table in tables:
         table.convert_bytestring_to_unicode()
     return *tables[:2], json.loads(str(tables[2]["json"][0]))
-
-
-def read_plan(path: Path) -> Table:
-    """Return the columns ``positioner`` and ``target`` of a plan, and ``side`` if the plan has it.
-
-    Of a FITS file, the first table is read. The tables of fiberassign and of rfpsurvey have other names of the columns.
-    """
-    names = {"positioner": ("positioner", "LOCATION", "id"), "target": ("target", "TARGETID", "target_id")}
-    table = Table.read(path, **({"hdu": 1} if ".fits" in path.name else {}))
-    found = {new: next(one for one in old if one in table.colnames) for new, old in names.items()}
-    columns = {new: np.ma.filled(np.ma.asarray(table[old]), -1) for new, old in found.items()}
-    if "side" in table.colnames or "handedness" in table.colnames:
-        columns["side"] = table["side" if "side" in table.colnames else "handedness"]
-    plan = Table(columns)
-    return plan[np.array([str(one) not in ("-1", "", "--") for one in plan["target"]])]
 
 
 def place(positioners: Table, row: int, xy: complex, side: str) -> tuple[float, float] | None:
@@ -108,16 +94,53 @@ def gaps(parts: list[list[tuple]], limit: float) -> set[tuple[int, int]]:
     return {(int(i), int(j)) for i, j in zip(rows[a][closer], rows[b][closer], strict=True)}
 
 
-def judge(scene: tuple[Table, Table, dict], plan: Table) -> dict:
-    """Return the counts of a plan: targets by kind and priority, collisions, and what is not allowed."""
+def judge(scene: tuple[Table, Table, dict], plan: Table, *, idle: bool = True) -> dict:
+    """Return the counts of a plan: targets by kind and priority, collisions, and what is not allowed.
+
+    Without ``idle``, arms without a target that can move are no obstacles, as for programs that ignore them.
+    A science target that several tiles observe counts once; ``doubles`` is the number of its other observations.
+    """
+    positioners, targets, settings = scene
+    parts = [(targets, plan)]
+    if "tile" in targets.colnames:
+        if "tile" not in plan.colnames:
+            raise ValueError(f"a plan of several tiles must have the column tile, got {', '.join(plan.colnames)}")
+        number, of_plan = np.asarray(targets["tile"]), np.asarray(plan["tile"])
+        parts = [(targets[number == k], plan[of_plan == k]) for k in range(len(settings["tiles"]))]
+    total, wrong, seen = Counter(), Counter(), {}
+    for own, used in parts:
+        counts, kinds, errors = judge_tile((positioners, own, settings), used, idle)
+        total.update(counts)
+        wrong.update(errors)
+        for kind, name, priority in kinds:
+            total[kind] += kind != "science"
+            total["doubles"] += kind == "science" and name in seen
+            if kind == "science":
+                seen[name] = priority
+    science = Counter(seen.values())
+    of_science = np.asarray(targets["priority"], dtype=float)[np.asarray(targets["kind"]) == "science"]
+    counted = ("assigned", "colliding", "pairs", "standard", "sky", "missing", "doubles")
+    return {
+        **{name: int(total[name]) for name in counted},
+        "science": len(seen),
+        "by_priority": [science[one] for one in sorted(set(of_science.tolist()), reverse=True)],
+        "wrong": {name: int(n) for name, n in wrong.items() if n},
+    }
+
+
+def judge_tile(scene: tuple[Table, Table, dict], plan: Table, idle: bool) -> tuple[dict, list[tuple], Counter]:
+    """Return the counts of a tile, the kind, identifier and priority of the observed targets, and what is wrong."""
     positioners, targets, settings = scene
     row_of = {str(one): k for k, one in enumerate(positioners["id"])}
     target_of = {str(one): k for k, one in enumerate(targets["id"])}
-    used = [(row_of[str(p)], target_of[str(t)]) for p, t in zip(plan["positioner"], plan["target"], strict=True)]
+    names = zip(plan["positioner"], plan["target"], strict=True)
+    both = [(row_of.get(str(one)), target_of.get(str(other))) for one, other in names]
+    known = [i is not None and t is not None for i, t in both]
+    used = [one for one, is_known in zip(both, known, strict=True) if is_known]
     xy = np.asarray(targets["x"]) + 1j * np.asarray(targets["y"])
     hidden = np.array(settings["hidden"]).reshape(-1, 3)
-    given = plan["side"] if "side" in plan.colnames else [""] * len(plan)
-    poses, fibers, wrong = {}, {}, Counter()
+    given = plan["side"][known] if "side" in plan.colnames else [""] * len(used)
+    poses, fibers, wrong = {}, {}, Counter({"positioner or target that the scene lacks": len(both) - len(used)})
     for (i, t), side in zip(used, given, strict=True):
         wrong["positioner used twice"] += i in poses
         wrong["positioner that cannot move"] += str(positioners["state"][i]) != "ok"
@@ -130,11 +153,31 @@ def judge(scene: tuple[Table, Table, dict], plan: Table) -> dict:
         if found:
             poses[i], fibers[i] = found[0], needed
     wrong["target observed twice"] = sum(n - 1 for n in Counter(t for _, t in used).values())
+    standing = standing_arms(positioners, poses, idle)
+    pairs, colliding = collisions(positioners, settings, standing, fibers)
+    counted = [(i, t) for i, t in used if i in poses and i not in colliding]
+    counts = {
+        "assigned": len(used),
+        "colliding": sum(i in colliding for i in poses),
+        "pairs": len(pairs),
+        "missing": missing(positioners, targets, settings, counted),
+    }
+    observed = [(str(targets["kind"][t]), str(targets["id"][t]), float(targets["priority"][t])) for _, t in counted]
+    return counts, observed, wrong
+
+
+def standing_arms(positioners: Table, poses: dict[int, tuple], idle: bool) -> dict[int, tuple]:
+    """Return the poses of all arms that are obstacles: idle arms of equal lengths, if asked, and broken ones."""
     standing = dict(poses)
     arms = np.asarray(positioners["central_arm"]), np.asarray(positioners["eccentric_arm"])
-    parked = (np.abs(arms[0] - arms[1]) <= 0.05 * (arms[0] + arms[1])) | (np.asarray(positioners["state"]) != "ok")
-    for i in np.flatnonzero(parked):
+    can_park = np.abs(arms[0] - arms[1]) <= 0.05 * (arms[0] + arms[1])
+    for i in np.flatnonzero((can_park & idle) | (np.asarray(positioners["state"]) != "ok")):
         standing.setdefault(int(i), (positioners["theta_parked"][i], positioners["phi_parked"][i]))
+    return standing
+
+
+def collisions(positioners: Table, settings: dict, standing: dict[int, tuple], fibers: dict) -> tuple[set, set]:
+    """Return the pairs of rows whose arms collide, and the rows of all arms in a collision with an arm or obstacle."""
     rows = sorted(standing)
     parts = [parts_of(positioners[i], settings, *standing[i], fibers.get(i, "")) for i in rows]
     pairs = {(rows[i], rows[j]) for i, j in gaps(parts, settings["min_separation"])}
@@ -147,23 +190,7 @@ def judge(scene: tuple[Table, Table, dict], plan: Table) -> dict:
                 shapely.distance(shape, one) - r - radius < settings["clearance"] for one, r in fixed
             )
             hits |= {i} if near else set()
-    colliding = {i for pair in pairs for i in pair} | hits
-    counted = [(i, t) for i, t in used if i in poses and i not in colliding]
-    observed = [t for _, t in counted]
-    kinds = Counter(str(targets["kind"][t]) for t in observed)
-    science = [t for t in observed if str(targets["kind"][t]) == "science"]
-    classes = Counter(float(targets["priority"][t]) for t in science)
-    return {
-        "assigned": len(used),
-        "colliding": sum(i in colliding for i in poses),
-        "pairs": len(pairs),
-        "science": kinds["science"],
-        "by_priority": [classes[one] for one in sorted({float(p) for p in targets["priority"]}, reverse=True)][:6],
-        "standard": kinds["standard"],
-        "sky": kinds["sky"],
-        "missing": missing(positioners, targets, settings, counted),
-        "wrong": {name: n for name, n in wrong.items() if n},
-    }
+    return pairs, {i for pair in pairs for i in pair} | hits
 
 
 def missing(positioners: Table, targets: Table, settings: dict, used: list[tuple[int, int]]) -> int:
@@ -187,10 +214,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
     parser.add_argument("plans", type=Path, nargs="+", metavar="PLAN")
+    parser.add_argument("--ignore-idle", action="store_true", help="arms without a target are no obstacles")
     given = parser.parse_args()
-    scene = read_scene(given.scene)
-    for path in given.plans:
-        print(path, json.dumps(judge(scene, read_plan(path))))
+    try:
+        scene = read_scene(given.scene)
+        for path in given.plans:
+            plan = read_plan(path, scene[0])
+            print(path, json.dumps(judge(scene, plan, idle=not given.ignore_idle)))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

@@ -1,15 +1,20 @@
 """Plan scenes with the allocators of rfpsurvey; the focal plane is made from the file of the scene alone."""
 
+from dataclasses import replace
+from importlib.metadata import version
 from time import process_time
 
 import astropy.units as u
 import numpy as np
-from astropy.table import Table
+from astropy.coordinates import SkyCoord
+from astropy.table import Table, vstack
 from scene import EVERY, Scene
 
 import rfpsurvey as rs
 from rfpsurvey.allocation import METHODS
 from rfpsurvey.positioner import ArmOutline
+
+VERSION = version("rfpsurvey").partition("+")[0]
 
 
 def focal_plane(scene: Scene) -> rs.FocalPlane:
@@ -66,7 +71,7 @@ def requirements(scene: Scene) -> list[rs.Requirement]:
     return [rs.Requirement(**one) for one in scene.settings["requirements"]]
 
 
-def plan(scene: Scene, allocator: str, seconds: float) -> tuple[Table, float, dict]:
+def plan(scene: Scene, seconds: float, *, allocator: str) -> tuple[Table, float, dict]:
     """Return the plan of a scene, the processor time (s), and facts about the search.
 
     ``random`` after the name of the allocator stands for random subpriorities.
@@ -91,4 +96,34 @@ def plan(scene: Scene, allocator: str, seconds: float) -> tuple[Table, float, di
     table = Table({"positioner": plane.id[rows], "target": np.asarray(t["id"])[found.target_of_positioner[rows]]})
     if found.handedness is not None:
         table["side"] = np.asarray(found.handedness)[rows]
-    return table, spent, {"gap": found.gap}
+    return table, spent, {"gap": percent(found.gap)}
+
+
+def percent(gap: float | None) -> str:
+    """Return a relative gap as text: 0 if the plan is proven to be optimal, empty if there is no bound."""
+    return "" if gap is None or np.isnan(gap) else f"{100 * gap:.2g} %" if gap else "0"
+
+
+def plan_together(scene: Scene, seconds: float, *, allocator: str) -> tuple[Table, float, dict]:
+    """Return the joint plan of the tiles of a scene, the processor time (s), and facts about the search.
+
+    The time includes the projection of the targets. No iterations follow the search for augmenting paths if the time
+    limit is reached; the tiles are first planned one after the other.
+    """
+    t = scene.targets
+    if not scene.n_tiles or scene.settings["requirements"] or set(t["fiber_type"]) != {""}:
+        raise NotImplementedError("a joint plan needs several tiles, without requirements and fiber types")
+    instrument = replace(rs.Instrument.preset(scene.settings["preset"]), focal_plane=focal_plane(scene))
+    rows = np.unique(np.asarray(t["id"]), return_index=True)[1]
+    catalog = Table({"id": t["id"][rows], "ra": t["ra"][rows] * u.deg, "dec": t["dec"][rows] * u.deg})
+    catalog["priority"] = t["priority"][rows]
+    centers = SkyCoord([(one["ra"], one["dec"]) for one in scene.settings["tiles"]] * u.deg)
+    first = rs.AllocationOptions("optimal", time_limit=seconds / 2 * u.s)
+    joint = rs.JointOptions(allocator=first, time_limit=seconds / 2 * u.s)
+    begin = process_time()
+    survey = rs.plan_survey(catalog, instrument, centers, allocator=joint)
+    spent = process_time() - begin
+    parts = [Table({"positioner": one["positioner"], "target": one["target_id"]}) for one in survey]
+    for part, k in zip(parts, np.asarray(survey.tiles["tile"]).tolist(), strict=True):
+        part["tile"] = k
+    return vstack(parts), spent, {"gap": percent(float(survey.joint["gap"][-1]))}

@@ -16,6 +16,7 @@ program; it is not part of the time of the program.
 import contextlib
 import io
 import sys
+from importlib.metadata import version
 from time import process_time
 from types import ModuleType, SimpleNamespace
 
@@ -35,6 +36,7 @@ try:
 except ImportError as error:
     raise ImportError(f"netflow, cobraOps or PuLP cannot be imported: {error}") from error
 
+VERSION = version("ets_fiber_assigner")
 CALIBRATION = 1e6
 """Cost of a calibration target that is missing."""
 
@@ -139,4 +141,8 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
             "target": np.asarray(t["id"])[[rows[int(k)] for k, _ in used]],
         }
     )
-    return table, spent, {"gap": 0 if model.sol_status == pulp.LpSolutionOptimal else None, "pairs_s": middle - begin}
+    return table, spent, {"gap": "0" if model.sol_status == pulp.LpSolutionOptimal else "", "pairs_s": middle - begin}
+
+
+PLANS = {"netflow": plan}
+"""Label and function of each setting."""

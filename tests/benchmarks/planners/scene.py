@@ -14,9 +14,11 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.table import Table
+from astropy.table import Table, vstack
 
 import rfpsurvey as rs
+from rfpsurvey.instrument import pfs_fibers
+from rfpsurvey.projection import TangentPlane
 
 CENTER = SkyCoord("6h20m +23d")
 DATA = os.environ.get("RFPSURVEY_TEST_DATA")
@@ -30,6 +32,18 @@ class Scene:
     positioners: Table
     targets: Table
     settings: dict = field(default_factory=dict)
+
+    @property
+    def n_tiles(self) -> int:
+        """Number of tiles, or 0 if the scene is a single field."""
+        return len(self.settings.get("tiles", ()))
+
+    def tile(self, k: int, *, without: set = frozenset()) -> "Scene":
+        """Return the scene of a tile, without some science targets."""
+        t = self.targets[np.asarray(self.targets["tile"]) == k]
+        done = np.isin(np.asarray(t["id"]), list(without)) & (np.asarray(t["kind"]) == "science")
+        settings = {name: value for name, value in self.settings.items() if name != "tiles"}
+        return Scene(self.positioners, t[~done], settings)
 
     def write(self, path: Path) -> None:
         """Write the scene to a FITS file."""
@@ -182,7 +196,9 @@ def pfs(n: int, *, rules: bool = False) -> Scene:
     if rules:
         targets = with_calibration(targets, 3000, 600)
     rights = "dots: Subaru-PFS/pfs_instdata, no license stated"
-    return scene_of(instrument, targets, ("sky=400", "standard=100") if rules else (), name="pfs", rights=rights)
+    scene = scene_of(instrument, targets, ("sky=400", "standard=100") if rules else (), name="pfs", rights=rights)
+    scene.positioners["fiber"] = pfs_fibers()[0][scene.positioners["id"] - 1]
+    return scene
 
 
 def sdss_dark() -> Scene:
@@ -201,7 +217,7 @@ def field_a() -> Scene:
     kind = np.where(np.char.startswith(category, "sky"), "sky", "science").astype("U8")
     kind[np.char.startswith(category, "standard")] = "standard"
     columns = {
-        "id": np.arange(len(table)),
+        "id": table["rsid"],
         "x": table["x_wok"],
         "y": table["y_wok"],
         "priority": -np.asarray(table["priority"], dtype=float),
@@ -210,7 +226,11 @@ def field_a() -> Scene:
         "fiber_type": np.asarray(table["fiber_type"], dtype=str),
     }
     requirements = ("sky_boss=300", "standard_boss=20", "sky_apogee=50", "standard_apogee=20")
-    return scene_of(instrument, Table(columns), requirements, name="field_a", rights="SDSS-V, BSD-3")
+    scene = scene_of(instrument, Table(columns), requirements, name="field_a", rights="SDSS-V, BSD-3")
+    used = table[np.asarray(table["assigned"]) == 1]
+    pairs = zip(used["hole_id"], used["rsid"], strict=True)
+    scene.settings["recorded"] = [[str(hole), int(target)] for hole, target in pairs]
+    return scene
 
 
 def must() -> Scene:
@@ -255,6 +275,36 @@ def _data() -> str:
     return DATA
 
 
+def tiles_of(scene: Scene, instrument: rs.Instrument, step: u.Quantity) -> Scene:
+    """Return four overlapping tiles with as many targets as fibers, each of which is observed once.
+
+    One tile is in the center, and the others are at a distance ``step``. ``instrument`` is a preset, or has its optics.
+    """
+    around = CENTER.directional_offset_by([0, 120, 240] * u.deg, step)
+    centers = SkyCoord([CENTER.ra, *around.ra], [CENTER.dec, *around.dec])
+    radius = instrument.field_radius + step
+    density = len(centers) * len(scene.positioners) / (np.pi * radius**2)
+    sky = rs.synthetic_catalog("poisson", CENTER, radius, density=density, rng=1).coord
+    priority = np.random.default_rng(1).integers(1, 4, len(sky)).astype(float)
+    p, parts = scene.positioners, []
+    edge = float((np.hypot(p["x"], p["y"]) + p["central_arm"] + p["eccentric_arm"]).max())
+    for k, center in enumerate(centers):
+        plane = TangentPlane(center, instrument.plate_scale, distortion=instrument.distortion)
+        x, y = plane.to_focal_plane(sky).to_value("mm").T
+        rows = np.flatnonzero(np.hypot(x, y) < edge)
+        columns = {"id": rows, "priority": priority[rows], "kind": "science", "category": "", "fiber_type": ""}
+        places = {"x": x[rows], "y": y[rows], "tile": k, "ra": sky.ra.deg[rows], "dec": sky.dec.deg[rows]}
+        parts.append(Table({name: np.broadcast_to(one, len(rows)) for name, one in {**columns, **places}.items()}))
+    tiles = [{"ra": float(one.ra.deg), "dec": float(one.dec.deg)} for one in centers]
+    return Scene(p, vstack(parts), {**scene.settings, "preset": instrument.name, "tiles": tiles})
+
+
+def desi_tiles() -> Scene:
+    """Return four overlapping tiles of DESI."""
+    scene = desi(1)
+    return tiles_of(scene, rs.Instrument.from_desi(Path(_data()) / "desi" / "fp-metrology.csv.gz"), 0.7 * u.deg)
+
+
 SCENES: dict[str, Callable[[], Scene]] = {
     "desi_1": lambda: desi(1),
     "desi_2": lambda: desi(2),
@@ -271,13 +321,17 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "must_2": must,
     "hub": hub,
     "stuck": stuck,
+    "desi_tiles": desi_tiles,
 }
 """Functions that make the scenes. Some of them need the files of ``RFPSURVEY_TEST_DATA``."""
 
 
 def make(names: list[str]) -> Iterator[tuple[str, Scene]]:
-    """Yield scenes by name; scenes whose files are missing are reported and left out."""
+    """Yield scenes by name or from files; scenes whose data are missing are reported and left out."""
     for name in names or SCENES:
+        if name.endswith(".fits"):
+            yield Path(name).stem, Scene.read(Path(name))
+            continue
         try:
             yield name, SCENES[name]()
         except FileNotFoundError as error:
@@ -290,6 +344,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"scenes: {', '.join(SCENES)}")
     given = parser.parse_args()
+    if unknown := [name for name in given.names if name not in SCENES]:
+        parser.error(f"the scene must be one of {', '.join(SCENES)}, got {', '.join(unknown)}")
     given.folder.mkdir(parents=True, exist_ok=True)
     for name, scene in make(given.names):
         path = given.folder / f"{name}.fits"

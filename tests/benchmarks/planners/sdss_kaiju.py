@@ -3,12 +3,13 @@
 Written for kaiju 1.4.2a0 and OR-tools 9.15. Install https://github.com/sdss/kaiju with ``pip install --no-deps .``,
 and its requirements. The build downloads two files of coordio; the source archive of sdss-coordio has them, too.
 
-robostrategy, which plans SDSS-V, also gives CP-SAT the collisions of kaiju. This is not robostrategy: cadences, the
-order of its stages and its own limits are left out, and the model is that of ``cpsat.py``. kaiju is asked about each
-pair of poses whose collision segments are nearer than 0.1 mm more than the separation, as found with shapely; kaiju's
-paths of the arms are not used. ``pairs_s`` is the time to find the candidates and the pairs; it is not part of the time
-of the program.
+The model is that of ``cpsat.py``; ``sdss_robostrategy.py`` runs robostrategy, which plans SDSS-V. kaiju is asked about
+each pair of poses whose collision segments are nearer than 0.1 mm more than the separation, as found with shapely;
+kaiju's paths of the arms are not used. ``pairs_s`` is the time to find the candidates and the pairs; it is not part of
+the time of the program.
 """
+
+from importlib.metadata import version
 
 import cpsat
 import numpy as np
@@ -21,6 +22,7 @@ try:
 except ImportError as error:
     raise ImportError(f"kaiju cannot be imported: {error}") from error
 
+VERSION = f"{version('sdss-kaiju')}, OR-tools {cpsat.VERSION}"
 STEP = 0.1
 """Step of the joints (deg) of the grid, which matters for paths only."""
 
