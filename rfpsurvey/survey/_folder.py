@@ -59,7 +59,9 @@ class Folder(RequestFolder):
         first, now_first = before.get("first"), now["first"]
         if first is None:
             first = {name: before.get(name) for name in ("catalog", "passes", "tiles")}
-            now_first = {name: now_first[name] for name in ("passes", "tiles")} | {"catalog": self._first_catalog()}
+            now_first = {name: now_first[name] for name in ("passes", "tiles")} | {
+                "catalog": self._first_catalog(first["catalog"])
+            }
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}

@@ -1,7 +1,7 @@
 """The function `plan_survey`, and the validation of its parameters."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from time import perf_counter
 
@@ -208,11 +208,12 @@ def prepare_request(
         catalog = as_catalog(catalog)
         used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
-    first_source = None
+    first_sources = None
     if state is not None and state.first is not catalog and not isinstance(catalog, PartitionedCatalog):
 
-        def first_source() -> InMemory:
-            return InMemory(state.first if used is None else state.first.at_epoch(used))
+        def first_sources() -> Iterator[InMemory]:
+            for one in (state.first, state.before(0).catalog):  # without and with the rule
+                yield InMemory(one if used is None else one.at_epoch(used))
 
     if joint is not None:
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
@@ -235,7 +236,7 @@ def prepare_request(
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
         state=state,
-        first_source=first_source,
+        first_sources=first_sources,
     )
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")

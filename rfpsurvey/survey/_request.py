@@ -1,6 +1,7 @@
 """The validated request of a survey, that is, its input and its options."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -61,8 +62,8 @@ class Request:
     """Options of the joint plan; None if the tiles are planned one after the other."""
     state: SurveyState | None = None
     """The state of the survey, if events were recorded."""
-    first_source: object = None
-    """The catalog before the recorded events; None if it is ``source``."""
+    first_sources: Callable | None = None
+    """Function that yields the possible catalogs of the first plan; None if this catalog is ``source``."""
     first: dict = field(default_factory=dict)
     """Tiles and passes before the recorded events, in the form of `identity`."""
 
@@ -180,10 +181,13 @@ class Request:
         first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}
         return {**about, **first, **self._events, **self.parameters, "software": self.software}
 
-    def first_catalog(self) -> str:
-        """Return the entry ``catalog`` of the `identity` of the first plan, before events changed targets."""
-        source = self.source if self.first_source is None else self.first_source()
-        return f"{number_of(len(source), 'target')}, digest {source.digest()}"
+    def first_catalog(self, text: str) -> str:
+        """Return ``text`` if it is the entry ``catalog`` of the `identity` of the first plan, otherwise this entry."""
+        for source in (self.source,) if self.first_sources is None else self.first_sources():
+            found = f"{number_of(len(source), 'target')}, digest {source.digest()}"
+            if found == text:
+                break
+        return found
 
     @property
     def _events(self) -> dict:

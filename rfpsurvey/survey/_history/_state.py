@@ -58,6 +58,8 @@ class SurveyState:
         The visits of all targets that follow from the observations.
     states : TileStates
         The states of all tiles.
+    given : tuple
+        The catalog of the first plan, and the requested visits that were given with it.
 
     Examples
     --------
@@ -148,7 +150,18 @@ class SurveyState:
         return cls(catalog, made + left, made, replayed.failed, left, events, rule, until, replayed, states, given)
 
     def before(self, n: int) -> "SurveyState":
-        """Return the state after the first n files of events, as if no visit had been made."""
+        """Return the state after the first files of events, as if no visit had been made.
+
+        Parameters
+        ----------
+        n : int
+            Number of files.
+
+        Returns
+        -------
+        SurveyState
+            The state.
+        """
         return self._of(self.events.first(n), self.given, self.rule, self.until, visited=False)
 
     @property
@@ -195,7 +208,13 @@ class SurveyState:
         return f"{number_of(len(self.first), 'target')}, digest {own}"
 
     def check_current(self) -> None:
-        """Raise an error if events were recorded in the folder after this state was read."""
+        """Raise an error if events were recorded in the folder after this state was read.
+
+        Raises
+        ------
+        InputError
+            If there are later events.
+        """
         if read_events(self.folder).digest != self.events.digest:
             raise InputError(
                 f"visits must be the state after all events in {self.folder}, got a state that was read before the "
