@@ -137,6 +137,7 @@ Examples:
       --report selection.html
   rfpsurvey select galaxies.fits --tiles tiles.ecsv \\
       --set lost_in_collision=false --output selection.fits
+  rfpsurvey select survey_folder --output selection.fits
 """
 
 POTENTIAL_EXAMPLES = """\b

@@ -8,8 +8,10 @@ from typing import Annotated
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print, _process, _surveys
+from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print, _process, _survey_folder, _surveys
 from rfpsurvey._cli._command import Given, command
+from rfpsurvey._cli._keys import build
+from rfpsurvey._cli.survey import SurveyKeys
 from rfpsurvey._outputs import check_separate
 from rfpsurvey.report import selection_facts
 
@@ -67,8 +69,14 @@ class SelectKeys(_groups.WorkerKeys):
     argument="catalog.path",
     epilog=_examples.SELECT_EXAMPLES,
 )
-def select(keys: SelectKeys, _: Given) -> None:
+def select(keys: SelectKeys, given: Given) -> None:
     """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
+    values = _survey_folder.values_of(keys.catalog.path)
+    survey = None if values is None else build(SurveyKeys, values)
+    if survey is not None:  # the keys have the values of the survey, unless they are given
+        place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
+        own = {name: one for name, one in given.values.items() if name != "catalog.path"}
+        keys = build(SelectKeys, {name: one for name, one in shared.items() if name[:7] != "output."} | own)
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
@@ -77,7 +85,9 @@ def select(keys: SelectKeys, _: Given) -> None:
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
     targets = _surveys.targets_of(keys.catalog, model, keys.rng)
-    if keys.catalog.visits is not None:
+    if survey is not None:
+        targets = _survey_folder.state_of(place, replace(survey, catalog=keys.catalog), targets)
+    elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
     options = {
         "allocator": rs.AllocationOptions(**keys.options),
@@ -89,7 +99,8 @@ def select(keys: SelectKeys, _: Given) -> None:
         "resume": keys.output.resume,
         "rng": keys.rng,
     }
-    tiling = _surveys.tiles_of(tiling, targets, model)
+    tiling = _surveys.tiles_of(tiling, targets if survey is None else targets.first, model)
+    tiling = tiling if survey is None else _conditions.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")

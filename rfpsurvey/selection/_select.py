@@ -136,7 +136,7 @@ def selection_probabilities(
     <SelectionProbabilities of 4000 targets in 64 realizations: ...>
     """
     begin = perf_counter()
-    survey = tiles if isinstance(tiles, Survey) else None
+    is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
     if survey is not None:
         tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
     check_whole(n_realizations, "n_realizations", 1, MOST)
@@ -164,12 +164,18 @@ def selection_probabilities(
         return prepare_request(state.catalog, instrument, tiles, visits=state, **options)
 
     with used_elsewhere("rng"):
-        is_state = isinstance(catalog, SurveyState)
         request = prepare(catalog) if is_state else prepare_request(catalog, instrument, tiles, **options)
         generations = generations_of(catalog, prepare) if is_state else None
     if request.joint is not None:
         raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
-    if survey is not None:
+    if is_state:
+        _check_same(Survey.read(catalog.folder).provenance, request)
+    elif survey is not None:
+        if "conditions" in survey.provenance["parameters"] or "joint" in survey.provenance["parameters"]:
+            raise InputError(
+                "tiles must be a survey that was planned without observing conditions, one tile after the other; give "
+                "the tiling of other surveys"
+            )
         _check_same(survey.provenance, request)
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume, generations=generations)
     if request.builder.wanted.any() and found.never_observed.all():
@@ -183,11 +189,6 @@ def _check_same(provenance: dict, request: Request) -> None:
     recorded, used = provenance["parameters"], provenance["instrument"]["name"]
     if request.instrument.name != used:
         raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
-    if "joint" in recorded or "conditions" in recorded:
-        raise InputError(
-            "tiles must be a survey that was planned without observing conditions, one tile after the other; give the "
-            "tiling of other surveys"
-        )
     for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")

@@ -92,7 +92,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "n_complete": (wanted > 0) & (left == 0),
         "n_requested": wanted,
         "n_observed": observed,
-        "n_failed": state.failed * (wanted > 0),
+        "n_failed": state.failed,
         "n_left": left,
         "n_planned": planned,
         "n_not_assigned": rest * ~(lost | impossible),

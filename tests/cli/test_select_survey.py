@@ -1,0 +1,47 @@
+"""The command ``select`` for the folder of a survey with recorded observations."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+
+@pytest.fixture
+def plan(run, tmp_path):
+    """Return the folder of a survey of which one tile was observed."""
+    sky = rs.synthetic_catalog("poisson", SkyCoord(95 * u.deg, 23 * u.deg), 1.5 * u.deg, density=60 / u.deg**2, rng=3)
+    rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2).write(tmp_path / "stars.fits")
+    QTable({"ra": [94.6, 95.4] * u.deg, "dec": [23, 23] * u.deg}).write(tmp_path / "tiles.ecsv")
+    (tmp_path / "night.csv").write_text("tile,date\n1,2026-01-03\n")
+    command = ("survey", tmp_path / "stars.fits", "--tiles", tmp_path / "tiles.ecsv", "--instrument", "sdss_apo")
+    folder = tmp_path / "plan"
+    for words in (
+        (*command, "--allocator", "nearest", "--folder", folder, "--visits", "2"),
+        ("record", folder, tmp_path / "night.csv"),
+        ("survey", folder, "--replan"),
+    ):
+        code, _, err = run(*words)
+        assert code == 0, err
+    return folder
+
+
+def test_the_folder_of_a_survey_gives_all_options_and_events(run, plan, tmp_path):
+    code, _, err = run("select", plan, "--n-realizations", "3", "--output", tmp_path / "selection.fits")
+    assert code == 0, err
+    found = rs.SelectionProbabilities.read(tmp_path / "selection.fits")
+    sky = rs.Catalog.read(tmp_path / "stars.fits")
+    tiles = rs.Tiling.read(tmp_path / "tiles.ecsv")
+    state = rs.survey.SurveyState.read(plan, sky, visits=2)
+    same = rs.selection_probabilities(state, "sdss_apo", tiles, 3, allocator="nearest")
+    np.testing.assert_array_equal(found.bits, same.bits)
+    assert set(found.requested.tolist()) == {2}
+    assert found.provenance["events"]["n_files"] == 1
+
+
+def test_other_options_than_those_of_the_survey_are_refused(run, plan):
+    code, _, err = run("select", plan, "--n-realizations", "3", "--allocator", "repair")
+    assert code == 2
+    assert "--allocator must be 'nearest', as for the survey, got 'repair'" in err
