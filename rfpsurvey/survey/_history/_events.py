@@ -217,6 +217,8 @@ def to_date(value: object) -> str:
     """Return a date as text such as 2026-01-03; empty text for missing dates."""
     if value is None or value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
         return ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
     if isinstance(value, float | np.floating) and value == np.floor(value):
         value = int(value)
     if isinstance(value, Time):

@@ -10,7 +10,7 @@ from astropy.table import QTable, Table
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
 from rfpsurvey._readers import read_fits_bytes
-from rfpsurvey._units import to_flags, to_labels
+from rfpsurvey._units import to_flags, to_labels, to_plain
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, short
 from rfpsurvey.survey._folder import TABLES, part_name
@@ -355,14 +355,11 @@ def _texts(table: Table, name: str | None) -> list[str] | None:
     """Return the values of a column as text; empty text for missing values."""
     if name is None:
         return None
-    column = np.ma.asarray(table[name])
-    missing, values = np.ma.getmaskarray(column), np.asarray(column)
-    if values.dtype.kind == "f":  # integers with missing values
-        missing = missing | np.isnan(values)
-        if (values[~missing] == np.floor(values[~missing])).all():
-            values = np.where(missing, 0, values).astype(np.int64)
-    texts = ["" if gone or one is None else str(one) for one, gone in zip(values.tolist(), missing, strict=True)]
-    return [text.strip() for text in texts]
+    values = to_plain(table[name], name)
+    missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+    if values.dtype.kind == "f" and (values[~missing] == np.floor(values[~missing])).all():
+        values = np.where(missing, 0, values).astype(np.int64)  # integers with missing values
+    return ["" if gone else str(one).strip() for one, gone in zip(values.tolist(), missing.tolist(), strict=True)]
 
 
 def _on(date: str) -> str:

@@ -203,6 +203,16 @@ def test_stacked_tables_have_missing_values(survey, case):
     assert survey.state(case[0]).summary["n_visits_failed"] == 1 + survey.tiles["n_observed"][1]
 
 
+def test_tables_of_bytes(survey, case):
+    """Regression: text in columns of bytes, as astropy reads them from FITS files, was not understood."""
+    table = events(tile=["11", "11", "12"], date="2026-01-03", state=["done", "", "bad"], positioner=["", "1", ""])
+    for name in table.colnames:
+        table[name] = np.array(table[name], dtype="S10")
+    assert survey.record(table)["n_events"] == 2
+    assert survey.record(events(tile=[12], date="2026-01-03", state="bad"))["n_known"] == 1
+    assert survey.state(case[0]).summary["n_visits_failed"] == 1 + survey.tiles["n_observed"][1]
+
+
 def test_failed_visits_keep_the_state_of_the_tile(survey, case):
     """Regression: a tile whose observation was bad became observed if failed visits of this tile were recorded."""
     for state in ("bad", "partly"):
