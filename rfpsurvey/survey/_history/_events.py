@@ -123,7 +123,10 @@ class Events:
     def append(self, tiles: list[TileEvent], targets: QTable | None, n_targets: int, n_tiles: int) -> None:
         """Write a file with events; the numbers are those of the targets and tiles before these events."""
         number, name = len(self.files) + 1, None
-        (self.folder / EVENTS).mkdir(exist_ok=True)
+        try:
+            (self.folder / EVENTS).mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{self.folder / EVENTS} cannot be written: {error.strerror or error}") from error
         if targets is not None:
             content = _io.fits_bytes(
                 targets.as_array(), {}, tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
@@ -229,6 +232,6 @@ def to_date(value: object) -> str:
     if re.fullmatch(r"\d{8}", text):
         text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
     try:
-        return Time(text, scale="utc").isot[:10]
+        return Time(text, scale="tai").isot[:10]  # without warnings of future leap seconds
     except ValueError:
         raise InputError(f"date must be a date such as 2026-01-03, got {text!r}") from None

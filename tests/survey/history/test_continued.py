@@ -176,6 +176,20 @@ def test_an_observation_is_later_than_the_events_of_its_plan(case, survey):
     assert again.record(events(tile=12, date="2026-01-04"))["n_events"] == 1
 
 
+def test_a_wrong_date_is_corrected(case, survey):
+    """Regression: after a date in the far future, no later observation could be recorded, even if it was canceled."""
+    survey.record(events(tile=[11, 12], date=["2062-01-03", "2026-01-04"]))
+    replan(case, survey)
+    with pytest.raises(rs.InputError, match="must be later than 2062-01-03"):
+        survey.record(events(tile=13, date="2026-01-05"))
+    survey.record(events(tile=11, state="planned"))
+    assert survey.record(events(tile=[11, 13], date=["2026-01-03", "2026-01-05"]))["n_events"] == 2
+    with pytest.raises(rs.InputError, match="must be later than 2026-01-04"):
+        survey.record(events(tile=14, date="2026-01-04"))
+    again = replan(case, survey)
+    assert again.tiles["date"].tolist() == ["2026-01-03", "2026-01-04", "2026-01-05", "", "", ""]
+
+
 def test_a_tile_is_observed_only_once(case, survey):
     """Regression: if an earlier observation was corrected, the visits of the tile were counted twice."""
     survey.record(events(tile=11, date="2026-01-03", state="partly"))

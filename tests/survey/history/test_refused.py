@@ -1,12 +1,15 @@
 """Tables that `Survey.record` refuses with one sentence, without any change in the folder."""
 
+import errno
+import os
 import shutil
 import warnings
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import MaskedColumn, Table, vstack
+from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
 from living import content, differences, events, instrument, targets, tiling
 
@@ -150,6 +153,43 @@ def test_an_observed_tile_is_not_dropped_or_moved_or_observed_again(survey):
     first = survey.tiles[1]
     twin = added(ra=first["ra"].value, dec=first["dec"].value, **{"pass": first["pass"]})
     refuse(survey, twin, "tiles 12 and 30 are the same")
+
+
+def test_a_positioner_and_a_target_of_one_visit(survey):
+    """Regression: the target was not compared if a row had a positioner."""
+    visits = survey.tile(11)
+    own, other = visits[0], visits[1]
+    table = events(tile=11, positioner=str(own["positioner"]), target=str(other["target_id"]))
+    refuse(
+        survey, table, f"target must be that of positioner {own['positioner']} of tile 11, got '{other['target_id']}'"
+    )
+    table["target"] = [str(own["target_id"])]
+    assert survey.record(table)["n_events"] == 1
+
+
+def test_tiles_are_not_added_without_their_observing_conditions(case, tmp_path):
+    """Regression: an added tile had the hour angle of the first tile."""
+    table = QTable(case[2].table, meta={})
+    table["hour_angle"] = np.linspace(-1, 1, 6) * u.hourangle
+    site = rs.ObservingConditions("paranal", hour_angle=0 * u.deg)
+    tiles = rs.Tiling.from_table(table).with_conditions(site)
+    survey = rs.plan_survey(*case[:2], tiles, folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, added(ra=120, dec=30), "tiles must be added only to a survey without observing conditions, got one")
+    assert survey.record(added(12, ra=120, dec=30))["n_events"] == 1
+
+
+def test_a_full_disk(survey, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    mkdir = Path.mkdir
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "mkdir", lambda path, *_, **k: full() if path.name == "events" else mkdir(path, *_, **k))
+        refuse(survey, events(tile=11), "events cannot be written: No space left on device")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        refuse(survey, events(tile=11), "cannot be written: No space left on device")
+    assert survey.record(events(tile=11))["n_events"] == 1
 
 
 def test_two_writers(survey):
