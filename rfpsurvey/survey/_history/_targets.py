@@ -56,6 +56,8 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
+    if "n_partitions" in survey.provenance["catalog"]:
+        raise InputError("targets must be changed only in a survey of a catalog in memory, got a partitioned catalog")
     rows, n = _rows_of(ids, events, survey)
     new = np.flatnonzero(rows < 0)
     rows[new] = n + np.arange(len(new))

@@ -5,9 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from living import content, events, instrument, part, targets, tiling
+from living import content, differences, events, instrument, part, targets, tiling
 
 import rfpsurvey as rs
+from rfpsurvey.survey import VisitRule
 
 
 @pytest.fixture(scope="module")
@@ -127,3 +128,30 @@ def test_workers(case, planned, tmp_path):
     assert content(one.folder) == content(two.folder)
     for row in (0, 1, 3):
         assert part(one.folder, row) == part(planned, row)
+
+
+def test_a_partitioned_catalog(case, tmp_path):
+    """The states and plans of a catalog in partitions and in memory are equal, also after another state was read."""
+    rs.catalog.partition_catalog(targets(kinds=True), tmp_path / "catalog", order=8)
+    sky = rs.catalog.PartitionedCatalog(tmp_path / "catalog")
+    both, found = (sky, sky.read()), []
+    assert len(sky.parts.files) > 5
+    for k, catalog in enumerate(both):
+        folder = tmp_path / f"survey-{k}"
+        survey = rs.plan_survey(catalog, *case[1:], folder=folder, allocator="nearest")
+        survey.record(table_of(survey))
+        for number in (1, 2):
+            rule = VisitRule(visits=number)
+            state = survey.state(catalog, rule=rule)
+            again = rs.plan_survey(catalog, *case[1:], folder=folder, allocator="nearest", visits=state, resume=True)
+        found.append((state, again))
+    (one, plan), (two, other) = found
+    for name in ("requested", "observed", "failed", "left"):
+        assert (getattr(one, name) == getattr(two, name)).all(), name
+    assert one.summary == two.summary
+    assert differences(plan, other) == []
+    with pytest.raises(rs.InputError, match="rules that change priorities must be used with a catalog in memory"):
+        survey.state(sky, rule=VisitRule(function=lambda table: {"priority": np.ones(len(table))}))
+    survey = rs.Survey.read(tmp_path / "survey-0")
+    with pytest.raises(rs.InputError, match="targets must be changed only in a survey of a catalog in memory"):
+        survey.record(events(target=1001, state="dropped"))
