@@ -9,6 +9,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
+from rfpsurvey._io import check_fits_text
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_flags, to_labels, to_plain
 from rfpsurvey.catalog import as_table
@@ -277,6 +278,7 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
         raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
     if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
         raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
+    check_fits_text({"names of added tiles": [name]}, "omit these tiles")
     row, when = history.row_of.get(name), when_of(history.survey.tiles)
     if row is None and when is not None:
         raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")

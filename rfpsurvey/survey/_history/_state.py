@@ -78,6 +78,7 @@ class SurveyState:
     until: str | None = None
     replayed: Replay = field(repr=False, default=None)
     states: TileStates = field(repr=False, default=None)
+    dropped: np.ndarray = field(repr=False, default=None)
     first: Catalog | PartitionedCatalog = field(repr=False, default=None)
 
     @classmethod
@@ -135,7 +136,8 @@ class SurveyState:
         left = np.where(dropped | (wanted < made), made, wanted) - made
         if priority is not columns["priority"]:
             catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
-        return cls(catalog, made + left, made, replayed.failed, left, events, rule, until, replayed, states, first)
+        own = made + left, made, replayed.failed, left
+        return cls(catalog, *own, events, rule, until, replayed, states, dropped, first)
 
     @property
     def folder(self) -> Path:

@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, check_choice, listed, number_of, warn
@@ -74,6 +75,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
     changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)
     changes[DROPPED] = _dropped(table, lower)
+    check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
     _check_numbers(changes, new, survey, ids)
     known = _known(changes, events)
     return changes[~known], int(known.sum())

@@ -232,6 +232,20 @@ def test_added_targets_in_observed_fields_have_the_same_outcome_without_checkpoi
     assert "out of reach" in one.outcome_names[-40:]
 
 
+@pytest.mark.filterwarnings("ignore:required targets never observed")
+def test_a_dropped_target_is_not_planned_even_if_it_is_required(case, tmp_path):
+    """Regression: at least one visit of each required target was requested, also of dropped targets."""
+    options = rs.AllocationOptions("nearest", required=case[0].id.tolist())
+    survey = rs.plan_survey(*case, folder=tmp_path / "survey", allocator=options)
+    gone = np.unique(survey.targets["target_id"][survey.targets["observed"]])[:5].tolist()
+    survey.record(events(target=gone, state="dropped"))
+    for folder in (survey.folder, None):
+        state = survey.state(case[0])
+        again = rs.plan_survey(*case, folder=folder, resume=folder is not None, visits=state, allocator=options)
+        assert not np.isin(again.targets["target_id"], gone).any()
+        assert not again.outcomes["requested"][np.isin(case[0].id, gone)].any()
+
+
 def test_a_folder_planned_with_the_events_of_another_folder_takes_no_records(case, survey, tmp_path):
     """Regression: the first record in such a folder began a new history without the earlier observations."""
     survey.record(events(tile=11, date="2026-01-03"))

@@ -136,6 +136,35 @@ def test_priorities_of_a_survey_without_priorities(case, tmp_path):
     assert state.catalog.category.tolist() == [""] * 5 + ["a"] + [""] * 54
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        events(target="tab\tb", ra=120.0, dec=30.0),
+        events(target="étoile", ra=120.0, dec=30.0),
+        events(target="s1", category="étoile"),
+        events(target="s1", category="tab\tb"),
+    ],
+)
+def test_text_that_files_cannot_contain(case, tmp_path, table):
+    """Regression: some texts were recorded, and the survey could not be planned afterward."""
+    named = rs.Catalog(case[0].coord, id=[f"s{k}" for k in range(60)])
+    survey = rs.plan_survey(named, *case[1:], folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, table, "FITS files can contain only printable ASCII text")
+
+
+def test_names_of_tiles_that_files_cannot_contain(case, tmp_path):
+    table = case[2].table.copy()
+    table.replace_column("tile", [f"t{k}" for k in range(6)])
+    own = (*case[:2], table)
+    survey = rs.plan_survey(*own, folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, added("é", ra=120, dec=30), "FITS files can contain only printable ASCII text, but 1 names of added")
+    survey.record(added("longer name", ra=120, dec=30))
+    options = {"folder": survey.folder, "resume": True, "allocator": "nearest"}
+    again = rs.plan_survey(*own, visits=survey.state(case[0]), **options)
+    assert again.tiles["tile"].tolist() == [f"t{k}" for k in range(6)] + ["longer name"]
+    assert again.record(events(tile="longer name"))["n_events"] == 1
+
+
 def test_a_tile_is_given_once(survey):
     refuse(survey, events(tile=11), "tile must be given only for a table without a column of tiles", tile=11)
     refuse(survey, events(positioner=1), "tile must be a tile of the survey, such as 11, got '99'", tile=99)
