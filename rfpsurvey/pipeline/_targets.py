@@ -159,6 +159,8 @@ class FieldBuilder:
         Whether the allocator uses the subpriorities of the catalog.
     made : ndarray of int, optional
         Number of these visits that were already made, in the order of the catalog; by default 0.
+    dropped : ndarray of bool, optional
+        Whether no visit of each target is requested although it is required, in the order of the catalog.
 
     Attributes
     ----------
@@ -181,7 +183,9 @@ class FieldBuilder:
         Whether a visit reduces the number of remaining visits of each target; None if this is true for all targets.
     """
 
-    def __init__(self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True, made=None):
+    def __init__(
+        self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True, made=None, dropped=None
+    ):
         self.source, self.options, self._subpriority = source, options, subpriority
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
         self.around_rad = max(margins, default=None)
@@ -191,7 +195,9 @@ class FieldBuilder:
         visits = source.by_slot("visits") if visits is None else source.to_slots(to_visits(visits, len(source)))
         visits = np.ones(len(source), dtype=np.uint8) if visits is None else visits
         if marked is not None:
-            visits = np.where(self.is_required & (visits == 0), np.uint8(1), visits)
+            raised = self.is_required & (visits == 0)
+            raised = raised if dropped is None else raised & ~source.to_slots(dropped)
+            visits = np.where(raised, np.uint8(1), visits)
         kind, self.reusable, self.spends = source.by_slot("kind"), None, None
         science = None if kind is None else kind == "science"
         self.visits = visits

@@ -245,8 +245,8 @@ def make_request(
             f"the tiles were placed for {fields} a radius of {made_for:.4g} deg, but the fields of {instrument.name} "
             f"have a radius of {radius:.4g} deg"
         )
-    made = None if state is None else state.observed
+    made, dropped = (None, None) if state is None else (state.observed, state.dropped)
     # joint plans ignore subpriorities
-    builder = FieldBuilder(source, options, visits, subpriority=joint is None, made=made)
+    builder = FieldBuilder(source, options, visits, subpriority=joint is None, made=made, dropped=dropped)
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)

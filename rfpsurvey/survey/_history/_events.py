@@ -138,7 +138,10 @@ class Events:
     def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
         """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
         number, name = len(self.files) + 1, None
-        (self.folder / EVENTS).mkdir(exist_ok=True)
+        try:
+            (self.folder / EVENTS).mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{self.folder / EVENTS} cannot be written: {error.strerror or error}") from error
         if targets is not None:
             content = _io.fits_bytes(
                 targets.as_array(), {}, tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
@@ -233,6 +236,8 @@ def to_date(value: object) -> str:
     """Return a date as text such as 2026-01-03; empty text for missing dates."""
     if value is None or value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
         return ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
     if isinstance(value, float | np.floating) and value == np.floor(value):
         value = int(value)
     if isinstance(value, Time):
@@ -247,6 +252,6 @@ def _date_of(text: str) -> str:
     if re.fullmatch(r"\d{8}", text):
         text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
     try:
-        return Time(text, scale="utc").isot[:10]
+        return Time(text, scale="tai").isot[:10]  # without warnings of future leap seconds
     except ValueError:
         raise InputError(f"date must be a date such as 2026-01-03, got {text!r}") from None

@@ -10,8 +10,9 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
+from rfpsurvey._io import check_fits_text
 from rfpsurvey._readers import read_fits_bytes
-from rfpsurvey._units import to_flags, to_labels
+from rfpsurvey._units import to_flags, to_labels, to_plain
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short
 from rfpsurvey.survey._folder import TABLES, part_name
@@ -34,7 +35,7 @@ from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import NUMBERS, TEXTS, target_changes, to_numbers
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling
+from rfpsurvey.tiling import Tiling, when_of
 
 ROLES = {
     "tile": ("tile", "tileid", "tile_id"),
@@ -121,7 +122,10 @@ class _History:
         applied = events.first(self.n_applied)
         if applied.digest != about["digest"]:
             raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
-        self.planned_until = max((one.date for one in applied.of_tiles()), default="")
+        planned = {one.observation for one in applied.of_tiles()}
+        dates = [one.date for one in self.states.attempts if one.observation in planned]
+        self.planned_until = max(dates, default="")
+        self.used_plans = {(one.row, one.plan) for one in events.of_tiles()}
 
     def earlier(self, name: str, date: str) -> TileEvent | None:
         """Return the recorded observation of a tile on a date; None if there is none."""
@@ -282,8 +286,8 @@ def _event(state: str, name: str, date: str, fraction: float, history: _History,
     plan = history.plan(row)
     if plan is None:
         raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-    kept = isinstance(states.state_of(row), TileEvent)  # a tile that was partly observed keeps its plan
-    if date and history.planned_until and date <= history.planned_until and not kept:
+    is_older = (row, plan) in history.used_plans  # the tile was observed before with this plan
+    if date and history.planned_until and date <= history.planned_until and not is_older:
         raise InputError(
             f"the observation of tile {name} on {date} must be later than {history.planned_until}, because its plan "
             "was made with the events up to this date"
@@ -298,7 +302,10 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
         raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
     if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
         raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
-    row = history.row_of.get(name)
+    check_fits_text({"names of added tiles": [name]}, "omit these tiles")
+    row, when = history.row_of.get(name), when_of(history.survey.tiles)
+    if row is None and when is not None:
+        raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")
     place = [] if row is None else history.place(row).tolist()
     for k, one in enumerate(("ra", "dec", "position_angle", "pass")):
         if one in roles:
@@ -347,6 +354,9 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
         name = columns[what][k]
         if name not in positioner_of[what]:
             raise InputError(f"{what} must be a {what} of tile {event.tile} with a visit, got {name!r}")
+        other = columns["target"][k] if what == "positioner" and columns["target"] else ""
+        if other and positioner_of["target"].get(other) != name:
+            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
         if columns["good"] is None or not columns["good"][k]:
             failed[positioner_of[what][name]] = columns["reason"][k]
     return dict(sorted(failed.items()))
@@ -375,14 +385,11 @@ def _texts(table: Table, name: str | None) -> list[str] | None:
     """Return the values of a column as text; empty text for missing values."""
     if name is None:
         return None
-    column = np.ma.asarray(table[name])
-    missing, values = np.ma.getmaskarray(column), np.asarray(column)
-    if values.dtype.kind == "f":  # integers with missing values
-        missing = missing | np.isnan(values)
-        if (values[~missing] == np.floor(values[~missing])).all():
-            values = np.where(missing, 0, values).astype(np.int64)
-    texts = ["" if gone or one is None else str(one) for one, gone in zip(values.tolist(), missing, strict=True)]
-    return [text.strip() for text in texts]
+    values = to_plain(table[name], name)
+    missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+    if values.dtype.kind == "f" and (values[~missing] == np.floor(values[~missing])).all():
+        values = np.where(missing, 0, values).astype(np.int64)  # integers with missing values
+    return ["" if gone else str(one).strip() for one, gone in zip(values.tolist(), missing.tolist(), strict=True)]
 
 
 def _on(date: str) -> str:

@@ -10,7 +10,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _io
 from rfpsurvey._plugins import find_function
-from rfpsurvey._units import exact_text, to_dimensionless, to_visits
+from rfpsurvey._units import exact_text, to_dimensionless, to_numbers, to_plain, to_visits
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, listed, refusal
 
 GROUP = "rfpsurvey.visit_rules"
@@ -136,18 +136,24 @@ class VisitRule:
                 f"{listed(COLUMNS[:3])}, got {listed(table.colnames)}"
             )
         n = len(table)
-        column = {name: np.ma.filled(np.ma.asarray(table[name]), _missing(name)) for name in table.colnames}
-        names = np.asarray(column.get("class", np.full(n, ANY))).astype(str)
-        observed = to_dimensionless(column.get("observed", np.full(n, -1)), "observed of a visit rule").astype(int)
-        last = [str(one) for one in np.asarray(column.get("last", np.full(n, ANY))).tolist()]
+        names, last = (_words(table, name) for name in ("class", "last"))
         for one in last:
             check_choice(one, (*LAST, ANY), "last result of a visit rule")
-        priority = to_dimensionless(column.get("priority", np.full(n, np.nan)), "priority of a visit rule")
-        visits = to_dimensionless(column.get("visits", np.full(n, np.nan)), "visits of a visit rule").astype(float)
-        to_visits(visits[np.isfinite(visits)], int(np.isfinite(visits).sum()))
-        return list(
-            zip(names.tolist(), observed.tolist(), last, priority.astype(float).tolist(), visits.tolist(), strict=True)
-        )
+        numbers = {name: np.full(n, np.nan) for name in COLUMNS if name not in ("class", "last")}
+        for name in {*numbers} & {*table.colnames}:
+            numbers[name] = to_numbers(table[name], f"{name} of a visit rule", unitless=True)
+        observed, priority, visits = (numbers[name] for name in ("observed", "priority", "visits"))
+        observed = np.where(np.isnan(observed), -1, observed)
+        wrong = observed[~((observed >= -1) & (observed <= MOST) & (observed == np.floor(observed)))]
+        if wrong.size:
+            raise InputError(
+                f"observed of a visit rule must be whole numbers from 0 to {MOST}, or -1, got {wrong[0]:g}"
+            )
+        if np.isinf(priority).any():
+            raise InputError("priority of a visit rule must be finite, got inf")
+        to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
+        columns = (names, observed.astype(int).tolist(), last, priority.tolist(), visits.tolist())
+        return list(zip(*columns, strict=True))
 
     def _by_table(self, columns: dict, visits: np.ndarray, priority: np.ndarray | None):
         """Return visits and priorities, changed by the first row of the table that selects each target."""
@@ -212,8 +218,13 @@ def _of_class(name: str, priority: np.ndarray | None, category: np.ndarray | Non
     return found
 
 
-def _missing(name: str) -> object:
-    return {"class": ANY, "last": ANY, "observed": -1}.get(name, np.nan)
+def _words(table: Table, name: str) -> list[str]:
+    """Return the words in a column of a rule; numbers have their shortest text, and missing values stand for any."""
+    if name not in table.colnames:
+        return [ANY] * len(table)
+    values = to_plain(table[name], name)
+    texts = [exact_text(one) if values.dtype.kind in "iuf" else str(one).strip() for one in values.tolist()]
+    return [ANY if text in ("", "nan") else text for text in texts]
 
 
 def _plain(value: object) -> object:

@@ -58,6 +58,8 @@ class SurveyState:
         The visits of all targets that follow from the observations.
     states : TileStates
         The states of all tiles.
+    dropped : ndarray of bool, shape (n_targets,)
+        Whether each target was dropped.
     given : tuple
         The catalog of the first plan, and the requested visits that were given with it.
 
@@ -86,6 +88,7 @@ class SurveyState:
     until: str | None = None
     replayed: Replay = field(repr=False, default=None)
     states: TileStates = field(repr=False, default=None)
+    dropped: np.ndarray = field(repr=False, default=None)
     given: tuple = field(repr=False, default=())
 
     @classmethod
@@ -147,7 +150,8 @@ class SurveyState:
         left = np.where(dropped | (wanted < made), made, wanted) - made
         if priority is not columns["priority"]:
             catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
-        return cls(catalog, made + left, made, replayed.failed, left, events, rule, until, replayed, states, given)
+        own = made + left, made, replayed.failed, left
+        return cls(catalog, *own, events, rule, until, replayed, states, dropped, given)
 
     def before(self, n: int) -> "SurveyState":
         """Return the state after the first files of events, as if no visit had been made.

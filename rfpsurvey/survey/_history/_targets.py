@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, check_choice, listed, number_of, warn
@@ -56,6 +57,8 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
+    if "n_partitions" in survey.provenance["catalog"]:
+        raise InputError("targets must be changed only in a survey of a catalog in memory, got a partitioned catalog")
     rows, n = _rows_of(ids, events, survey)
     new = np.flatnonzero(rows < 0)
     rows[new] = n + np.arange(len(new))
@@ -74,6 +77,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     changes[DROPPED] = _dropped(table, lower)
     date = next((lower[one] for one in ("date", "night") if one in lower), None)
     changes["date"] = [""] * len(ids) if date is None else [to_date(one) for one in table[date]]
+    check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
     _check_numbers(changes, new, survey, ids)
     known = _known(changes, events)
     return changes[~known], int(known.sum())

@@ -176,6 +176,20 @@ def test_an_observation_is_later_than_the_events_of_its_plan(case, survey):
     assert again.record(events(tile=12, date="2026-01-04"))["n_events"] == 1
 
 
+def test_a_wrong_date_is_corrected(case, survey):
+    """Regression: after a date in the far future, no later observation could be recorded, even if it was canceled."""
+    survey.record(events(tile=[11, 12], date=["2062-01-03", "2026-01-04"]))
+    replan(case, survey)
+    with pytest.raises(rs.InputError, match="must be later than 2062-01-03"):
+        survey.record(events(tile=13, date="2026-01-05"))
+    survey.record(events(tile=11, state="planned"))
+    assert survey.record(events(tile=[11, 13], date=["2026-01-03", "2026-01-05"]))["n_events"] == 2
+    with pytest.raises(rs.InputError, match="must be later than 2026-01-04"):
+        survey.record(events(tile=14, date="2026-01-04"))
+    again = replan(case, survey)
+    assert again.tiles["date"].tolist() == ["2026-01-03", "2026-01-04", "2026-01-05", "", "", ""]
+
+
 def test_a_tile_is_observed_only_once(case, survey):
     """Regression: if an earlier observation was corrected, the visits of the tile were counted twice."""
     survey.record(events(tile=11, date="2026-01-03", state="partly"))
@@ -216,6 +230,20 @@ def test_added_targets_in_observed_fields_have_the_same_outcome_without_checkpoi
     other = rs.plan_survey(*case, visits=survey.state(case[0]), allocator="nearest")
     assert differences(one, other) == []
     assert "out of reach" in one.outcome_names[-40:]
+
+
+@pytest.mark.filterwarnings("ignore:required targets never observed")
+def test_a_dropped_target_is_not_planned_even_if_it_is_required(case, tmp_path):
+    """Regression: at least one visit of each required target was requested, also of dropped targets."""
+    options = rs.AllocationOptions("nearest", required=case[0].id.tolist())
+    survey = rs.plan_survey(*case, folder=tmp_path / "survey", allocator=options)
+    gone = np.unique(survey.targets["target_id"][survey.targets["observed"]])[:5].tolist()
+    survey.record(events(target=gone, state="dropped"))
+    for folder in (survey.folder, None):
+        state = survey.state(case[0])
+        again = rs.plan_survey(*case, folder=folder, resume=folder is not None, visits=state, allocator=options)
+        assert not np.isin(again.targets["target_id"], gone).any()
+        assert not again.outcomes["requested"][np.isin(case[0].id, gone)].any()
 
 
 def test_a_folder_planned_with_the_events_of_another_folder_takes_no_records(case, survey, tmp_path):

@@ -1,12 +1,15 @@
 """Tables that `Survey.record` refuses with one sentence, without any change in the folder."""
 
+import errno
+import os
 import shutil
 import warnings
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import MaskedColumn, Table, vstack
+from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
 from living import content, differences, events, instrument, targets, tiling
 
@@ -133,6 +136,35 @@ def test_priorities_of_a_survey_without_priorities(case, tmp_path):
     assert state.catalog.category.tolist() == [""] * 5 + ["a"] + [""] * 54
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        events(target="tab\tb", ra=120.0, dec=30.0),
+        events(target="étoile", ra=120.0, dec=30.0),
+        events(target="s1", category="étoile"),
+        events(target="s1", category="tab\tb"),
+    ],
+)
+def test_text_that_files_cannot_contain(case, tmp_path, table):
+    """Regression: some texts were recorded, and the survey could not be planned afterward."""
+    named = rs.Catalog(case[0].coord, id=[f"s{k}" for k in range(60)])
+    survey = rs.plan_survey(named, *case[1:], folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, table, "FITS files can contain only printable ASCII text")
+
+
+def test_names_of_tiles_that_files_cannot_contain(case, tmp_path):
+    table = case[2].table.copy()
+    table.replace_column("tile", [f"t{k}" for k in range(6)])
+    own = (*case[:2], table)
+    survey = rs.plan_survey(*own, folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, added("é", ra=120, dec=30), "FITS files can contain only printable ASCII text, but 1 names of added")
+    survey.record(added("longer name", ra=120, dec=30))
+    options = {"folder": survey.folder, "resume": True, "allocator": "nearest"}
+    again = rs.plan_survey(*own, visits=survey.state(case[0]), **options)
+    assert again.tiles["tile"].tolist() == [f"t{k}" for k in range(6)] + ["longer name"]
+    assert again.record(events(tile="longer name"))["n_events"] == 1
+
+
 def test_a_tile_is_given_once(survey):
     refuse(survey, events(tile=11), "tile must be given only for a table without a column of tiles", tile=11)
     refuse(survey, events(positioner=1), "tile must be a tile of the survey, such as 11, got '99'", tile=99)
@@ -150,6 +182,43 @@ def test_an_observed_tile_is_not_dropped_or_moved_or_observed_again(survey):
     first = survey.tiles[1]
     twin = added(ra=first["ra"].value, dec=first["dec"].value, **{"pass": first["pass"]})
     refuse(survey, twin, "tiles 12 and 30 are the same")
+
+
+def test_a_positioner_and_a_target_of_one_visit(survey):
+    """Regression: the target was not compared if a row had a positioner."""
+    visits = survey.tile(11)
+    own, other = visits[0], visits[1]
+    table = events(tile=11, positioner=str(own["positioner"]), target=str(other["target_id"]))
+    refuse(
+        survey, table, f"target must be that of positioner {own['positioner']} of tile 11, got '{other['target_id']}'"
+    )
+    table["target"] = [str(own["target_id"])]
+    assert survey.record(table)["n_events"] == 1
+
+
+def test_tiles_are_not_added_without_their_observing_conditions(case, tmp_path):
+    """Regression: an added tile had the hour angle of the first tile."""
+    table = QTable(case[2].table, meta={})
+    table["hour_angle"] = np.linspace(-1, 1, 6) * u.hourangle
+    site = rs.ObservingConditions("paranal", hour_angle=0 * u.deg)
+    tiles = rs.Tiling.from_table(table).with_conditions(site)
+    survey = rs.plan_survey(*case[:2], tiles, folder=tmp_path / "survey", allocator="nearest")
+    refuse(survey, added(ra=120, dec=30), "tiles must be added only to a survey without observing conditions, got one")
+    assert survey.record(added(12, ra=120, dec=30))["n_events"] == 1
+
+
+def test_a_full_disk(survey, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    mkdir = Path.mkdir
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "mkdir", lambda path, *_, **k: full() if path.name == "events" else mkdir(path, *_, **k))
+        refuse(survey, events(tile=11), "events cannot be written: No space left on device")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        refuse(survey, events(tile=11), "cannot be written: No space left on device")
+    assert survey.record(events(tile=11))["n_events"] == 1
 
 
 def test_two_writers(survey):
@@ -200,6 +269,16 @@ def test_stacked_tables_have_missing_values(survey, case):
     floats = events(tile=[11, 11], date="2026-01-03", positioner=[np.nan, 1.0])
     floats["reason"] = ["", "stuck"]
     assert survey.record(floats)["n_known"] == 1
+    assert survey.state(case[0]).summary["n_visits_failed"] == 1 + survey.tiles["n_observed"][1]
+
+
+def test_tables_of_bytes(survey, case):
+    """Regression: text in columns of bytes, as astropy reads them from FITS files, was not understood."""
+    table = events(tile=["11", "11", "12"], date="2026-01-03", state=["done", "", "bad"], positioner=["", "1", ""])
+    for name in table.colnames:
+        table[name] = np.array(table[name], dtype="S10")
+    assert survey.record(table)["n_events"] == 2
+    assert survey.record(events(tile=[12], date="2026-01-03", state="bad"))["n_known"] == 1
     assert survey.state(case[0]).summary["n_visits_failed"] == 1 + survey.tiles["n_observed"][1]
 
 
