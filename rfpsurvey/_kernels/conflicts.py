@@ -201,14 +201,15 @@ def grow_cliques(own, indptr, other, first, covered, row_start, out, most_work):
                     stamp[other[q]] = serial
                     gain[other[q]] += not covered[q]
                 work += indptr[c + 1] - indptr[c] + m
-                kept, best = 0, -1
+                kept, best, most = 0, -1, 0
                 for p in range(m):
                     d = pool[p]
                     if d != c and (stamp[d] == serial or own[d] == own[c]):
                         pool[kept] = d
                         kept += 1
-                        if best < 0 or gain[d] > gain[best]:
-                            best = d
+                        n_d = indptr[d + 1] - indptr[d]
+                        if best < 0 or gain[d] > gain[best] or (gain[d] == gain[best] and n_d > most):
+                            best, most = d, n_d
                 m = kept
                 c = other[k] if hi == lo + 1 else best
             serial += 1
