@@ -165,86 +165,60 @@ def join(first, second, label):
 
 
 @kernel
-def clique_rows(edges, n_pairs, pair_start, row_start, column):
-    """Cover the conflicts of each pair of positioners with cliques; at most one candidate of a clique can be in use.
+def grow_cliques(own, indptr, other, first, covered, row_start, out, most_work):
+    """Cover conflicts of candidates with maximal cliques, beginning with the conflicts of candidate ``first``.
 
-    ``edges`` contains the conflicts (a, b) of candidates, sorted by the pair of positioners, then by a; the conflicts
-    of pair p begin at ``pair_start[p]``. In a clique, each candidate of the first positioner excludes each candidate of
-    the second positioner. Each clique is made from one candidate and all candidates that this candidate excludes.
-    Another candidate of the same positioner is added if it also excludes all of these candidates. Returns the number of
-    cliques. If ``column`` is empty, only the sizes of the cliques are computed.
+    The row of candidate a in ``indptr`` and ``other`` lists the candidates of other positioners that a excludes. A
+    clique is made from a conflict that no earlier clique contains. The candidate with the most conflicts with members
+    of the clique that no clique contains is added, until no candidate excludes all members. ``covered`` marks the
+    conflicts that a clique contains. The function ends when ``row_start`` or ``out`` is full or after about
+    ``most_work`` steps. Returns the first candidate whose conflicts are not yet covered, and the number of cliques.
     """
-    first, second = edges[0], edges[1]
-    n = filled = 0
-    fill = column.size > 0
-    for p in range(n_pairs):
-        lo, hi = pair_start[p], pair_start[p + 1]
-        a, place_a = distinct_values(first[lo:hi])
-        b, place_b = distinct_values(second[lo:hi])
-        table, turned_table = np.zeros((a.size, b.size), np.bool_), np.zeros((b.size, a.size), np.bool_)
-        for k in range(hi - lo):
-            table[place_a[k], place_b[k]] = turned_table[place_b[k], place_a[k]] = True
-        by_a, by_b = distinct_rows(table), distinct_rows(turned_table)
-        turned = by_b.sum() < by_a.sum()  # the positioner with fewer distinct rows gives fewer cliques
-        rows, columns = (b, a) if turned else (a, b)
-        matrix = turned_table if turned else table
-        new = by_b if turned else by_a
-        for r in range(rows.size):
-            if not new[r]:
+    n = own.size
+    pool, gain, stamp = np.empty(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    rows = work = serial = 0
+    for a in range(first, n):
+        for k in range(indptr[a], indptr[a + 1]):
+            if covered[k]:
                 continue
-            for c in range(columns.size):
-                if matrix[r, c]:
-                    if fill:
-                        column[filled] = columns[c]
-                    filled += 1
-            for q in range(rows.size):
-                covers = True
-                for c in range(columns.size):
-                    covers &= matrix[q, c] | (not matrix[r, c])
-                if covers:
-                    if fill:
-                        column[filled] = rows[q]
-                    filled += 1
-            n += 1
-            row_start[n] = filled
-    return n
-
-
-@kernel
-def distinct_values(values):
-    """Return the distinct integers of an array in increasing order, and the index of each element in this list.
-
-    The memory is proportional to the range of the integers. `numpy.unique` does the same, but takes seconds to compile.
-    """
-    least = most = values[0]
-    for value in values:
-        least, most = min(least, value), max(most, value)
-    index = np.full(most - least + 1, -1)
-    for value in values:
-        index[value - least] = 0
-    n = 0
-    for k in range(index.size):
-        if index[k] == 0:
-            index[k] = n
-            n += 1
-    distinct, place = np.empty(n, np.int64), np.empty(values.size, np.int64)
-    for k in range(values.size):
-        place[k] = index[values[k] - least]
-        distinct[place[k]] = values[k]
-    return distinct, place
-
-
-@kernel
-def distinct_rows(table):
-    """Mark each row that differs from all earlier rows."""
-    new = np.ones(table.shape[0], np.bool_)
-    for r in range(table.shape[0]):
-        for q in range(r):
-            if new[q]:
-                same = True
-                for c in range(table.shape[1]):
-                    same &= table[q, c] == table[r, c]
-                if same:
-                    new[r] = False
-                    break
-    return new
+            lo = row_start[rows]
+            if rows == row_start.size - 1 or lo + n > out.size or work > most_work:
+                return a, rows
+            serial += 1
+            m = 0
+            for c in (a, other[k]):
+                for q in range(indptr[c], indptr[c + 1]):
+                    d = other[q]
+                    if stamp[d] != serial and d != a and d != other[k]:
+                        pool[m], stamp[d], gain[d] = d, serial, 0
+                        m += 1
+            c, hi = a, lo
+            while c >= 0:
+                out[hi] = c
+                hi += 1
+                serial += 1
+                for q in range(indptr[c], indptr[c + 1]):
+                    stamp[other[q]] = serial
+                    gain[other[q]] += not covered[q]
+                work += indptr[c + 1] - indptr[c] + m
+                kept, best, most = 0, -1, 0
+                for p in range(m):
+                    d = pool[p]
+                    if d != c and (stamp[d] == serial or own[d] == own[c]):
+                        pool[kept] = d
+                        kept += 1
+                        n_d = indptr[d + 1] - indptr[d]
+                        if best < 0 or gain[d] > gain[best] or (gain[d] == gain[best] and n_d > most):
+                            best, most = d, n_d
+                m = kept
+                c = other[k] if hi == lo + 1 else best
+            serial += 1
+            for p in range(lo, hi):
+                stamp[out[p]] = serial
+            for p in range(lo, hi):
+                for q in range(indptr[out[p]], indptr[out[p] + 1]):
+                    covered[q] |= stamp[other[q]] == serial
+            out[lo:hi].sort()
+            rows += 1
+            row_start[rows] = hi
+    return n, rows

@@ -4,16 +4,12 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._cliques import cover_by_pairs, extend
-from rfpsurvey.allocation._clock import share
+from rfpsurvey.allocation._cliques import cover
 from rfpsurvey.allocation._solver import maximize
 
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
 # measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
-# In programs with more variables than EXTENDED, cliques are extended for at most a fraction of the remaining time. In
-# smaller programs, extended cliques would make the search slower.
-EXTENDED, FOR_CLIQUES = 5000, 0.05
 
 
 class Program:
@@ -126,12 +122,9 @@ class Program:
 
     def _cliques(self, edges, deadline):
         """Add constraints: no two arms collide, and no two positioners have the same target."""
-        indptr, column = cover_by_pairs(self.candidates.options, self.candidate, edges, deadline)
-        if self.n > EXTENDED:
-            alive = self.index >= 0
-            indptr, column = extend(self.candidates.options, indptr, column, alive, share(deadline, FOR_CLIQUES))
-        n = len(indptr) - 1
-        if n:
+        if edges.shape[1]:  # otherwise, `_targets` is sufficient
+            indptr, column = cover(self.candidates.options, self.candidate, edges, deadline)
+            n = len(indptr) - 1
             self._add(np.repeat(np.arange(n), np.diff(indptr)), self.index[column], -np.inf, np.ones(n))
 
     def _requirements(self, others):

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import prices as kernels
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._cliques import cover_by_pairs, extend
+from rfpsurvey.allocation._cliques import cover
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._problem import AllocationProblem
 
@@ -31,15 +31,7 @@ class Prices:
 
     def __init__(self, candidates: Candidates, deadline: float):
         options = candidates.options
-        indptr, column = cover_by_pairs(options, np.arange(len(candidates)), candidates.pairs, deadline)
-        real = options.t_candidate
-        several = np.flatnonzero(np.diff(options.t_indptr) > 1)
-        size = np.diff(options.t_indptr)[several]
-        of_target = np.isin(options.target[real], several)
-        indptr = np.concatenate([indptr, indptr[-1] + np.cumsum(size)])
-        column = np.concatenate([column, real[of_target]])
-        alive = np.ones(len(candidates), dtype=bool)
-        self.indptr, self.column = extend(options, indptr, column, alive, deadline)
+        self.indptr, self.column = cover(options, np.arange(len(candidates)), candidates.pairs, deadline)
         self.start, self.own = options.start, options.own
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
