@@ -14,7 +14,7 @@ from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey.errors import InputError, number_of, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.survey._folder import JOINT, TABLES, part_name
+from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
 from rfpsurvey.tile import describe, with_unit
 
@@ -349,9 +349,10 @@ class Survey:
         known = read_index(folder)
         if not all((folder / name).is_file() for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
+            remedy = "rfpsurvey survey FOLDER --replan" if (folder / EVENTS).is_dir() else "resume=True (--resume)"
             raise InputError(
                 f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
-                "survey with resume=True (--resume) before you read it"
+                f"survey with {remedy} before you read it"
             )
         for name in TABLES:
             check_file(folder, name, known)

@@ -224,6 +224,8 @@ def test_an_interrupted_new_plan_continues_with_the_same_command(call, run, plan
         code, _, err = run("survey", folder, "--replan")
     assert (code, err.splitlines()[-1]) == (2, "rfpsurvey: the disk is full")
     assert not (folder / "tiles.fits").exists()
+    message = "not finished (2 tiles planned so far); continue the survey with rfpsurvey survey FOLDER --replan"
+    assert message in sentence(*run("status", folder)[::2])
     call("survey", folder, "--replan")
     call("survey", tmp_path / "other", "--replan")
     assert parts_of(folder) == parts_of(tmp_path / "other")
@@ -294,6 +296,17 @@ def test_invalid_rules_are_one_sentence(run, files, tmp_path):
     assert message in sentence(*run(*words, "--set", "rule.after_success=0")[::2])
     assert "there is no such file" in sentence(*run(*words, "--set", "rule.table=no.ecsv")[::2])
     assert not (tmp_path / "new").exists()
+    written = ("--set", "rule.after_success=0", "--write-plan", tmp_path / "plan.toml")
+    assert message in sentence(*run(*words, *written)[::2])
+    assert not (tmp_path / "plan.toml").exists()
+
+
+def test_a_survey_without_events_is_planned_again(call, plan):
+    folder = plan()
+    before = parts_of(folder)
+    call("survey", folder, "--replan")
+    assert parts_of(folder) == before
+    assert set(rs.Survey.read(folder).tiles["state"].tolist()) == {"planned"}
 
 
 @pytest.fixture
