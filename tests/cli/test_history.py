@@ -324,6 +324,7 @@ def observed(call, plan, tmp_path):
 
 def test_the_status_is_that_of_the_library(call, observed, tmp_path):
     out, lines = call("status", observed)
+    assert [line for line in out.splitlines() if len(line) > 100] == []
     assert "the last plan does not take all recorded events into account" in out
     call("survey", observed, "--replan")
     out, again = call("status", observed, "--output", tmp_path / "targets.fits", "--plot", tmp_path / "status.png")

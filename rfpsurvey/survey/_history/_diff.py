@@ -121,7 +121,7 @@ class _Side:
         return known[-1][1] if known else None
 
     def visits(self, row: int) -> QTable:
-        return self.survey.tile(self.survey.tiles["tile"][row])
+        return self.survey._visits(row)
 
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""
