@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Number
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of, warn_of_former_name
+from rfpsurvey.errors import InputError, number_of, refusal, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
@@ -245,6 +246,8 @@ class Survey:
         """
         from rfpsurvey.survey._history._record import record
 
+        if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
+            raise refusal("enough must be a number above 0", enough, Number)
         return record(self, table, enough=enough, tile=tile, columns=columns)
 
     def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:

@@ -141,6 +141,8 @@ def test_states_of_tiles_of_desi_are_read_as_they_are(call, plan, tmp_path):
         ({"tile": [11], "state": ["lost"]}, [], "unknown state of a tile 'lost'"),
         ({"tile": [11], "date": ["soon"]}, [], "date must be a date such as 2026-01-03, got 'soon'"),
         ({"tile": [11]}, ["--tile", "12"], "--tile must be given only for a table without a column of tiles"),
+        ({"tile": [11], "fraction": [0.5]}, ["--enough", "nan"], "--enough must be a number above 0, got nan"),
+        ({"tile": [11], "fraction": [0.5]}, ["--enough", "0"], "--enough must be a number above 0, got 0.0"),
         ({"tile": [11]}, ["--column", "date"], "--column must have the form ROLE=NAME, got 'date'"),
         ({"tile": [11]}, ["--column", "date=no"], "must name columns of the table (tile), got 'no'"),
         ({"tile": [11]}, ["--column", "night=tile"], "unknown role of a column 'night'"),
