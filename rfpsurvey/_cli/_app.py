@@ -17,7 +17,7 @@ from rfpsurvey.catalog import UNITS, as_catalog, to_time
 from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
-from rfpsurvey.survey import JOINT
+from rfpsurvey.survey import JOINT, VisitRule
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
@@ -57,6 +57,7 @@ def check_names(keys) -> None:
             model.with_arm_model(keys.instrument.arm_model)
     if hasattr(keys, "joint"):
         allocator_of(keys.options, keys.joint, keys.order)
+        VisitRule(**{name: value for name, value in keys.rule.items() if name != "table"})
     else:
         rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
     for name in getattr(keys, "allocators", None) or ():

@@ -47,7 +47,9 @@ def status(
         _print.print_table(QTable(rows=found.meta["tiles"]))
         if len(found) > 1:
             print("visits of each class of targets:")
-            _print.print_table(found)
+            short = found.copy()
+            short.rename_columns(found.colnames, [name.removeprefix("n_") for name in found.colnames])
+            _print.print_table(short)
         if until is None and not found.meta["is_planned"]:
             _print.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Number
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of, warn_of_former_name
+from rfpsurvey.errors import InputError, number_of, refusal, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
-from rfpsurvey.survey._folder import JOINT, TABLES, part_name
+from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
 from rfpsurvey.tile import describe, with_unit
 
@@ -245,6 +246,8 @@ class Survey:
         """
         from rfpsurvey.survey._history._record import record
 
+        if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
+            raise refusal("enough must be a number above 0", enough, Number)
         return record(self, table, enough=enough, tile=tile, columns=columns)
 
     def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
@@ -349,9 +352,10 @@ class Survey:
         known = read_index(folder)
         if not all((folder / name).is_file() for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
+            remedy = "rfpsurvey survey FOLDER --replan" if (folder / EVENTS).is_dir() else "resume=True (--resume)"
             raise InputError(
                 f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
-                "survey with resume=True (--resume) before you read it"
+                f"survey with {remedy} before you read it"
             )
         for name in TABLES:
             check_file(folder, name, known)

@@ -141,6 +141,8 @@ def test_states_of_tiles_of_desi_are_read_as_they_are(call, plan, tmp_path):
         ({"tile": [11], "state": ["lost"]}, [], "unknown state of a tile 'lost'"),
         ({"tile": [11], "date": ["soon"]}, [], "date must be a date such as 2026-01-03, got 'soon'"),
         ({"tile": [11]}, ["--tile", "12"], "--tile must be given only for a table without a column of tiles"),
+        ({"tile": [11], "fraction": [0.5]}, ["--enough", "nan"], "--enough must be a number above 0, got nan"),
+        ({"tile": [11], "fraction": [0.5]}, ["--enough", "0"], "--enough must be a number above 0, got 0.0"),
         ({"tile": [11]}, ["--column", "date"], "--column must have the form ROLE=NAME, got 'date'"),
         ({"tile": [11]}, ["--column", "date=no"], "must name columns of the table (tile), got 'no'"),
         ({"tile": [11]}, ["--column", "night=tile"], "unknown role of a column 'night'"),
@@ -224,6 +226,8 @@ def test_an_interrupted_new_plan_continues_with_the_same_command(call, run, plan
         code, _, err = run("survey", folder, "--replan")
     assert (code, err.splitlines()[-1]) == (2, "rfpsurvey: the disk is full")
     assert not (folder / "tiles.fits").exists()
+    message = "not finished (2 tiles planned so far); continue the survey with rfpsurvey survey FOLDER --replan"
+    assert message in sentence(*run("status", folder)[::2])
     call("survey", folder, "--replan")
     call("survey", tmp_path / "other", "--replan")
     assert parts_of(folder) == parts_of(tmp_path / "other")
@@ -294,6 +298,17 @@ def test_invalid_rules_are_one_sentence(run, files, tmp_path):
     assert message in sentence(*run(*words, "--set", "rule.after_success=0")[::2])
     assert "there is no such file" in sentence(*run(*words, "--set", "rule.table=no.ecsv")[::2])
     assert not (tmp_path / "new").exists()
+    written = ("--set", "rule.after_success=0", "--write-plan", tmp_path / "plan.toml")
+    assert message in sentence(*run(*words, *written)[::2])
+    assert not (tmp_path / "plan.toml").exists()
+
+
+def test_a_survey_without_events_is_planned_again(call, plan):
+    folder = plan()
+    before = parts_of(folder)
+    call("survey", folder, "--replan")
+    assert parts_of(folder) == before
+    assert set(rs.Survey.read(folder).tiles["state"].tolist()) == {"planned"}
 
 
 @pytest.fixture
@@ -311,6 +326,7 @@ def observed(call, plan, tmp_path):
 
 def test_the_status_is_that_of_the_library(call, observed, tmp_path):
     out, lines = call("status", observed)
+    assert [line for line in out.splitlines() if len(line) > 100] == []
     assert "the last plan does not take all recorded events into account" in out
     call("survey", observed, "--replan")
     out, again = call("status", observed, "--output", tmp_path / "targets.fits", "--plot", tmp_path / "status.png")

@@ -15,6 +15,7 @@ from astropy.table import MaskedColumn, QTable
 from astropy.time import Time
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from statuses import status_table
 
 import flat
 import rfpsurvey as rs
@@ -70,11 +71,12 @@ def results(tile, survey, small):
         "tiling": rs.place_tiles(rs.Region.box(ra=[100, 120] * u.deg, dec=[20, 30] * u.deg), "lamost"),
         "estimate": flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
         "table": nasty_table(),
+        "status": status_table(),
         "allocators": rs.compare_allocators(sky, small, CENTER, allocators=["nearest", "repair"]),
     }
 
 
-KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators")
+KINDS = ("tile", "survey", "tiling", "estimate", "table", "allocators", "status")
 
 
 @pytest.fixture(scope="module")

@@ -83,7 +83,7 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         rows = one.row_of[name], two.row_of[name]
         states = one.states[rows[0]], two.states[rows[1]]
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
-        reasons += [] if one.place(rows[0]) == two.place(rows[1]) else ["moved"]
+        reasons += [] if one.places[rows[0]] == two.places[rows[1]] else ["moved"]
         changes.append(_changes(name, reasons))
         is_same = one.digest(rows[0]) is not None and one.digest(rows[0]) == two.digest(rows[1])
         if DROPPED not in states and not is_same:
@@ -112,10 +112,8 @@ class _Side:
         self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
         self.priority = np.full(len(self.ids), np.nan)
-
-    def place(self, row: int) -> tuple:
-        one = self.survey.tiles[row]
-        return tuple(float(getattr(one[name], "value", one[name])) for name in ("ra", "dec", "position_angle", "pass"))
+        columns = [tiles[name] for name in ("ra", "dec", "position_angle", "pass")]
+        self.places = np.column_stack([getattr(one, "value", one) for one in columns]).tolist()
 
     def digest(self, row: int) -> str | None:
         """Return the checksum of the plan of a tile; None if the survey is in memory."""
@@ -123,7 +121,7 @@ class _Side:
         return known[-1][1] if known else None
 
     def visits(self, row: int) -> QTable:
-        return self.survey.tile(self.survey.tiles["tile"][row])
+        return self.survey._visits(row)
 
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""

@@ -141,11 +141,21 @@ def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndar
         own = np.asarray(survey.outcomes["observed"]).astype(np.int64)
         planned[: len(own)] = np.maximum(own - state.observed[: len(own)], 0)
         return planned
-    for row, visits in enumerate(survey):
-        if row not in state.closed:
+    for row in range(len(survey)):
+        if row not in state.closed and not _is_moved(survey, state, row):
+            visits = survey._visits(row)
             target = np.asarray(visits["target_row"])[np.asarray(visits["observed"])]
             planned += np.bincount(target[target >= 0], minlength=len(state))
     return planned
+
+
+def _is_moved(survey: Survey, state: SurveyState, row: int) -> bool:
+    """Return whether a tile has no plan for its present position."""
+    if row not in state.states.added:
+        return False
+    one = survey.tiles[row]
+    place = [getattr(one[name], "value", one[name]) for name in ("ra", "dec", "position_angle", "pass")]
+    return not np.array_equal(place, state.states.added[row].place)
 
 
 def _table(classes: dict, values: dict) -> QTable:

@@ -130,6 +130,13 @@ def test_added_tiles_and_targets_are_part_of_the_status(survey):
     assert (row["n_requested"], row["n_not_assigned"]) == (2, 2)
 
 
+def test_the_plan_of_a_moved_tile_is_not_counted(survey):
+    sky, _, survey = survey
+    survey.record(Table({"tile": [3], "state": ["added"], "ra": [95.0], "dec": [23.0], "pass": [2]}))
+    status = survey_status(survey, survey.state(sky))
+    check(status, sky, *count(sky, survey, (3,), ()))
+
+
 def test_dropped_targets_require_no_visit(survey):
     sky, _, survey = survey
     survey.record(Table({"target": sky.id[sky.priority == 3], "state": ["dropped"] * int((sky.priority == 3).sum())}))
