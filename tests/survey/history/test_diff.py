@@ -130,6 +130,15 @@ def test_dropped_added_and_changed_targets_are_reasons(again, scene):
     assert "target added" in table["reason"]
 
 
+def test_targets_that_are_no_longer_requested_are_not_complete(again, scene):
+    planned = [str(one) for one in scene[2].tile(0)["target_id"].tolist()]
+    first, second = again({"target": scene[2].tile(0)["target_id"][:5], "visits": [0] * 5})
+    table = diff_surveys(first, second)
+    assert rows_of(table) == fibers(first, second)
+    rows = np.isin(table["before"], planned[:5])
+    assert set(table["reason"][rows].tolist()) == {"visits changed"}
+
+
 def test_changed_priorities_are_a_reason(again):
     first, second = again(
         {"tile": [3], "state": ["bad"]}, rule=VisitRule(table=Table({"class": ["1"], "priority": [9.0]}))
@@ -146,6 +155,7 @@ def test_dropped_added_and_moved_tiles_are_listed(again):
     )
     table = diff_surveys(first, second)
     assert tiles_of(table) == {"1": "dropped", "2": "partly observed", "3": "moved", "8": "added"}
+    assert not [row for row in rows_of(table) if row[0] in ("1", "8")]
     back = diff_surveys(second, first)
     assert tiles_of(back) == {"1": "planned again", "2": "planned again", "3": "moved", "8": "removed"}
     assert {(t, p, b, a) for t, p, a, b in rows_of(back)} == rows_of(table)
