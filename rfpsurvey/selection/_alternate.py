@@ -49,9 +49,9 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
             "selection probabilities of a survey with recorded events need a rule that has only visits, got "
             f"{', '.join(state.rule.record)}"
         )
-    plans, watched = state.events.plans_of(), {}
-    for row, event in state.kept.items():
-        watched.setdefault(plans[row, event.plan], {})[row] = event
+    watched: dict[int, dict] = {}
+    for row, n in state.generations().items():
+        watched.setdefault(n, {})[row] = state.kept[row]
     found = []
     for n in sorted({*watched, len(state.events.files)}):
         request = prepare(state.before(n))

@@ -102,15 +102,6 @@ class Events:
         """Return the events of the first n files."""
         return Events(self.folder, self.files[:n])
 
-    def plans_of(self) -> dict[tuple[int, str], int]:
-        """Return, for the row of a tile and the checksum of an observed plan, the number of files before this plan."""
-        found: dict[tuple[int, str], int] = {}
-        for file in self.files:
-            for event in file.tiles:
-                if event.plan:
-                    found.setdefault((event.row, event.plan), file.n_applied)
-        return found
-
     @cached_property
     def target_tables(self) -> list[tuple[int, QTable]]:
         """Tables of added and changed targets, each with the row of the first target that it adds."""

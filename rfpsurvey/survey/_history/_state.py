@@ -12,13 +12,12 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal
-from rfpsurvey.pipeline import PLANNED_COLUMNS
+from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same
 from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, TileEvent, read_events, to_date
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
 from rfpsurvey.survey._history._rule import LAST, VisitRule
 from rfpsurvey.survey._history._targets import apply_changes
 from rfpsurvey.survey._history._tiles import add_tiles
-from rfpsurvey.survey._source import digest
 from rfpsurvey.tile import describe
 from rfpsurvey.tiling import Tiling
 
@@ -138,10 +137,10 @@ class SurveyState:
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
             if visits is not None:  # recorded numbers of visits replace these numbers
-                catalog = replace(_in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
+                catalog = replace(in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
                 visits = None
-            catalog, dropped = apply_changes(_in_memory(catalog, "events of targets"), events.target_tables, until)
-        columns = _columns_of(catalog, visits)
+            catalog, dropped = apply_changes(in_memory(catalog, "events of targets"), events.target_tables, until)
+        columns = columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
         made = replayed.made if columns["kind"] is None else replayed.made * (columns["kind"] == "science")
         wanted, priority = rule.apply(
@@ -149,7 +148,7 @@ class SurveyState:
         )
         left = np.where(dropped | (wanted < made), made, wanted) - made
         if priority is not columns["priority"]:
-            catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
+            catalog = replace(in_memory(catalog, "rules that change priorities"), priority=priority)
         own = made + left, made, replayed.failed, left
         return cls(catalog, *own, events, rule, until, replayed, states, dropped, given)
 
@@ -191,6 +190,24 @@ class SurveyState:
         """Rows of the observed and partly observed tiles, whose plans do not change, with their observations."""
         return {row: event for row, event in (self.closed | self.begun).items() if event is not None}
 
+    def generations(self) -> dict[int, int]:
+        """Return, for each tile in `kept`, the number of files of events with which its plan was made.
+
+        Returns
+        -------
+        dict
+            Dict from the row of each tile to the number of files.
+        """
+        made: dict[tuple, int] = {}
+        for file in self.events.files:
+            for event in file.tiles:
+                made.setdefault(event.observation, file.n_applied)
+        found = {}
+        for row, event in self.kept.items():  # a tile keeps the plan with which its observation began
+            others = [one for one in self.states.of(row) if (one.state, one.plan) == (PARTLY, event.plan)]
+            found[row] = min(made[one.observation] for one in (event, *others))
+        return found
+
     @property
     def attempts(self) -> list[TileEvent]:
         """All observations."""
@@ -204,12 +221,7 @@ class SurveyState:
     @cached_property
     def digest(self) -> str:
         """A digest of the catalog of the first plan, which is computed faster than the digest in its `Request`."""
-        if isinstance(self.first, PartitionedCatalog):
-            return f"{number_of(len(self.first), 'target')}, digest {self.first.parts.digest()}"
-        icrs, columns = self.first.coord.icrs, ("id", *PLANNED_COLUMNS)
-        arrays = [icrs.ra.deg, icrs.dec.deg, *(getattr(self.first, name) for name in columns)]
-        own = digest(*arrays, *self.first.arrays.extra.values())
-        return f"{number_of(len(self.first), 'target')}, digest {own}"
+        return digest_of(self.first)
 
     def check_current(self) -> None:
         """Raise an error if events were recorded in the folder after this state was read.
@@ -239,7 +251,7 @@ class SurveyState:
             If the catalog is another catalog.
         """
         given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-        if not any(_is_same(given, own) for own in (self.first, self.catalog)):
+        if not any(is_same(given, own) for own in (self.first, self.catalog)):
             raise InputError(
                 f"the catalog must be that of the state, with {number_of(len(self), 'target')}, got another catalog "
                 f"with {number_of(len(given), 'target')}"
@@ -352,46 +364,6 @@ class SurveyState:
         )
 
 
-def first_visits(
-    catalog: object, rule: VisitRule, visits: object = None
-) -> tuple[Catalog | PartitionedCatalog, np.ndarray]:
-    """Return a catalog with the priorities, and the requested visits, that a rule determines before any observation."""
-    catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-    columns, none = _columns_of(catalog, visits), np.zeros(len(catalog), dtype=np.uint8)
-    wanted, priority = rule.apply({**columns, "observed": none, "failed": none, "last": none})
-    if priority is not columns["priority"]:
-        catalog = replace(_in_memory(catalog, "rules that change priorities"), priority=priority)
-    return catalog, wanted
-
-
-def _columns_of(catalog, visits: object) -> dict:
-    """Return the columns of a catalog that rules use."""
-    names = ("id", "priority", "category", "kind", "visits")
-    own = {
-        name: getattr(catalog, name) if isinstance(catalog, Catalog) else catalog.parts.column(name) for name in names
-    }
-    n = len(catalog)
-    requested = own.pop("visits") if visits is None else to_visits(visits, n)
-    return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
-
-
-def _is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
-    """Return whether two catalogs are equal in all columns that a plan uses."""
-    if one is other:
-        return True
-    if isinstance(one, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
-        return type(one) is type(other) and one.parts.digest() == other.parts.digest()
-    places = [np.column_stack([sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg]) for sky in (one, other)]
-    columns = [[sky.id, sky.visits, *(getattr(sky, name) for name in PLANNED_COLUMNS)] for sky in (one, other)]
-    return all(np.array_equal(a, b) for a, b in zip([places[0], *columns[0]], [places[1], *columns[1]], strict=True))
-
-
 def _last_of(own: Replay) -> np.ndarray:
     """Return the result of the last visit of each target as an index of ``LAST``."""
     return np.where(own.last < 0, 0, np.where(own.is_good, LAST.index("good"), LAST.index("bad")))
-
-
-def _in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
-    if isinstance(catalog, PartitionedCatalog):
-        raise InputError(f"{what} must be used with a catalog in memory, got a partitioned catalog")
-    return catalog

@@ -1,0 +1,63 @@
+"""Catalogs of surveys with recorded events: the columns that rules use, and comparisons of catalogs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rfpsurvey._units import to_visits
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
+from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.pipeline import PLANNED_COLUMNS
+from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._source import digest
+
+
+def first_visits(
+    catalog: object, rule: VisitRule, visits: object = None
+) -> tuple[Catalog | PartitionedCatalog, np.ndarray]:
+    """Return a catalog with the priorities, and the requested visits, that a rule determines before any observation."""
+    catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+    columns, none = columns_of(catalog, visits), np.zeros(len(catalog), dtype=np.uint8)
+    wanted, priority = rule.apply({**columns, "observed": none, "failed": none, "last": none})
+    if priority is not columns["priority"]:
+        catalog = replace(in_memory(catalog, "rules that change priorities"), priority=priority)
+    return catalog, wanted
+
+
+def columns_of(catalog, visits: object) -> dict:
+    """Return the columns of a catalog that rules use."""
+    names = ("id", "priority", "category", "kind", "visits")
+    own = {
+        name: getattr(catalog, name) if isinstance(catalog, Catalog) else catalog.parts.column(name) for name in names
+    }
+    n = len(catalog)
+    requested = own.pop("visits") if visits is None else to_visits(visits, n)
+    return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
+
+
+def is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
+    """Return whether two catalogs are equal in all columns that a plan uses."""
+    if one is other:
+        return True
+    if isinstance(one, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
+        return type(one) is type(other) and one.parts.digest() == other.parts.digest()
+    places = [np.column_stack([sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg]) for sky in (one, other)]
+    columns = [[sky.id, sky.visits, *(getattr(sky, name) for name in PLANNED_COLUMNS)] for sky in (one, other)]
+    return all(np.array_equal(a, b) for a, b in zip([places[0], *columns[0]], [places[1], *columns[1]], strict=True))
+
+
+def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
+    """Return the catalog, or raise an error if it is partitioned."""
+    if isinstance(catalog, PartitionedCatalog):
+        raise InputError(f"{what} must be used with a catalog in memory, got a partitioned catalog")
+    return catalog
+
+
+def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
+    """Return a digest of the columns that a plan uses, which does not require an index on the sky."""
+    if isinstance(catalog, PartitionedCatalog):
+        own = catalog.parts.digest()
+    else:
+        icrs, columns = catalog.coord.icrs, (getattr(catalog, name) for name in ("id", *PLANNED_COLUMNS))
+        own = digest(icrs.ra.deg, icrs.dec.deg, *columns, *catalog.arrays.extra.values())
+    return f"{number_of(len(catalog), 'target')}, digest {own}"
