@@ -38,8 +38,8 @@ STATE = {
 class SurveyState:
     """The state of a survey that follows from its plans and from the events that were recorded.
 
-    `Survey.state` makes this object. As the parameter ``visits`` of `plan_survey`, it determines which tiles are
-    planned, and how many visits of each target remain.
+    `rfpsurvey.Survey.state` makes this object. As the parameter ``visits`` of `rfpsurvey.plan_survey`, it determines
+    which tiles are planned, and how many visits of each target remain.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class SurveyState:
         visits: int | np.ndarray | None = None,
         until: str | None = None,
     ) -> "SurveyState":
-        """Return the state of the survey in a folder; see `Survey.state`.
+        """Return the state of the survey in a folder; see `rfpsurvey.Survey.state`.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class SurveyState:
         catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
             The targets of the first plan.
         rule, visits, until : optional
-            As in `Survey.state`.
+            As in `rfpsurvey.Survey.state`.
 
         Returns
         -------
@@ -119,7 +119,7 @@ class SurveyState:
         Raises
         ------
         InputError
-            As in `Survey.state`.
+            As in `rfpsurvey.Survey.state`.
         """
         if folder is None:
             raise InputError("a state needs a survey in a folder, got a survey that was planned without a folder")
