@@ -161,7 +161,7 @@ def test_an_unfinished_plan_is_not_recorded(case, survey, monkeypatch):
         patch.setattr("rfpsurvey.survey._folder.Folder.put_part", fail)
         with pytest.raises(KeyboardInterrupt):
             replan(case, survey)
-    with pytest.raises(rs.InputError, match="not finished .* continue the survey with resume=True"):
+    with pytest.raises(rs.InputError, match="not finished .* continue the survey with"):
         survey.record(events(tile=14, date="2026-01-05"))
     again = replan(case, survey, SurveyState.read(survey.folder, case[0]))
     assert again.tiles["state"].tolist()[0] == "done"
