@@ -352,7 +352,9 @@ class Survey:
         known = read_index(folder)
         if not all((folder / name).is_file() for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
-            remedy = "rfpsurvey survey FOLDER --replan" if (folder / EVENTS).is_dir() else "resume=True (--resume)"
+            remedy = "resume=True (--resume)"
+            if (folder / EVENTS).is_dir():
+                remedy = "visits=SurveyState.read(...) and resume=True, or with rfpsurvey survey FOLDER --replan,"
             raise InputError(
                 f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
                 f"survey with {remedy} before you read it"
