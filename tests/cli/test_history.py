@@ -250,6 +250,7 @@ def test_a_new_plan_needs_a_survey(run, files, tmp_path):
     words = (*COMMAND, files / "stars.fits", "--tiles", files / "tiles.ecsv", "--replan")
     assert message in sentence(*run(*words)[::2])
     assert message in sentence(*run(*words, "--folder", tmp_path / "new")[::2])
+    assert f"{message} {tmp_path / 'none'}" in sentence(*run("survey", tmp_path / "none", "--replan")[::2])
     assert not (tmp_path / "new").exists()
 
 
