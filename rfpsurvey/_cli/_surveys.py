@@ -21,7 +21,7 @@ from rfpsurvey.report import survey_facts
 from rfpsurvey.survey import SurveyState, VisitRule
 from rfpsurvey.tiling import warn_of_targets
 
-__all__ = ["read_tiles", "run", "targets_of", "tiles_of", "visits_of", "workers"]
+__all__ = ["check_replan", "read_tiles", "run", "targets_of", "tiles_of", "visits_of", "workers"]
 
 MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
@@ -40,15 +40,20 @@ def targets_of(keys, model: "rs.Instrument", seed: int):
     return _app.read_catalog(keys)
 
 
+def check_replan(keys) -> None:
+    """Raise an error if the rest of a survey is to be planned, but there is no survey."""
+    folder = keys.output.folder
+    if keys.output.replan and (folder is None or not (folder / "survey.json").is_file()):
+        raise rs.InputError(
+            "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
+            f"{folder or keys.catalog.path or 'no folder'}"
+        )
+
+
 def visits_of(keys, targets) -> "SurveyState | VisitRule | int | None":
     """Return the parameter ``visits`` of `plan_survey`: the state of a survey that is planned again, or a rule."""
     folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
     if keys.output.replan:
-        if folder is None or not (folder / "survey.json").is_file():
-            raise rs.InputError(
-                "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
-                f"{folder or keys.catalog.path or 'no folder'}"
-            )
         return SurveyState.read(folder, targets, rule=rule, visits=visits)
     if not keys.rule:
         return visits

@@ -65,6 +65,7 @@ class SurveyKeys(_groups.WorkerKeys):
 )
 def survey(keys: SurveyKeys, given: Given) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
+    _surveys.check_replan(keys)
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
     tiling = _surveys.read_tiles(keys.tiles)

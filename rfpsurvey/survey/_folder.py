@@ -65,6 +65,7 @@ class Folder(RequestFolder):
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}
+        same["instrument"], before = _instrument_of(now), {**before, "instrument": _instrument_of(before)}
         earlier = {name: value for name, value in before.items() if name not in changed}
         own, self._request = self._request, {**same, **now_first}
         try:
@@ -138,6 +139,11 @@ class Folder(RequestFolder):
 def part_name(tile: int) -> str:
     """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
+
+
+def _instrument_of(request: dict) -> str:
+    """Return the name of the instrument of a request; its digest changes if positioners break between two nights."""
+    return str(request.get("instrument")).partition(", digest")[0]
 
 
 def kept_name(digest: str) -> str:

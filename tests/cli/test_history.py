@@ -209,6 +209,26 @@ def test_options_of_a_new_plan_must_be_those_of_the_first_plan(run, call, plan, 
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize("allocator", ["nearest", "joint"])
+def test_positioners_can_break_between_two_nights(call, run, plan, tmp_path, allocator):
+    """Only tiles that were not observed are planned with the present states of positioners."""
+    folder = plan("--allocator", allocator)
+    before, ids = parts_of(folder), rs.Survey.read(folder).tile(13)["positioner"][:20].tolist()
+    call("record", folder, write(tmp_path / "a.csv", tile=[11, 12], state=["done", "partly"]))
+    words = ("survey", folder, "--replan")
+    message = "(instrument was sdss_apo and is now sdss_lco)"
+    assert message in sentence(*run(*words, "--instrument", "sdss_lco")[::2])
+    broken = write(tmp_path / "broken.csv", id=ids)
+    call(*words, "--set", f"instrument.broken={broken}")
+    after, survey = parts_of(folder), rs.Survey.read(folder)
+    assert all(after[name] == before[name] for name in ("000000.fits", "000001.fits"))
+    assert not set(survey.tile(13)["positioner"].tolist()) & set(ids)
+    assert tomllib.loads((folder / "plan.toml").read_text())["instrument"]["broken"] == str(broken)
+    call("record", folder, write(tmp_path / "b.csv", tile=[12], state=["done"]))
+    call(*words)
+    assert parts_of(folder)["000001.fits"] == before["000001.fits"]
+
+
 def test_an_interrupted_new_plan_continues_with_the_same_command(call, run, plan, tmp_path, monkeypatch):
     folder = plan()
     call("record", folder, write(tmp_path / "a.csv", tile=[11, 12], state=["done", "bad"]))
@@ -226,8 +246,9 @@ def test_an_interrupted_new_plan_continues_with_the_same_command(call, run, plan
         code, _, err = run("survey", folder, "--replan")
     assert (code, err.splitlines()[-1]) == (2, "rfpsurvey: the disk is full")
     assert not (folder / "tiles.fits").exists()
-    message = "not finished (2 tiles planned so far); continue the survey with rfpsurvey survey FOLDER --replan"
-    assert message in sentence(*run("status", folder)[::2])
+    text = sentence(*run("status", folder)[::2])
+    assert "not finished (2 tiles planned so far)" in text
+    assert "rfpsurvey survey FOLDER --replan" in text
     call("survey", folder, "--replan")
     call("survey", tmp_path / "other", "--replan")
     assert parts_of(folder) == parts_of(tmp_path / "other")
@@ -250,6 +271,7 @@ def test_a_new_plan_needs_a_survey(run, files, tmp_path):
     words = (*COMMAND, files / "stars.fits", "--tiles", files / "tiles.ecsv", "--replan")
     assert message in sentence(*run(*words)[::2])
     assert message in sentence(*run(*words, "--folder", tmp_path / "new")[::2])
+    assert f"{message} {tmp_path / 'none'}" in sentence(*run("survey", tmp_path / "none", "--replan")[::2])
     assert not (tmp_path / "new").exists()
 
 
