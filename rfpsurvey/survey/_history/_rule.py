@@ -62,7 +62,7 @@ class VisitRule:
     Examples
     --------
     >>> import rfpsurvey as rs
-    >>> rule = rs.VisitRule(after_success=4, retries=2)
+    >>> rule = rs.survey.VisitRule(after_success=4, retries=2)
     >>> rule.record["after_success"]
     4
     """

@@ -56,6 +56,7 @@ class SurveyState:
 
     Examples
     --------
+    >>> import astropy.units as u
     >>> from astropy.coordinates import SkyCoord
     >>> from tempfile import TemporaryDirectory
     >>> import rfpsurvey as rs
