@@ -45,6 +45,19 @@ def status(
             print(f"{label:<34}{value:>24}")
         print("tiles of each pass by state:")
         _print.print_table(QTable(rows=found.meta["tiles"]))
+        if found.meta["areas"]:
+            print("visits of each area on the sky (right ascension and declination in deg):")
+            columns = (
+                "ra",
+                "dec",
+                "n_requested",
+                "n_observed",
+                "n_planned",
+                "n_not_assigned",
+                "n_lost",
+                "n_impossible",
+            )
+            _print.print_table(QTable(rows=found.meta["areas"])[columns])
         if len(found) > 1:
             print("visits of each class of targets:")
             short = found.copy()

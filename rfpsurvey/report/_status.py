@@ -37,6 +37,8 @@ def page_of_status(status: Table, where: str) -> Page:
         Section("Classes", [Rows("The visits of each class of targets.", status, where or "survey_status")]),
         Section("Tiles", [Rows("The numbers of tiles of each pass by their state.", tiles)]),
     ]
+    if areas := status.meta["areas"]:
+        sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
     lead = (
         f"{int(one['n_observed'])} of {number_of(int(one['n_requested']), 'visit')} are observed on "
         f"{number_of(done, 'tile')}."

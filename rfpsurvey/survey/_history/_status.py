@@ -29,6 +29,8 @@ STATUS = {
     "n_lost": "remaining visits of targets that were lost to a collision",
     "n_impossible": "remaining visits of targets that no tile reaches",
 }
+SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
+"""Sizes of areas on the sky in degrees, and their largest number."""
 COUNTS = tuple(name for name in STATUS if name.startswith("n_"))
 
 
@@ -50,8 +52,9 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         (targets with all requested visits), ``n_requested``, ``n_observed``, ``n_failed``, ``n_left`` (remaining
         visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
         ``n_lost`` (to a collision), ``n_impossible`` (no tile reaches the target). The ``meta`` contains ``tiles``
-        (numbers of tiles by state, for each pass), ``progress`` (numbers of observed tiles and visits up to each date),
-        and ``is_planned``, which states whether the last plan takes all events into account.
+        (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
+        ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
+        each date), and ``is_planned``, which states whether the last plan takes all events into account.
 
     Raises
     ------
@@ -109,6 +112,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "made_by": "survey_status",
         "instrument": survey.provenance["instrument"]["name"],
         "tiles": _tiles(survey, state),
+        "areas": _areas(state.catalog, values),
         "progress": progress,
         "is_planned": bool(is_planned),
         "events": state.record,
@@ -168,6 +172,29 @@ def _table(classes: dict, values: dict) -> QTable:
         for k, name in enumerate(names):
             rows.append((*(name if column == other else "all" for other in classes), *(int(one[k]) for one in counts)))
     return QTable(rows=rows, names=(*classes, *values))
+
+
+def _areas(catalog, values: dict) -> list[dict]:
+    """Return the numbers of visits in rectangles on the sky, which are as large as possible; none for small fields."""
+    if not isinstance(catalog, Catalog):
+        return []
+    icrs = catalog.coord.icrs
+    for size in SIZES:
+        cell = np.column_stack([icrs.ra.deg // size, (icrs.dec.deg + 90) // size]).astype(np.int64)
+        cells, place = np.unique(cell[values["n_requested"] > 0], axis=0, return_inverse=True)
+        if 4 <= len(cells) <= MOST_AREAS:
+            break
+    else:
+        return []
+    found = [
+        {"ra": f"{a * size:g} to {(a + 1) * size:g}", "dec": f"{b * size - 90:g} to {(b + 1) * size - 90:g}"}
+        for a, b in cells
+    ]
+    for name, one in values.items():
+        counts = np.bincount(place.reshape(-1), weights=one[values["n_requested"] > 0], minlength=len(cells))
+        for area, count in zip(found, counts.astype(np.int64).tolist(), strict=True):
+            area[name] = count
+    return found
 
 
 def _tiles(survey: Survey, state: SurveyState) -> list[dict]:

@@ -173,3 +173,20 @@ def test_the_first_plan_follows_a_rule_as_the_state_without_events(survey, small
     assert (first.targets == second.targets).all()
     assert set(first.outcomes["requested"].tolist()) == {0, 1}
     assert set(first.targets["priority"][first.targets["kind"] == "science"].tolist()) == {1.0, 2.0}
+
+
+def test_areas_contain_all_requested_visits(survey):
+    """Each rectangle contains the visits of the targets between its limits."""
+    sky, _, survey = survey
+    record(survey, ["done"])
+    state = survey.state(sky)
+    status = survey_status(survey, state)
+    areas = status.meta["areas"]
+    assert 4 <= len(areas) <= 20
+    for name in ("n_requested", "n_observed", "n_planned"):
+        assert sum(area[name] for area in areas) == status[name][0] > 0
+    requested = np.where(sky.kind == "science", sky.visits, 0)
+    for area in areas:
+        (a, b), (c, d) = (map(float, area[one].split(" to ")) for one in ("ra", "dec"))
+        inside = (sky.coord.ra.deg >= a) & (sky.coord.ra.deg < b) & (sky.coord.dec.deg >= c) & (sky.coord.dec.deg < d)
+        assert area["n_requested"] == requested[inside].sum()
