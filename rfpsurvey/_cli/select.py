@@ -14,6 +14,7 @@ from rfpsurvey._cli._keys import build
 from rfpsurvey._cli.survey import SurveyKeys
 from rfpsurvey._outputs import check_separate
 from rfpsurvey.report import selection_facts
+from rfpsurvey.survey import JOINT
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,11 @@ def select(keys: SelectKeys, given: Given) -> None:
         place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
         own = {name: one for name, one in given.values.items() if name != "catalog.path"}
         keys = build(SelectKeys, {name: one for name, one in shared.items() if name[:7] != "output."} | own)
+    if keys.options.get("allocator") == JOINT:
+        raise rs.InputError(
+            "selection probabilities need an allocator that plans the tiles one by one, got a survey that was planned "
+            "with allocator joint"
+        )
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken

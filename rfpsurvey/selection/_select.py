@@ -165,11 +165,13 @@ def selection_probabilities(
 
     with used_elsewhere("rng"):
         request = prepare(catalog) if is_state else prepare_request(catalog, instrument, tiles, **options)
-        generations = generations_of(catalog, prepare) if is_state else None
     if request.joint is not None:
         raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
+    generations = None
     if is_state:
         _check_same(Survey.read(catalog.folder).provenance, request)
+        with used_elsewhere("rng"):
+            generations = generations_of(catalog, prepare)
     elif survey is not None:
         if "conditions" in survey.provenance["parameters"] or "joint" in survey.provenance["parameters"]:
             raise InputError(

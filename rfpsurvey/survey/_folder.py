@@ -56,12 +56,13 @@ class Folder(RequestFolder):
             return
         self._state.check_current()
         now = self._request
-        first, now_first = before.get("first"), now["first"]
-        if first is None:
+        now["first"]["visits"] = before.get("first", before).get("visits")
+        first, now_first = (
+            {k: v for k, v in one.items() if k != "visits"} for one in (before.get("first", {}), now["first"])
+        )
+        if not first:
             first = {name: before.get(name) for name in ("catalog", "passes", "tiles")}
-            now_first = {name: now_first[name] for name in ("passes", "tiles")} | {
-                "catalog": self._first_catalog(first["catalog"])
-            }
+            now_first["catalog"] = self._first_catalog(first["catalog"])
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}
@@ -70,6 +71,11 @@ class Folder(RequestFolder):
         own, self._request = self._request, {**same, **now_first}
         try:
             super()._compare({**earlier, **first})
+        except InputError as error:
+            text = str(error).replace(
+                "; give another folder", "; all options except visits must be those of the first plan"
+            )
+            raise InputError(text) from None
         finally:
             self._request = own
 
@@ -109,6 +115,11 @@ class Folder(RequestFolder):
         """Return the checksum of the stored result of the tile in row ``tile`` of the tiling; None if there is none."""
         known = self._known.get(part_name(tile))
         return known[-1][1] if known else None
+
+    def has_part(self, tile: int) -> bool:
+        """Return whether the file of a tile exists, and has the size in the index."""
+        path, known = self.path / part_name(tile), self._known.get(part_name(tile))
+        return known is not None and path.is_file() and path.stat().st_size == known[-1][0]
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""

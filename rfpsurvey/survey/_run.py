@@ -107,7 +107,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             parts[tile] = _io.read_fits_bytes(history.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[
                 0
             ]
-        elif folder.checksum(tile) != event.plan:
+        elif folder.checksum(tile) != event.plan or not folder.has_part(tile):
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]

@@ -15,6 +15,7 @@ class Observation:
     state: str
     plan: bytes
     failed: frozenset = frozenset()
+    fraction: float = 1.0
 
     def visits(self) -> list[tuple]:
         """Return the identifier of the target, the positioner and the success of the plan for each science visit."""
@@ -35,8 +36,18 @@ class NaiveHistory:
     log: list = field(default_factory=list)
     """Pairs of a word (``observe``, ``cancel``, ``drop``) and an observation."""
 
-    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=()) -> None:
-        self.log.append(("observe", Observation(tile, date, state, plan, frozenset(failed))))
+    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=(), fraction: float = 1.0) -> None:
+        """Add an observation with all failures recorded before, unless it repeats an earlier record."""
+        earlier = []
+        for word, one in self.log:
+            if word == "cancel" and one.tile == tile:
+                earlier = []
+            elif word == "observe" and (one.tile, one.date) == (tile, date):
+                earlier.append(one)
+        failed = frozenset(failed) | (earlier[-1].failed if earlier else frozenset())
+        new = Observation(tile, date, state, plan, failed, fraction)
+        if new not in earlier:
+            self.log.append(("observe", new))
 
     def cancel(self, tile: str, date: str = "") -> None:
         self.log.append(("cancel", Observation(tile, date, "planned", b"")))
@@ -77,13 +88,13 @@ class NaiveHistory:
         """Return the visits of each target that was visited: made, failed, last, last_tile, last_date."""
         found: dict[int, dict] = {}
         for one in self.observations(until):
-            if one.state == "partly":
+            if one.state != "done":
                 continue
             for target, positioner, is_free in one.visits():
                 if not is_free:  # lost to a collision
                     continue
                 own = found.setdefault(target, {"made": 0, "failed": 0})
-                good = one.state == "done" and positioner not in one.failed
+                good = positioner not in one.failed
                 own["made" if good else "failed"] += 1
                 own.update(last="good" if good else "bad", last_tile=one.tile, last_date=one.date)
         return found

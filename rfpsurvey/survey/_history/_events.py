@@ -19,7 +19,7 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._folder import MOST_REQUEST
-from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes
+from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes, sentence
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name
 
@@ -190,7 +190,7 @@ def read_request(folder: Path) -> dict:
 def _read(path: Path) -> tuple[EventFile, str]:
     """Return the content of a file of events, and the digest of the preceding file."""
     try:
-        content = parse_json(content_of(path, most=MOST).decode("utf-8", "replace"), "the file")
+        content = json.loads(content_of(path, most=MOST).decode("utf-8", "replace"))
         about = content["events"]
         if content["digest"] != _digest(json.dumps(about, separators=(",", ":"), sort_keys=True)):
             raise InputError("its digest differs from its content")
@@ -202,8 +202,8 @@ def _read(path: Path) -> tuple[EventFile, str]:
         )
         if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
             raise InputError(f"{file.targets!r} is not the name of a table of targets")
-    except (InputError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is damaged ({error})") from None
+    except (InputError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is damaged ({sentence(error)})") from None
     return file, about["previous"]
 
 

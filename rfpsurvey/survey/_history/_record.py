@@ -12,10 +12,11 @@ from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._readers import read_fits_bytes
-from rfpsurvey._units import to_flags, to_labels, to_plain
+from rfpsurvey._units import to_labels
 from rfpsurvey.catalog import as_table
-from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short
+from rfpsurvey.errors import MOST_WHOLE, InputError, short, warn
 from rfpsurvey.survey._folder import TABLES, part_name
+from rfpsurvey.survey._history._columns import columns_of, groups_of, renamed, roles_of, warn_of_others
 from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
 from rfpsurvey.survey._history._events import (
     ADDED,
@@ -24,42 +25,19 @@ from rfpsurvey.survey._history._events import (
     DROPPED,
     PARTLY,
     PLANNED,
-    STATES,
     Events,
     TileEvent,
     read_events,
     read_request,
-    to_date,
 )
 from rfpsurvey.survey._history._replay import TileStates
-from rfpsurvey.survey._history._targets import NUMBERS, TEXTS, target_changes, to_numbers
+from rfpsurvey.survey._history._targets import target_changes, to_numbers
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, when_of
 
-ROLES = {
-    "tile": ("tile", "tileid", "tile_id"),
-    "state": ("state", "status", "obsstatus"),
-    "good": ("good", "on_target"),
-    "date": ("date", "zdate", "lastnight", "night"),
-    "fraction": ("fraction",),
-    "positioner": ("positioner", "positioner_id"),
-    "target": ("target", "target_id", "targetid"),
-    "reason": ("reason",),
-    "ra": ("ra", "tilera"),
-    "dec": ("dec", "tiledec"),
-    "position_angle": ("position_angle", "pa"),
-    "pass": ("pass",),
-}
-"""Names of columns, by role; case is ignored."""
-SYNONYMS = {
-    **{name: name for name in STATES},
-    **dict.fromkeys(("obsend", "complete", "completed", "observed", "good"), DONE),
-    **dict.fromkeys(("obsstart", "partial", "started"), PARTLY),
-    **dict.fromkeys(("failed", "rejected"), BAD),
-    **dict.fromkeys(("", "unobs", "unobserved", "pending"), ""),
-}
-"""States of tiles in tables, and the state of the survey that each of them stands for; "" changes nothing."""
+MOST_FRACTION = 10
+"""Largest fraction of an exposure; larger numbers are usually percentages."""
 
 
 def record(
@@ -73,8 +51,10 @@ def record(
         table = visits_of_configuration(table, survey, tile)
     else:
         table = _io.read_table(table) if isinstance(table, str | os.PathLike) else as_table(table)[0]
-    table = _renamed(table, columns or {})
-    roles = _roles_of(table)
+    table = renamed(table, columns or {})
+    roles = roles_of(table)
+    if "tile" in roles or tile is not None:
+        warn_of_others(table, roles)
     if tile is not None and "tile" in roles:
         raise InputError(
             f"tile must be given only for a table without a column of tiles, got the column {roles['tile']!r}"
@@ -126,11 +106,21 @@ class _History:
         dates = [one.date for one in self.states.attempts if one.observation in planned]
         self.planned_until = max(dates, default="")
         self.used_plans = {(one.row, one.plan) for one in events.of_tiles()}
+        self.past: dict[int, list[TileEvent]] = {}
+        """The events of each tile since the last one that canceled its events."""
+        for event in events.of_tiles():
+            if event.state == PLANNED:
+                self.past.pop(event.row, None)
+            self.past.setdefault(event.row, []).append(event)
 
-    def earlier(self, name: str, date: str) -> TileEvent | None:
+    def on(self, name: str, date: str) -> TileEvent | None:
         """Return the recorded observation of a tile on a date; None if there is none."""
         found = self.states.of(self.row_of[name]) if name in self.row_of else []
         return next((one for one in reversed(found) if one.date == date), None)
+
+    def earlier(self, event: TileEvent) -> TileEvent | None:
+        """Return the recorded event of the same observation; None if there is none."""
+        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
 
     def visits(self, event: TileEvent) -> np.ndarray:
         """Return the visits of the plan with which a tile was observed."""
@@ -151,23 +141,6 @@ class _History:
         return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
 
 
-def _renamed(table: Table, columns: dict[str, str]) -> Table:
-    """Return a table whose columns with the given names, by role, have the names of their roles."""
-    for role, name in columns.items():
-        check_choice(role, (*ROLES, "visits", "dropped", *NUMBERS, *TEXTS), "role of a column")
-        if name not in table.colnames:
-            raise InputError(f"columns must name columns of the table ({listed(table.colnames)}), got {name!r}")
-    others = [name for name in table.colnames if name.lower() not in columns and name not in columns.values()]
-    named = {role: table[name] for role, name in columns.items()}
-    return Table({**named, **{name: table[name] for name in others}}, copy=False) if columns else table
-
-
-def _roles_of(table: Table) -> dict[str, str]:
-    """Return a dict from the roles of the columns of a table to their names."""
-    lower = {name.lower(): name for name in reversed(table.colnames)}
-    return {role: lower[one] for role, names in ROLES.items() for one in reversed(names) if one in lower}
-
-
 def _tile_events(
     table: Table, roles: dict, history: _History, enough: float, tile: object
 ) -> tuple[list[TileEvent], int, int]:
@@ -176,23 +149,15 @@ def _tile_events(
     names = (
         np.full(n, str(tile)) if tile is not None else np.asarray(to_labels(table[roles["tile"]], "tile")).astype(str)
     )
-    columns = {
-        "state": _states(table, roles),
-        "good": _goods(table, roles),
-        "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
-        "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
-        "reason": _texts(table, roles.get("reason")) or [""] * n,
-        "positioner": _texts(table, roles.get("positioner")),
-        "target": _texts(table, roles.get("target")),
-    }
+    columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
-    groups = _groups(names.tolist(), columns["date"])
+    groups = groups_of(names.tolist(), columns["date"])
     for name, date in sorted(groups, key=lambda key: (key[1], history.row_of.get(key[0], history.n_tiles))):
         rows = groups[name, date]
         whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, rows, enough, history.earlier(name, date))
+        state, fraction = _state_of(columns, whole, rows, enough, history.on(name, date))
         if not state:
             if len(rows) > len(whole):
                 raise InputError(f"the state of tile {name} must be given with its failed visits, got no state")
@@ -201,8 +166,7 @@ def _tile_events(
         event = _event(state, name, date, fraction, history, (table, roles, whole))
         if state in (DONE, PARTLY, BAD):
             event = event._replace(failed=_failures(columns, [k for k in rows if k not in whole], event, history))
-        same = _present(event, history)
-        if same == event:
+        if _is_known(event, history):
             n_known += 1
             continue
         history.states.add(event)
@@ -210,40 +174,27 @@ def _tile_events(
     return events, n_known, n_ignored
 
 
-def _groups(names: list[str], dates: list[str]) -> dict[tuple[str, str], list[int]]:
-    """Return the rows of each tile and date; rows without a date belong to the only date of their tile."""
-    known: dict[str, set] = {}
-    for name, date in zip(names, dates, strict=True):
-        known.setdefault(name, set()).add(date)
-    groups: dict[tuple[str, str], list[int]] = {}
-    for row, (name, date) in enumerate(zip(names, dates, strict=True)):
-        others = known[name] - {""}
-        if not date and len(others) > 1:
-            raise InputError(f"date must be given in all rows of tile {name}, which has several dates, got no date")
-        groups.setdefault((name, date or max(others, default="")), []).append(row)
-    return groups
-
-
 def _state_of(
     columns: dict, whole: list[int], rows: list[int], enough: float, earlier: TileEvent | None
 ) -> tuple[str, float]:
     """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
 
-    Without this row, the tile has the state in its other rows, the state that was recorded before, or it is done.
+    Without this row, the tile has the state that was recorded before, or it is done.
     """
-    said = {columns["state"][row] for row in rows} - {""} if columns["state"] is not None else set()
-    if len(said) > 1:
-        raise InputError(f"the rows of a tile must have the same state, got {' and '.join(sorted(said))}")
+    for row in rows:
+        if columns["state"] is not None and row not in whole and columns["state"][row]:
+            raise InputError(
+                f"the state of a tile must be in a row without a positioner or target, got {columns['state'][row]!r} "
+                "in a row with one; whether a visit was successful is stated by good"
+            )
     if not whole:
-        if said:
-            return said.pop(), 1.0
         return (DONE, 1.0) if earlier is None else (earlier.state, earlier.fraction)
     row = whole[0]
     fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
-    if not 0 <= fraction < np.inf:
-        raise InputError(f"fraction must be a finite number of at least 0, got {fraction:g}")
+    if not 0 <= fraction <= MOST_FRACTION:
+        raise InputError(f"fraction must be a number from 0 to {MOST_FRACTION}, where 1 is complete, got {fraction:g}")
     if columns["state"] is not None:
-        return next(iter(said), ""), fraction
+        return columns["state"][row], fraction
     good = True if columns["good"] is None else columns["good"][row]
     if good is None:
         raise InputError("good must be given for every tile, got a missing value")
@@ -287,10 +238,11 @@ def _event(state: str, name: str, date: str, fraction: float, history: _History,
     if plan is None:
         raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
     is_older = (row, plan) in history.used_plans  # the tile was observed before with this plan
-    if date and history.planned_until and date <= history.planned_until and not is_older:
+    if history.planned_until and date <= history.planned_until and not is_older:
         raise InputError(
-            f"the observation of tile {name} on {date} must be later than {history.planned_until}, because its plan "
-            "was made with the events up to this date"
+            f"the date of the observation of tile {name} must be later than {history.planned_until}, because its plan "
+            f"was made with the events up to this date, got {date or 'no date'}; record each night before the survey "
+            "is planned again"
         )
     return TileEvent(row, name, state, date, fraction, plan)
 
@@ -327,22 +279,27 @@ def _addition(name: str, history: _History, table: Table, roles: dict, whole: li
     return TileEvent(row, name, ADDED, place=tuple(place))
 
 
-def _present(event: TileEvent, history: _History) -> TileEvent | None:
-    """Return the recorded event that an equal event would repeat."""
+def _is_known(event: TileEvent, history: _History) -> bool:
+    """Return whether an equal event was recorded before, and warn if it was corrected since then."""
     states = history.states
     if event.state == ADDED:
-        is_known = event.row < history.n_tiles_before and np.array_equal(history.place(event.row), event.place)
-        return event if is_known else None
+        return event.row < history.n_tiles_before and np.array_equal(history.place(event.row), event.place)
     if event.state == DROPPED:
-        return event if event.row in states.dropped else None
+        return event.row in states.dropped
     if event.state == PLANNED:
-        return None if states.of(event.row) or event.row in states.dropped else event
-    return next((one for one in states.of(event.row) if one.observation == event.observation), None)
+        return not states.of(event.row) and event.row not in states.dropped
+    known = event in history.past.get(event.row, ())
+    if known and event not in states.of(event.row):
+        warn(
+            f"the observation of tile {event.tile}{_on(event.date)} was corrected after this record, and the "
+            "correction is kept; to undo it, record the state planned for this tile, and then its observations"
+        )
+    return known
 
 
 def _failures(columns: dict, rows: list[int], event: TileEvent, history: _History) -> dict[str, str]:
-    """Return the positioners that failed, with the reason for each of them."""
-    failed = {}
+    """Return the positioners that failed, with the reason for each of them, including those recorded before."""
+    failed = dict((history.earlier(event) or event).failed or {})
     if not rows:
         return failed
     visits = history.visits(event)
@@ -359,37 +316,9 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
             raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
         if columns["good"] is None or not columns["good"][k]:
             failed[positioner_of[what][name]] = columns["reason"][k]
+        else:
+            failed.pop(positioner_of[what][name], None)
     return dict(sorted(failed.items()))
-
-
-def _states(table: Table, roles: dict) -> list[str] | None:
-    words = _texts(table, roles.get("state"))
-    if words is None:
-        return None
-    return [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words]
-
-
-def _goods(table: Table, roles: dict) -> list[bool | None] | None:
-    """Return whether each row is good; None for missing values."""
-    if "good" not in roles:
-        return None
-    column = table[roles["good"]]
-    missing = np.ma.getmaskarray(np.ma.asarray(column))
-    if np.asarray(column).dtype.kind == "f":
-        missing = missing | np.isnan(np.asarray(column))
-    flags = to_flags(column, roles["good"]).tolist()
-    return [None if gone else flag for flag, gone in zip(flags, missing.tolist(), strict=True)]
-
-
-def _texts(table: Table, name: str | None) -> list[str] | None:
-    """Return the values of a column as text; empty text for missing values."""
-    if name is None:
-        return None
-    values = to_plain(table[name], name)
-    missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
-    if values.dtype.kind == "f" and (values[~missing] == np.floor(values[~missing])).all():
-        values = np.where(missing, 0, values).astype(np.int64)  # integers with missing values
-    return ["" if gone else str(one).strip() for one, gone in zip(values.tolist(), missing.tolist(), strict=True)]
 
 
 def _on(date: str) -> str:

@@ -147,7 +147,7 @@ class Replay:
         """Add an observation, and the visits of its plan."""
         number = len(self.attempts)
         self.attempts.append(event)
-        if event.state == PARTLY:
+        if event.state != DONE:  # nothing was observed, or the observation will be continued
             return
         visits, cards = read_fits_bytes(events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
         _check_ids(event, visits, ids)

@@ -11,9 +11,18 @@ from astropy.table import QTable
 from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, number_of, refusal
+from rfpsurvey.errors import InputError, number_of, refusal, warn
 from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same
-from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, TileEvent, read_events, to_date
+from rfpsurvey.survey._history._events import (
+    DONE,
+    DROPPED,
+    PARTLY,
+    Events,
+    TileEvent,
+    read_events,
+    read_request,
+    to_date,
+)
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
 from rfpsurvey.survey._history._rule import LAST, VisitRule
 from rfpsurvey.survey._history._targets import apply_changes
@@ -127,6 +136,8 @@ class SurveyState:
         if not isinstance(rule, VisitRule):
             raise refusal("rule must be a VisitRule", rule)
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+        if visits is None and not rule.record:
+            _check_visits(_io.to_path(folder), catalog)
         until = None if until is None else to_date(until)
         return cls._of(read_events(_io.to_path(folder)), (catalog, visits), rule, until)
 
@@ -367,3 +378,18 @@ class SurveyState:
 def _last_of(own: Replay) -> np.ndarray:
     """Return the result of the last visit of each target as an index of ``LAST``."""
     return np.where(own.last < 0, 0, np.where(own.is_good, LAST.index("good"), LAST.index("bad")))
+
+
+def _check_visits(folder: Path, catalog: Catalog | PartitionedCatalog) -> None:
+    """Issue a warning if the first plan requested another number of visits than the catalog."""
+    request = read_request(folder)
+    targets, said = (
+        str(request.get("first", request).get(name, "")).partition(",")[0] for name in ("catalog", "visits")
+    )
+    now = number_of(int(columns_of(catalog, None)["requested"].sum(dtype=np.int64)), "visit")
+    is_same = targets == number_of(len(catalog), "target")  # another catalog is an error when the survey is planned
+    if is_same and said not in ("", now) and not request.get("required"):
+        warn(
+            f"the first plan requested {said}, but the catalog requests {now}; give the visits= and rule= of the first "
+            "plan, unless they have changed"
+        )

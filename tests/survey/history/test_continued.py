@@ -79,7 +79,7 @@ def test_a_failed_observation_that_is_corrected_gets_its_plan_back(case, survey)
     assert (survey.folder / f"events/plans/{sha(other)}.fits").read_bytes() == other
     state = third.state(case[0])
     assert state.summary["n_visits_made"] == third.tiles["n_observed"][:2].sum()
-    assert state.failed.sum() == rs.Survey.read(survey.folder).summary["n_visits_failed"] > 0
+    assert state.failed.sum() == rs.Survey.read(survey.folder).summary["n_visits_failed"] == 0
 
 
 def test_a_survey_without_events_is_planned_again(case, survey):
@@ -171,7 +171,7 @@ def test_an_observation_is_later_than_the_events_of_its_plan(case, survey):
     survey.record(events(tile=11, date="2026-01-03"))
     again = replan(case, survey)
     for one in (survey, again):  # also for a survey that was read before it was planned again
-        with pytest.raises(rs.InputError, match="tile 12 on 2026-01-03 must be later than 2026-01-03"):
+        with pytest.raises(rs.InputError, match="tile 12 must be later than 2026-01-03"):
             one.record(events(tile=12, date="2026-01-03"))
     assert again.record(events(tile=12, date="2026-01-04"))["n_events"] == 1
 
@@ -211,7 +211,7 @@ def test_the_failures_of_a_corrected_observation_are_those_of_its_plan(case, sur
     second = replan(case, survey)
     only = sorted({*first["target_id"].tolist()} - {*second.tile(11)["target_id"].tolist()})
     assert only
-    second.record(events(tile=11, target=only[0], date="2026-01-03"))
+    second.record(events(tile=[11, 11], target=["", str(only[0])], state=["done", ""], date="2026-01-03"))
     state = second.state(case[0])
     assert state.failed[case[0].id == only[0]] == 1
     assert state.observed[case[0].id == only[0]] == 0

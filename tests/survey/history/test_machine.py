@@ -115,9 +115,8 @@ class History(RuleBasedStateMachine):
             accepted = not done and name not in self.unplanned and (is_later or kept)
         plan = old[0].plan if old else b"" if name in self.unplanned else part(self.folder, row)
         rows = [{"tile": name, "date": date}]
-        rows[0].update(
-            {"fraction": {"done": 1.0, "partly": 0.5, "bad": 0.0}[state]} if by_fraction else {"state": state}
-        )
+        rows[0].update({"fraction": FRACTIONS[state]} if by_fraction else {"state": state})
+        rows_fraction = FRACTIONS[state] if by_fraction else 1.0
         failed = set()
         if plan:
             visits = rs._io.read_fits_bytes(plan, "plan")[0]
@@ -130,7 +129,7 @@ class History(RuleBasedStateMachine):
         order.shuffle(rows)
         columns = {key: [one.get(key, 1.0 if key == "fraction" else "") for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
-            self.naive.observe(name, date, state, plan, failed)
+            self.naive.observe(name, date, state, plan, failed, rows_fraction)
 
     @rule(tile=st.integers(0, 9))
     def cancel(self, tile):

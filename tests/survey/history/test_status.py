@@ -111,7 +111,7 @@ def test_progress_is_that_of_the_observed_tiles(survey):
     assert progress["n_observed"]["all"][-1] == state.observed.sum() == status["n_observed"][0]
     classes = [values[-1] for name, values in progress["n_observed"].items() if name != "all"]
     assert sum(classes) == status["n_observed"][0]
-    assert status["n_failed"][0] == state.failed.sum() > 0
+    assert status["n_failed"][0] == state.failed.sum()
     earlier = survey_status(survey, survey.state(sky, until="2026-01-04"))
     assert earlier["n_observed"][0] == progress["n_observed"]["all"][0]
     assert earlier["n_planned"][0] > status["n_planned"][0]

@@ -1,0 +1,117 @@
+"""Columns of tables of observations: their names, states, dates and texts."""
+
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey._units import to_flags, to_plain
+from rfpsurvey.errors import InputError, check_choice, listed, warn
+from rfpsurvey.survey._history._events import BAD, DONE, PARTLY, STATES, to_date
+from rfpsurvey.survey._history._targets import NUMBERS, TEXTS, to_numbers
+
+ROLES = {
+    "tile": ("tile", "tileid", "tile_id"),
+    "state": ("state", "status", "obsstatus"),
+    "good": ("good", "on_target"),
+    "date": ("date", "zdate", "lastnight", "night"),
+    "fraction": ("fraction",),
+    "positioner": ("positioner", "positioner_id"),
+    "target": ("target", "target_id", "targetid"),
+    "reason": ("reason",),
+    "ra": ("ra", "tilera"),
+    "dec": ("dec", "tiledec"),
+    "position_angle": ("position_angle", "pa"),
+    "pass": ("pass",),
+}
+"""Names of columns, by role; case is ignored."""
+HARMLESS = ("timestamp", "version", "program", "archivedate")
+"""Columns of tables of finished tiles of DESI that are ignored without a warning."""
+SYNONYMS = {
+    **{name: name for name in STATES},
+    **dict.fromkeys(("obsend", "complete", "completed", "observed", "good"), DONE),
+    **dict.fromkeys(("obsstart", "partial", "started"), PARTLY),
+    **dict.fromkeys(("failed", "rejected"), BAD),
+    **dict.fromkeys(("", "unobs", "unobserved", "pending"), ""),
+}
+"""States of tiles in tables, and the state of the survey that each of them stands for; "" changes nothing."""
+
+
+def renamed(table: Table, columns: dict[str, str]) -> Table:
+    """Return a table whose columns with the given names, by role, have the names of their roles."""
+    for role, name in columns.items():
+        check_choice(role, (*ROLES, "visits", "dropped", *NUMBERS, *TEXTS), "role of a column")
+        if name not in table.colnames:
+            raise InputError(f"columns must name columns of the table ({listed(table.colnames)}), got {name!r}")
+    others = [name for name in table.colnames if name.lower() not in columns and name not in columns.values()]
+    named = {role: table[name] for role, name in columns.items()}
+    return Table({**named, **{name: table[name] for name in others}}, copy=False) if columns else table
+
+
+def roles_of(table: Table) -> dict[str, str]:
+    """Return a dict from the roles of the columns of a table to their names."""
+    lower = {name.lower(): name for name in reversed(table.colnames)}
+    return {role: lower[one] for role, names in ROLES.items() for one in reversed(names) if one in lower}
+
+
+def warn_of_others(table: Table, roles: dict[str, str]) -> None:
+    """Issue a warning that lists the columns of a table that are not used, unless they are usual."""
+    unused = [name for name in table.colnames if name not in roles.values() and name.lower() not in HARMLESS]
+    if unused:
+        warn(f"columns that are not used: {listed(unused)}; used: {listed(roles.values())}")
+
+
+def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
+    """Return the values of the columns of observations by role; None for columns that the table lacks."""
+    n = len(table)
+    return {
+        "state": _states(table, roles),
+        "good": _goods(table, roles),
+        "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
+        "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
+        "reason": _texts(table, roles.get("reason")) or [""] * n,
+        "positioner": _texts(table, roles.get("positioner")),
+        "target": _texts(table, roles.get("target")),
+    }
+
+
+def groups_of(names: list[str], dates: list[str]) -> dict[tuple[str, str], list[int]]:
+    """Return the rows of each tile and date; rows without a date belong to the only date of their tile."""
+    known: dict[str, set] = {}
+    for name, date in zip(names, dates, strict=True):
+        known.setdefault(name, set()).add(date)
+    groups: dict[tuple[str, str], list[int]] = {}
+    for row, (name, date) in enumerate(zip(names, dates, strict=True)):
+        others = known[name] - {""}
+        if not date and len(others) > 1:
+            raise InputError(f"date must be given in all rows of tile {name}, which has several dates, got no date")
+        groups.setdefault((name, date or max(others, default="")), []).append(row)
+    return groups
+
+
+def _states(table: Table, roles: dict) -> list[str] | None:
+    words = _texts(table, roles.get("state"))
+    if words is None:
+        return None
+    return [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words]
+
+
+def _goods(table: Table, roles: dict) -> list[bool | None] | None:
+    """Return whether each row is good; None for missing values."""
+    if "good" not in roles:
+        return None
+    column = table[roles["good"]]
+    missing = np.ma.getmaskarray(np.ma.asarray(column))
+    if np.asarray(column).dtype.kind == "f":
+        missing = missing | np.isnan(np.asarray(column))
+    flags = to_flags(column, roles["good"]).tolist()
+    return [None if gone else flag for flag, gone in zip(flags, missing.tolist(), strict=True)]
+
+
+def _texts(table: Table, name: str | None) -> list[str] | None:
+    """Return the values of a column as text; empty text for missing values."""
+    if name is None:
+        return None
+    values = to_plain(table[name], name)
+    missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+    if values.dtype.kind == "f" and (values[~missing] == np.floor(values[~missing])).all():
+        values = np.where(missing, 0, values).astype(np.int64)  # integers with missing values
+    return ["" if gone else str(one).strip() for one, gone in zip(values.tolist(), missing.tolist(), strict=True)]
