@@ -23,7 +23,10 @@ def record(
     ],
     enough: Annotated[
         float,
-        typer.Option(help="Fraction of the exposure from which a tile is done; below, it is partly observed."),
+        typer.Option(
+            help="Smallest fraction of the exposure at which a tile counts as done; with a smaller fraction, it is "
+            "partly observed. It has no effect on rows with a state."
+        ),
     ] = 1.0,
     tile: Annotated[str | None, typer.Option(help="The tile of all rows of a table without a column of tiles.")] = None,
     column: Annotated[
@@ -35,7 +38,7 @@ def record(
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
     found = rs.Survey.read(folder).record(table, enough=enough, tile=tile, columns=columns)
     print(f"{'new events':<34}{found['n_events']:>12}")
-    print(f"{'events that were already known':<34}{found['n_known']:>12}")
-    print(f"{'tiles without an observation':<34}{found['n_ignored']:>12}")
+    print(f"{'already recorded':<34}{found['n_known']:>12}")
+    print(f"{'ignored (not observed)':<34}{found['n_ignored']:>12}")
     if found["n_events"]:
         print(f"{number_of(found['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")

@@ -18,7 +18,8 @@ from rfpsurvey.survey import survey_status
 def status(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     until: Annotated[
-        str | None, typer.Option(help="Date of the last observations that are taken into account, such as 2026-01-31.")
+        str | None,
+        typer.Option(help="Ignore observations after this date, such as 2026-01-31; entries without a date are kept."),
     ] = None,
     output: Annotated[
         Path | None, typer.Option(help="Write a table with the state of each target (.fits or .ecsv).")

@@ -207,9 +207,9 @@ class Survey:
     ) -> dict:
         """Record what was observed, or which tiles or targets changed, in the folder of the survey.
 
-        Each call appends one file to the folder. A later record of the same tile and date corrects the earlier record;
-        equal records are not repeated. If `plan_survey` is called with the new `state`, observed tiles keep their
-        plans, and all other tiles are planned again.
+        Each call appends one file to the folder. A later record of the same tile and date corrects the state of the
+        tile and adds failed visits; records that equal an earlier record are not repeated. If `plan_survey` is called
+        with the new `state`, observed tiles keep their plans, and all other tiles are planned again.
 
         Parameters
         ----------

@@ -71,7 +71,7 @@ def test_observations_are_recorded_from_files(call, plan, tmp_path, ending):
     _, lines = call("record", folder, table)
     assert lines["new events"] == ["2"]
     out, lines = call("record", folder, table)
-    assert (lines["new events"], lines["events that were already known"]) == (["0"], ["2"])
+    assert (lines["new events"], lines["already recorded"]) == (["0"], ["2"])
     assert "--replan" not in out
     states = rs.survey.SurveyState.read(folder, _catalog(folder))
     assert [one.state for one in states.attempts] == ["done", "partly"]
@@ -126,7 +126,7 @@ def test_states_of_tiles_of_desi_are_read_as_they_are(call, plan, tmp_path):
         LASTNIGHT=[20210514, 20210515, 0, 0],
     )
     _, lines = call("record", folder, table)
-    assert (lines["new events"], lines["tiles without an observation"]) == (["2"], ["2"])
+    assert (lines["new events"], lines["ignored (not observed)"]) == (["2"], ["2"])
     found = rs.survey.SurveyState.read(folder, _catalog(folder)).attempts
     assert [(one.tile, one.state, one.date) for one in found] == [
         ("11", "done", "2021-05-14"),

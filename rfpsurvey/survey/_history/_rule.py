@@ -51,8 +51,8 @@ class VisitRule:
         ``priority`` and ``category``), and returns a dict or a table with the columns ``visits`` or ``priority``, or
         both.
     retries : int, optional
-        Number of failed visits after which another visit is requested. A target with more failed visits is not observed
-        again. By default, failed visits are repeated without limit.
+        Largest number of failed visits after which a target is still observed. By default, failed visits are repeated
+        without limit. The visits of a tile whose observation failed as a whole are not counted.
 
     Raises
     ------
