@@ -52,8 +52,8 @@ class PlanKeys:
 
 @command(
     PlanKeys,
-    "instrument.name center position_angle epoch options.allocator options.constraints rng catalog.columns output.path "
-    "output.plot output.report output.overwrite",
+    "instrument.name center position_angle epoch options.allocator options.constraints options.rules rng "
+    "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.PLAN_EXAMPLES,
 )
