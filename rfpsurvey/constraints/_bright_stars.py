@@ -87,13 +87,18 @@ class BrightStars(Rule):
     @cached_property
     def _catalog(self) -> Catalog:
         """The catalog with the stars."""
-        return Catalog.read(self.stars) if isinstance(self.stars, str) else self.stars
+        return Catalog.read(self.stars, keep=[self.column]) if isinstance(self.stars, str) else self.stars
 
     @cached_property
     def _digest(self) -> str:
         arrays = self._catalog.arrays
         digest = sha256(arrays.vectors.tobytes() + np.asarray(arrays.extra[self.column]).tobytes()).hexdigest()
         return f"{len(self._catalog)} stars, digest {digest[:16]}"
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the catalog that the rule uses; none if the stars are those of a second catalog."""
+        return super().columns if self.stars is None else ()
 
     @property
     def uses_targets(self) -> bool:
@@ -157,9 +162,8 @@ class BrightStars(Rule):
 
     def lacks(self, field: ConstraintField, what: str) -> str:
         """Return the reason why the stars are unknown in a plan of another program; empty text if they are known."""
-        if not np.isfinite(field.vectors).any():
-            return "the plan does not have positions on the sky"
-        return "" if self.stars is not None else super().lacks(field, what)
+        no_positions = len(field.id) and not np.isfinite(field.vectors).any()
+        return "the plan does not have positions on the sky" if no_positions else super().lacks(field, what)
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
         """Return the number of fibers in circles around stars.

@@ -115,7 +115,7 @@ class ConstraintField:
             If the catalog has no column of this name.
         """
         if name not in self.extra:
-            known = listed(self.extra, 8)
+            known = f"{listed(self.extra, 8)} (Catalog.read reads the columns that its parameter keep names)"
             raise InputError(f"the catalog must have the column {name!r}, but its further columns are: {known}")
         return self.extra[name]
 

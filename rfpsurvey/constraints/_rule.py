@@ -18,6 +18,12 @@ class Rule(Constraint):
     A subclass overrides ``verdict``. The fields ``column`` and ``fiber_type`` are optional.
     """
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the catalog that the rule uses, apart from kind, category and fiber type."""
+        column = getattr(self, "column", "")
+        return (column,) if column else ()
+
     def for_instrument(self, instrument: object) -> "Rule":
         """Return the rule; raise an error if the instrument does not have its fiber type.
 
@@ -73,9 +79,9 @@ class Rule(Constraint):
 
     def lacks(self, field: ConstraintField, what: str) -> str:
         """Return the reason why targets of a kind or category are unknown in a plan; empty text if they are known."""
-        column = getattr(self, "column", None)
-        if not (column is None or column in field.extra or field.is_complete):
-            return f"the plan does not have the column {column!r}"
+        for column in () if field.is_complete else self.columns:
+            if column not in field.extra:
+                return f"the plan does not have the column {column!r}"
         return "" if field.has_kinds or not what else "the plan does not have the kinds of its targets"
 
     def concerns(self, field: ConstraintField, what: str) -> np.ndarray:
