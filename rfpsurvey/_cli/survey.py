@@ -58,7 +58,7 @@ class SurveyKeys(_groups.WorkerKeys):
 
 @command(
     SurveyKeys,
-    "tiles.path instrument.name options.allocator options.constraints options.rules catalog.visits tiles.passes epoch "
+    "tiles.path instrument.name options.allocator options.constraints catalog.visits tiles.passes epoch "
     "catalog.columns output.folder output.resume output.replan workers rng output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.SURVEY_EXAMPLES,
