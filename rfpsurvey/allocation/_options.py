@@ -183,6 +183,8 @@ class AllocationOptions:
         if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
         object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
+        if not isinstance(self.rules, str | None):
+            raise refusal("rules must be the name of rules of the instrument", self.rules, str)
         object.__setattr__(self, "required", as_required(self.required))
         object.__setattr__(self, "keep_out", as_circles(self.keep_out))
         self._shorten()

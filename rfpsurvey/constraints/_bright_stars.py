@@ -123,7 +123,7 @@ class BrightStars(Rule):
     def _circles(self, field: ConstraintField) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return the directions and the radii of the circles, and the identifiers of the stars if they are targets."""
         if self.stars is None:
-            m, vectors, ids = np.where(field.kind == "sky", np.nan, self.magnitudes(field)), field.vectors, field.id
+            m, vectors, ids = np.where(field.kind == "sky", np.nan, self._magnitudes(field)), field.vectors, field.id
         else:
             arrays = self._catalog.arrays
             m, vectors, ids = to_magnitudes(arrays.extra[self.column], self.column), arrays.vectors, None
@@ -145,12 +145,12 @@ class BrightStars(Rule):
         ndarray of bool or None
             One value per target; None if a plan of another program lacks the data.
         """
-        if self.lacks(field, ""):
+        if self._lacks(field, ""):
             return None
         from scipy.spatial import cKDTree
 
         found = np.zeros(len(field.id), dtype=bool)
-        targets = np.flatnonzero(self.concerns(field, "") & np.isfinite(field.vectors).all(axis=1))
+        targets = np.flatnonzero(self._concerns(field, "") & np.isfinite(field.vectors).all(axis=1))
         vectors, radii, ids = self._circles(field)
         if len(targets) == 0 or len(vectors) == 0:
             return found
@@ -160,10 +160,10 @@ class BrightStars(Rule):
         found[rows if ids is None else rows[field.id[rows] != ids[star]]] = True
         return found
 
-    def lacks(self, field: ConstraintField, what: str) -> str:
+    def _lacks(self, field: ConstraintField, what: str) -> str:
         """Return the reason why the stars are unknown in a plan of another program; empty text if they are known."""
         no_positions = len(field.id) and not np.isfinite(field.vectors).any()
-        return "the plan does not have positions on the sky" if no_positions else super().lacks(field, what)
+        return "the plan does not have positions on the sky" if no_positions else super()._lacks(field, what)
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
         """Return the number of fibers in circles around stars.
@@ -183,11 +183,11 @@ class BrightStars(Rule):
             The verdict. If the stars are targets, but only the targets with a fiber are known, the plan fails or is
             not checkable.
         """
-        if why := self.lacks(field, ""):
-            return self.not_checkable(why)
+        if why := self._lacks(field, ""):
+            return self._not_checkable(why)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
         if len(rows) == 0 and self.stars is None and not field.is_complete:
-            return self.not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
+            return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
         note = number_of(len(self._circles(field)[1]), "star with a circle", "stars with a circle")
         verdict = FAIL if len(rows) else PASS
         return Verdict(str(self), len(rows), "no fiber in the circle of a star", verdict, note, rows=rows)

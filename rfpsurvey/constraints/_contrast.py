@@ -72,16 +72,16 @@ class Contrast(Rule):
         Verdict
             The verdict; its note contains the number of pairs of neighbors with magnitudes.
         """
-        if why := self.lacks(field, ""):
-            return self.not_checkable(why)
+        if why := self._lacks(field, ""):
+            return self._not_checkable(why)
         if self.order not in field.extra or field.is_complete:  # the numbers in a catalog are not those of the fibers
-            return self.not_checkable(f"the order on the slit (column {self.order!r}) is unknown")
-        m, number = self.magnitudes(field), np.asarray(field.extra[self.order])
-        rows = np.flatnonzero(has_fiber & self.concerns(field, "") & np.isfinite(m) & (number >= 0))
+            return self._not_checkable(f"the order on the slit (column {self.order!r}) is unknown")
+        m, number = self._magnitudes(field), np.asarray(field.extra[self.order])
+        rows = np.flatnonzero(has_fiber & self._concerns(field, "") & np.isfinite(m) & (number >= 0))
         rows = rows[np.argsort(number[rows], kind="stable")]
         first = np.flatnonzero(np.diff(number[rows]) == 1)
         if len(first) == 0:
-            return self.not_checkable("the plan does not have neighbors on the slit with magnitudes")
+            return self._not_checkable("the plan does not have neighbors on the slit with magnitudes")
         step = np.abs(np.diff(m[rows]))[first]
         wrong = first[step > self.largest]
         rows = np.unique(np.append(rows[wrong], rows[wrong + 1]))

@@ -75,13 +75,13 @@ class Distribution(Rule):
         Verdict
             The verdict; its note contains the percentiles of the distances (mm).
         """
-        if why := self.lacks(field, self.what):
-            return self.not_checkable(why)
-        science = np.flatnonzero(has_fiber & self.concerns(field, "science"))
-        near = np.flatnonzero(has_fiber & self.concerns(field, self.what))
-        others = np.setdiff1d(np.flatnonzero(has_fiber & self.concerns(field, "")), near)
+        if why := self._lacks(field, self.what):
+            return self._not_checkable(why)
+        science = np.flatnonzero(has_fiber & self._concerns(field, "science"))
+        near = np.flatnonzero(has_fiber & self._concerns(field, self.what))
+        others = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
         if len(science) == 0:
-            return self.not_checkable("the plan does not have a science fiber of this type")
+            return self._not_checkable("the plan does not have a science fiber of this type")
         distance = self._distances(field, science, near, self.k)
         percent = 100 * np.mean(distance <= self.distance_mm)
         public = self._distances(field, others, near, min(self.k, 2))

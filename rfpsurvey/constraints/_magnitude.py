@@ -82,9 +82,9 @@ class MagnitudeLimits(Rule):
         ndarray of bool or None
             One value per target; None if a plan of another program lacks the data.
         """
-        if self.lacks(field, self.what):
+        if self._lacks(field, self.what):
             return None
-        m = self.magnitudes(field)
+        m = self._magnitudes(field)
         with np.errstate(invalid="ignore"):
             outside = np.isnan(m) if self.missing == "refused" else np.zeros(len(m), dtype=bool)
             outside |= (m <= self.brightest) | (m >= self.faintest)
@@ -92,7 +92,7 @@ class MagnitudeLimits(Rule):
 
     def _concerned(self, field: ConstraintField) -> np.ndarray:
         """Return which targets have limits; sky positions have no magnitude, and have limits only on request."""
-        found = self.concerns(field, self.what)
+        found = self._concerns(field, self.what)
         return found if self.what else found & (field.kind != "sky")
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
@@ -112,12 +112,12 @@ class MagnitudeLimits(Rule):
         Verdict
             The verdict; its note states how many magnitudes are known.
         """
-        if why := self.lacks(field, self.what):
-            return self.not_checkable(why)
+        if why := self._lacks(field, self.what):
+            return self._not_checkable(why)
         mine = has_fiber & self._concerned(field)
-        n, known = int(mine.sum()), int((np.isfinite(self.magnitudes(field)) & mine).sum())
+        n, known = int(mine.sum()), int((np.isfinite(self._magnitudes(field)) & mine).sum())
         if n == 0 or (known == 0 and self.missing == "allowed"):
-            return self.not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude" if n else NONE)
+            return self._not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude" if n else NONE)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
         limits = {f"at most {self.brightest:g}": self.brightest, f"at least {self.faintest:g}": self.faintest}
         words = [text for text, value in limits.items() if np.isfinite(value)]

@@ -50,7 +50,22 @@ class Rule(Constraint):
         return self
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the verdict on a finished plan; the parameters are those of ``check``."""
+        """Return the verdict on a finished plan.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int, optional
+            Number of arms that cover obstacles of the rule.
+
+        Returns
+        -------
+        Verdict
+            The verdict.
+        """
         raise NotImplementedError
 
     def check(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
@@ -73,25 +88,25 @@ class Rule(Constraint):
         found = self.verdict(field, has_fiber, n_covering)
         return [str(replace(found, note="", fibers=()))] if found.verdict == FAIL else []
 
-    def not_checkable(self, why: str) -> Verdict:
+    def _not_checkable(self, why: str) -> Verdict:
         """Return the verdict that a plan lacks the data of the rule."""
         return Verdict(str(self), np.nan, NOT_CHECKABLE, NOT_CHECKABLE, why)
 
-    def lacks(self, field: ConstraintField, what: str) -> str:
+    def _lacks(self, field: ConstraintField, what: str) -> str:
         """Return the reason why targets of a kind or category are unknown in a plan; empty text if they are known."""
         for column in () if field.is_complete else self.columns:
             if column not in field.extra:
                 return f"the plan does not have the column {column!r}"
         return "" if field.has_kinds or not what else "the plan does not have the kinds of its targets"
 
-    def concerns(self, field: ConstraintField, what: str) -> np.ndarray:
+    def _concerns(self, field: ConstraintField, what: str) -> np.ndarray:
         """Return which targets are of a kind or category (any, if it is empty) and of the fiber type of the rule."""
         found = (field.kind == what) | (field.category == what) if what else np.ones(len(field.id), dtype=bool)
         fiber = getattr(self, "fiber_type", "")
         # a target without a fiber type can have a fiber of any type
         return found & np.isin(field.fiber_type, ["", fiber]) if fiber else found
 
-    def magnitudes(self, field: ConstraintField) -> np.ndarray:
+    def _magnitudes(self, field: ConstraintField) -> np.ndarray:
         """Return the magnitude of each target in the column of the rule; missing magnitudes are NaN."""
         return to_magnitudes(field.column(self.column), self.column)
 

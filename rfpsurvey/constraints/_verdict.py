@@ -56,7 +56,18 @@ class Verdict:
         return f"{self.rule}: {number}{note}{fibers}"
 
     def unknown(self, why: str) -> "Verdict":
-        """Return the verdict that the rule is not checkable, with the reason."""
+        """Return the verdict that the rule is not checkable.
+
+        Parameters
+        ----------
+        why : str
+            The reason.
+
+        Returns
+        -------
+        Verdict
+            The verdict, without a number.
+        """
         return replace(self, number=float("nan"), verdict=NOT_CHECKABLE, note=why, fibers=(), rows=self.rows[:0])
 
     @property
