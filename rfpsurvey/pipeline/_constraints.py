@@ -14,7 +14,7 @@ from rfpsurvey.constraints import Constraint, ConstraintField, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline._project import project_field
+from rfpsurvey.pipeline._project import project_field, required_types
 from rfpsurvey.projection import FieldProjection
 
 if TYPE_CHECKING:
@@ -138,21 +138,19 @@ def constraint_field(
 
     If ``around`` is None, no constraint uses the positions of targets on the focal plane, which are then NaN.
     """
-    is_complete, names, types = xy is None, instrument.focal_plane.fiber_types, None
+    is_complete = xy is None
     if targets.around is None:
         parts, xy = [targets], [np.broadcast_to(np.nan, (len(targets.id), 2)) if xy is None else xy]
     else:
         parts = [targets, targets.around]
-        found = [project_field(instrument, projection, one.vectors, one.columns.fiber_type) for one in parts]
-        xy, types = zip(*found, strict=True)
+        xy = [project_field(instrument, projection, one.vectors, one.columns.fiber_type)[0] for one in parts]
     found = {"vectors": [one.vectors for one in parts], "xy": xy, "id": [one.id for one in parts]}
     found["is_available"] = [np.full(len(one.id), one is targets) for one in parts]
     for name, usual in (("kind", "science"), ("category", ""), ("priority", 0.0)):
         columns = [getattr(one.columns, name) for one in parts]
         found[name] = [np.full(len(one.id), usual) if c is None else c for one, c in zip(parts, columns, strict=True)]
-    given = [one.columns.fiber_type for one in parts] if types is None else types
-    types = [np.full(len(one.id), "") if c is None else c for one, c in zip(parts, given, strict=True)]
-    found["fiber_type"] = [np.broadcast_to("", len(c)) if names == ("",) else c for c in types]
+    types = [required_types(instrument, len(one.id), one.columns.fiber_type) for one in parts]
+    found["fiber_type"] = [np.full(len(one.id), "") if c is None else c for one, c in zip(parts, types, strict=True)]
     extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
     columns = {name: np.concatenate(values) for name, values in found.items()}
     has_kinds = is_complete or targets.columns.kind is not None

@@ -170,6 +170,48 @@ def test_a_distribution_counts_science_fibers_with_neighbors(seed):
     assert found.rows.tolist() == ([] if passes else [p for p, one in zip(science, enough, strict=True) if not one])
 
 
+@pytest.mark.parametrize("missing", ["allowed", "refused"])
+def test_only_targets_outside_the_limits_are_excluded(missing):
+    """Codes for missing magnitudes are not bright stars, limits are excluded, and sky positions have no limits."""
+    mags = np.array([*MISSING, 11.9, 12.0, 12.1, 16.9, 17.0, 17.1, 5.0, np.nan])
+    kind = np.array(["science"] * 10 + ["sky"] * 2)
+    field = field_of(SkyCoord(np.arange(12), np.zeros(12), unit="deg"), {"mag": mags}, kind)
+    found = MagnitudeLimits("mag", 12, 17, missing=missing).excluded(field).tolist()
+    assert found == [missing == "refused"] * 4 + [True, True, False, False, True, True, False, False]
+
+
+def test_only_targets_in_circles_are_excluded():
+    """Stars that are fainter than the last magnitude of a table, and sky positions, have no circle."""
+    rng = np.random.default_rng(7)
+    coord = SkyCoord(rng.uniform(0, 1, 300), rng.uniform(0, 1, 300), unit="deg")
+    mag, kind = rng.uniform(5, 18, 300), rng.choice(["science", "sky"], 300)
+    found = BrightStars("mag", TABLE).excluded(field_of(coord, {"mag": mag}, kind))
+    star, ids = kind != "sky", np.arange(300)
+    expected = near_stars(coord, ids, coord[star], mag[star], ids[star], lambda m: radius_of(m, TABLE))
+    assert found.tolist() == expected.tolist()
+    assert 20 < found.sum() < 280
+
+
+def test_stars_outside_the_field_exclude_targets_at_its_edge(sky, small):
+    free = plan(sky, small, None, "nearest").table
+    free = free[free["status"] == "assigned"]
+    coord = SkyCoord(free["ra"], free["dec"])
+    k = np.argmax(coord.separation(CENTER))
+    edge = 1.02 * small.field_radius
+    star = CENTER.directional_offset_by(CENTER.position_angle(coord[k]), edge)
+    radius = (star.separation(coord[k]) * 1.01).to_value(u.arcsec)
+    assert radius > (edge - small.field_radius).to_value(u.arcsec)
+    n = len(sky)
+    more = rs.Catalog(
+        SkyCoord([*sky.coord.ra, star.ra], [*sky.coord.dec, star.dec]),
+        kind=np.append(sky.kind, "science"),
+        extra=QTable({"mag": np.append(np.full(n, 15.0), 8.0)}),
+    )
+    for allocator in ("nearest", "repair"):
+        tile = plan(more, small, BrightStars("mag", [(9, radius)]), allocator)
+        assert free["target_id"][k] not in tile.table["target_id"].compressed()
+
+
 @pytest.mark.filterwarnings("ignore:.*no allocator honors it")
 def test_rules_of_a_tile_are_kept_in_files(sky, small, tmp_path):
     tile = plan(sky, small, ["magnitude mag 12 inf", "sky=5", "distribution sky 2 99.9 3"])
@@ -215,6 +257,21 @@ def test_rules_of_an_instrument_are_constraints_of_a_plan():
     boss = one.table[(one.table["fiber_type"] == "BOSS") & (one.table["kind"] == "science")]
     assert len(boss) > 10
     assert min(boss["g"].min(), boss["r"].min(), boss["i"].min()) > 16
+
+
+@pytest.mark.filterwarnings("ignore:.*no allocator honors it")
+@pytest.mark.parametrize("others", [[], ["distribution sky 1 50 100"]])
+def test_targets_without_a_fiber_type_follow_the_rules_of_the_fiber_that_they_get(others):
+    """The preset gives them a BOSS fiber; whether rules use positions on the focal plane makes no difference."""
+    apo = rs.Instrument.preset("sdss_apo")
+    sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=300, rng=1)
+    extra = QTable({"h": np.random.default_rng(2).uniform(5, 15, len(sky))})
+    sky = rs.Catalog(sky.coord, extra=extra)
+    for fiber, least in (("BOSS", 10), ("APOGEE", 0)):
+        allocator = rs.AllocationOptions("repair", constraints=[f"magnitude h 10 inf science {fiber}", *others])
+        mags = rs.plan_tile(sky, apo, CENTER, allocator=allocator).table["h"]
+        assert np.nanmin(mags) > least
+        assert least or np.nanmin(mags) < 10
 
 
 @pytest.mark.parametrize(
