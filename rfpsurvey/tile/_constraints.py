@@ -7,7 +7,7 @@ import numpy as np
 from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import CollisionReport
-from rfpsurvey.constraints import Rule, count_verdicts, sentences
+from rfpsurvey.constraints import KINDS, Rule, count_verdicts, sentences
 from rfpsurvey.errors import InputError, check_fiber_type, warn
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
@@ -53,8 +53,11 @@ class ScoredConstraints:
         counts = count_verdicts(problem.groups, problem.counts_of(target_of))
         for one in counts:
             numbers.setdefault(one.rule, []).append(one.number)
-        if self.columns.kind is None and self.columns.category is None:
-            counts = [one.unknown("the plan does not have the kinds of its targets") for one in counts]
+        unknown = "the plan does not have the kinds of its targets"
+        counts = [
+            one if self._knows(group.requirement.what) else one.unknown(unknown)
+            for one, group in zip(counts, problem.groups, strict=True)
+        ]
         return {
             "n_constraints": len(self.options.all_constraints),
             "n_unmet": sum(
@@ -64,6 +67,22 @@ class ScoredConstraints:
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
             "rules": [one.record for one in (*counts, *self.applied.verdicts(*finished))],
         }
+
+    def _knows(self, what: str) -> bool:
+        """Return whether the plan states which targets have a kind or category."""
+        kind, category = self.columns.kind, self.columns.category
+        in_category = category is not None and (what not in KINDS or bool((category == what).any()))
+        return in_category or (kind is not None and what in KINDS)
+
+
+def _kinds_of(category: np.ndarray | None) -> np.ndarray | None:
+    """Return the kinds of targets from categories such as ``sky_boss``; None if a category does not begin with one."""
+    if category is None:
+        return None
+    found = np.full(len(category), "", dtype="U8")
+    for kind in KINDS:
+        found[np.char.startswith(category, kind)] = kind
+    return found if (found != "").all() else None
 
 
 def find_constraints(
@@ -92,6 +111,7 @@ def find_constraints(
             what = f"fiber type of the requirement {str(one)!r}"
             check_fiber_type(one.fiber_type, instrument.focal_plane.fiber_types, what)
     kind, category = (find.labels(role) for role in ("kind", "category"))
+    kind = _kinds_of(category) if kind is None else kind
     priority = find.numbers("priority")
     columns = [None if column is None else column[rows] for column in (priority, kind, category)]
     named = instrument.focal_plane.fiber_types != ("",)

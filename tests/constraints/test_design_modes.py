@@ -180,3 +180,33 @@ def test_a_plan_without_kinds_and_magnitudes_is_not_checkable():
     tile = rs.score_tile(table, apo, constraints=apo.rules("dark_monit"))
     assert set(tile.rules["verdict"]) == {"not checkable"}
     assert np.isnan(tile.rules["number"]).all()
+
+
+def test_categories_of_sdssv_state_the_kinds_of_targets(real_data):
+    """A table without the column kind has the kinds with which its categories begin."""
+    table = Table.read(real_data("sdssv_robostrategy_field_a.ecsv"))
+    apo = rs.Instrument.preset("sdss_apo")
+    tile = rs.score_tile(table, apo, constraints=apo.rules("dark_monit"))
+    rules = {row["rule"]: row for row in tile.rules}
+    own = table[table["assigned"] == 1]
+    for what, fiber, least in (
+        ("sky", "BOSS", 50),
+        ("standard", "BOSS", 70),
+        ("sky", "APOGEE", 35),
+        ("standard", "APOGEE", 15),
+    ):
+        n = np.sum((own["fiber_type"] == fiber) & np.char.startswith(own["category"], what))
+        row = rules[f"{what}@{fiber}={least}"]
+        assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
+    assert all(
+        row["verdict"] == "not checkable" for text, row in rules.items() if text.startswith(("mag", "bright", "con"))
+    )
+
+
+def test_other_categories_do_not_state_kinds():
+    apo = rs.Instrument.preset("sdss_apo")
+    x, y = apo.focal_plane.xy[:3].T
+    table = Table({"positioner": apo.focal_plane.id[:3], "x": x + apo.focal_plane.positioner.eccentric_arm, "y": y})
+    table["category"] = ["sky_boss", "qso", "sky_boss"]
+    rules = rs.score_tile(table, apo, constraints=["sky=1", "sky_boss=1", "distribution sky 1 50 100"]).rules
+    assert rules["verdict"].tolist() == ["not checkable", "pass", "not checkable"]
