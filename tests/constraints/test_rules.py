@@ -315,6 +315,8 @@ def test_rules_of_another_instrument_get_one_sentence(sky, small):
             rs.plan_tile(sky, instrument, CENTER, allocator=rs.AllocationOptions(rules=name))
     with pytest.raises(rs.InputError, match="rules='dark_rm' can be used only with an instrument; use plan_tile"):
         rs.allocate(small.focal_plane, [[0, 0]] * u.mm, allocator=rs.AllocationOptions(rules="dark_rm"))
+    with pytest.raises(rs.InputError, match="describes random configurations, not one field"):
+        rs.collision_probability("sdss_apo", allocator=rs.AllocationOptions(rules="dark_rm"))
     with pytest.raises(rs.InputError, match="constraints can be used only with a catalog, got 'magnitude"):
         rs.allocate(small.focal_plane, [[0, 0]] * u.mm, allocator=rs.AllocationOptions(constraints="magnitude mag 1 2"))
 
