@@ -128,6 +128,28 @@ def test_added_sky_positions_are_kept_away_from_stars_of_a_second_catalog(sky, s
     ).any()
 
 
+def test_a_score_counts_fibers_near_stars_of_a_second_catalog(sky, small, stars):
+    """Of stars that are targets, the table contains only those with a fiber: the plan fails or is not checkable."""
+    table = plan(sky, small, None, "nearest").table
+    table = table[table["status"] == "assigned"]
+    rules = [
+        BrightStars("mag", TABLE, stars=stars),
+        BrightStars("mag", [(11.0, 900.0)]),
+        BrightStars("mag", [(8.0, 900.0)]),
+    ]
+    found = rs.score_tile(table, small, positions="sky", constraints=rules).rules
+    coord, ids = SkyCoord(table["ra"], table["dec"]), np.asarray(table["target_id"])
+    near = near_stars(
+        coord, np.full(len(coord), "x"), stars.coord, stars.extra["mag"], stars.id, lambda m: radius_of(m, TABLE)
+    )
+    own = near_stars(coord, ids, coord, table["mag"], ids, lambda m: 900.0 if m <= 11 else 0.0)
+    assert near.any()
+    assert own.any()
+    assert found["verdict"].tolist() == ["fail", "fail", "not checkable"]
+    assert found["number"].tolist()[:2] == [near.sum(), own.sum()]
+    assert found["fibers"][0].split() == table["id"][near].astype(str).tolist()
+
+
 @pytest.mark.parametrize(("night", "core"), [("bright", (1.75, 0.6)), ("dark", (1.5, 0.8))])
 def test_the_formula_of_sdssv_is_the_largest_of_three_terms(night, core, small):
     rule = BrightStars("mag", f"sdssv_{night}:16")
