@@ -14,6 +14,7 @@ from rfpsurvey._io import check_fits_text, read_table, suffix_of
 from rfpsurvey._outputs import WRITABLE, check_output, check_separate
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, to_time
+from rfpsurvey.constraints import Rule, as_constraints
 from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
@@ -121,6 +122,14 @@ def read_catalog(keys):
     catalog = rs.Catalog.read(keys.path, **options, hdu=keys.hdu)
     print_text(f"columns: {catalog.meta['columns']}")
     return catalog if keys.epoch is None else replace(catalog, epoch=keys.epoch)
+
+
+def with_columns_of_rules(keys, options: dict, model: "rs.Instrument"):
+    """Return the keys of a catalog that also keep the columns of the catalog that the rules in the options use."""
+    texts = [*(options.get("constraints") or ())]
+    texts += [] if options.get("rules") is None else model.rules(options["rules"])
+    names = [name for one in as_constraints(texts) if isinstance(one, Rule) for name in one.columns]
+    return replace(keys, keep=[*dict.fromkeys([*(keys.keep or ()), *names])]) if names and keys.path else keys
 
 
 def warn_without_catalog(keys) -> None:

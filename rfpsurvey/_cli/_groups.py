@@ -193,11 +193,14 @@ class ConstraintKeys:
     ----------
     constraints : list[str], optional
         Constraints as texts: a number of targets of a kind such as 'sky=20/spectrograph', 'required ID' (a target that
-        takes precedence over all others), 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover), or a
-        constraint of an installed package.
+        takes precedence over all others), 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover), a rule
+        such as 'magnitude COLUMN BRIGHTEST FAINTEST', or a constraint of an installed package.
+    rules : str, optional
+        Name of rules of the instrument that are added to the constraints, such as dark_monit.
     """
 
     constraints: list[str] | None = None
+    rules: str | None = None
 
 
 @dataclass(frozen=True)

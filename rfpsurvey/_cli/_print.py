@@ -10,6 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, suffix_of, write_table
+from rfpsurvey.errors import brief
 from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
 
 __all__ = [
@@ -206,6 +207,19 @@ def _print_objectives(tile: "rs.Tile") -> None:
         print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}".rstrip())
     for sentence in summary.get("unmet", []):
         print_text(f"not met: {sentence}")
+    _print_rules(tile)
+
+
+def _print_rules(tile: "rs.Tile") -> None:
+    """Print the verdict on each constraint."""
+    if tile.rules is None:
+        return
+    print("constraint, number, limit, verdict, and positioners that violate it:")
+    for one in tile.rules:
+        number = [] if np.isnan(one["number"]) else [f"{one['number']:.6g} ({one['limit']})"]
+        fibers = [f"positioners {brief(tuple(one['fibers'].split()))}"] if one["fibers"] else []
+        words = "; ".join([*number, *filter(None, [one["note"]]), *fibers])
+        print_text(f"{one['verdict']:<14}{one['rule']}: {words}", " " * 16)
 
 
 def print_table(table) -> None:

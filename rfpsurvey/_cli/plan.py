@@ -52,8 +52,8 @@ class PlanKeys:
 
 @command(
     PlanKeys,
-    "instrument.name center position_angle epoch options.allocator options.constraints rng catalog.columns output.path "
-    "output.plot output.report output.overwrite",
+    "instrument.name center position_angle epoch options.allocator options.constraints options.rules rng "
+    "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.PLAN_EXAMPLES,
 )
@@ -64,7 +64,8 @@ def plan(keys: PlanKeys, given) -> None:
     _app.check_outputs(keys.output, inputs)
     _app.check_targets(keys.output)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of(conditions, keys.epoch))
-    sky, field = _app.targets_and_center(keys.catalog, keys.center, model, keys.rng)
+    catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
+    sky, field = _app.targets_and_center(catalog, keys.center, model, keys.rng)
     if field is None and keys.equinox is not None:
         field = sky.mean_direction
     _app.check_targets(keys.output, sky)

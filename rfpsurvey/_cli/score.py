@@ -86,7 +86,7 @@ class ScoreKeys:
 
 @command(
     ScoreKeys,
-    "instrument.name center position_angle epoch positions missing options.constraints catalog.select "
+    "instrument.name center position_angle epoch positions missing options.constraints options.rules catalog.select "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
     epilog=_examples.SCORE_EXAMPLES,
@@ -110,7 +110,10 @@ def score(keys: ScoreKeys, _: Given) -> None:
         return _app.model_of(replace(keys.instrument, name=name), lambda: _time_of(table, keys.epoch))
 
     model = _app.instrument_of(table, keys.instrument.name, read)
-    tile = rs.score_tile(table, model, **options, constraints=keys.options.constraints)
+    constraints = keys.options.constraints
+    if keys.options.rules is not None:
+        constraints = [*(constraints or ()), *model.rules(keys.options.rules)]
+    tile = rs.score_tile(table, model, **options, constraints=constraints)
     _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
     _print.finish(tile, keys.output)
 

@@ -70,7 +70,8 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
-    targets = _surveys.targets_of(keys.catalog, model, keys.rng)
+    catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
+    targets = _surveys.targets_of(catalog, model, keys.rng)
     options = {
         "allocator": _app.allocator_of(keys.options, keys.joint, keys.order),
         "visits": _surveys.visits_of(keys, targets),

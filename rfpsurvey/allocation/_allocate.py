@@ -21,7 +21,7 @@ from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
-from rfpsurvey.constraints import KINDS
+from rfpsurvey.constraints import KINDS, count_verdicts
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -356,7 +356,8 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     levels = answer.levels
     if levels is None:
         levels = [Level(name, value, float("nan")) for name, value in problem.values(target_of).items()]
-    unmet = tuple(problem.shortfalls(target_of))
+    counts = tuple(count_verdicts(problem.groups, problem.counts_of(target_of)))
+    checked = {"unmet": tuple(problem.shortfalls(target_of)), "counts": counts}
     tips = np.full((len(plane), 2), np.nan)
     tips[used] = problem.xy[target_of[used]]
     fiber = problem.fiber_of(np.arange(len(plane)), target_of)
@@ -377,7 +378,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
         "target_fiber_type": problem.fiber_type[rows] if problem.several_fiber_types else None,
         "queues": answer.queues,
         "levels": tuple(levels),
-        "unmet": unmet,
+        **checked,
         "meta": {} if answer.meta is None else answer.meta,
     }
 

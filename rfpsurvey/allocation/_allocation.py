@@ -8,7 +8,7 @@ import numpy as np
 from rfpsurvey._display import to_html
 from rfpsurvey.allocation._answer import Level
 from rfpsurvey.collision import Arms, place_arms
-from rfpsurvey.constraints import Shortfall
+from rfpsurvey.constraints import Shortfall, Verdict
 from rfpsurvey.errors import number_of
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -57,6 +57,8 @@ class Allocation:
         Information from the allocator about its search, such as the number of moved positioners; may be empty.
     excluded : ndarray of bool, shape (n_given,), or None
         Whether constraints exclude each given target; None if no target is excluded.
+    counts : tuple of Verdict
+        The verdict on each requirement, in the tile or in each spectrograph.
 
     Examples
     --------
@@ -86,6 +88,7 @@ class Allocation:
     unmet: tuple[Shortfall, ...]
     meta: dict
     excluded: np.ndarray | None = None
+    counts: tuple[Verdict, ...] = ()
 
     @property
     def tips(self) -> u.Quantity:

@@ -120,6 +120,9 @@ class AllocationOptions:
         ``required ID ...``, `Requirement` or text such as ``sky=20/spectrograph``, and constraints of users and of
         installed packages (:doc:`/plugins`). ``requirements``, ``required`` and ``keep_out`` are short forms:
         constraints of these three kinds are moved there, and ``all_constraints`` contains all of them.
+    rules : str, optional
+        Name of rules of the instrument, such as ``dark_monit`` (a design mode of SDSS-V); functions that plan add them
+        to the constraints. See `Instrument.rules`.
 
     Raises
     ------
@@ -157,6 +160,7 @@ class AllocationOptions:
     keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
     subpriority: int | str | None = None
     constraints: tuple[Constraint, ...] | list | Constraint | str | None = ()
+    rules: str | None = None
 
     def __post_init__(self):
         for name in ("allocator", "start"):
@@ -179,6 +183,8 @@ class AllocationOptions:
         if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
         object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
+        if not isinstance(self.rules, str | None):
+            raise refusal("rules must be the name of rules of the instrument", self.rules, str)
         object.__setattr__(self, "required", as_required(self.required))
         object.__setattr__(self, "keep_out", as_circles(self.keep_out))
         self._shorten()
@@ -298,6 +304,8 @@ class AllocationOptions:
             raise InputError(
                 f"{given} can be used only with an instrument; use plan_tile, or pass lengths and requirements"
             )
+        if instrument is None and self.rules is not None:
+            raise InputError(f"rules={self.rules!r} can be used only with an instrument; use plan_tile")
         if instrument is None:
             for one in self.all_constraints:  # raises an error if a constraint requires a catalog
                 one.for_instrument(None)
@@ -306,6 +314,9 @@ class AllocationOptions:
                 f"a column of subpriorities can be used only with a catalog, got {self.subpriority!r}; use "
                 "plan_tile, or pass the values as the argument subpriority of allocate"
             )
+        if self.rules is not None:
+            given = (*self.constraints, *instrument.rules(self.rules))
+            return replace(self, constraints=given, rules=None).for_instrument(instrument)
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         constraints = tuple(one.for_instrument(instrument) for one in self.constraints)

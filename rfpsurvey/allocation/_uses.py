@@ -36,7 +36,7 @@ def warn_of_unused_options(
         Names of further options that were given.
     """
     first = options[0]
-    independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints")
+    independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints", "rules")
     given = [*(name for name in given_options(first) if name not in independent), *also]
     given += ["rng"] if is_seed_given(rng) else []
     known = [find_improving(name, first.start) for name in METHODS]

@@ -5,14 +5,19 @@ from rfpsurvey.constraints._group import Group
 from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
 from rfpsurvey.constraints._required import Required, as_required, mark_required
 from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, hint_of_name
+from rfpsurvey.constraints._rule import Rule
 from rfpsurvey.constraints._shortfall import Shortfall, sentences
 from rfpsurvey.constraints._text import BUILT_IN, as_constraints, named_plugins
+from rfpsurvey.constraints._verdict import FAIL, NOT_CHECKABLE, PASS, Verdict, count_verdicts, verdict_table
 
 __all__ = [
     "AS_GOAL",
     "EXACTLY",
+    "FAIL",
     "KINDS",
+    "NOT_CHECKABLE",
     "ONLY_CHECKED",
+    "PASS",
     "Abilities",
     "Constraint",
     "ConstraintField",
@@ -20,16 +25,20 @@ __all__ = [
     "KeepOut",
     "Required",
     "Requirement",
+    "Rule",
     "Shortfall",
+    "Verdict",
     "as_circles",
     "as_constraints",
     "as_required",
     "as_requirements",
     "circle_text",
+    "count_verdicts",
     "hint_of_name",
     "mark_required",
     "named_plugins",
     "sentences",
+    "verdict_table",
 ]
 
 # every constraint of the package is public

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rfpsurvey._units import values_at
+from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.projection import FieldProjection
 
@@ -70,6 +71,11 @@ class ConstraintField:
     is_complete : bool, optional
         Whether the field contains all targets of the catalog in the field; False if only the targets are known that
         have a fiber, as in the plan of another program.
+    has_kinds : bool, optional
+        Whether the kinds of the targets are known; False for the plan of another program that does not contain them.
+    fiber_type : ndarray of str, optional
+        Fiber type that each target requires, or has in a finished plan; empty text if it is not known. By default, it
+        is not known.
     """
 
     instrument: "Instrument"
@@ -83,6 +89,12 @@ class ConstraintField:
     priority: np.ndarray
     extra: dict
     is_complete: bool = True
+    has_kinds: bool = True
+    fiber_type: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.fiber_type is None:
+            object.__setattr__(self, "fiber_type", np.broadcast_to("", len(self.id)))
 
     def column(self, name: str) -> np.ndarray:
         """Return a further column of the catalog, such as a magnitude.
@@ -103,7 +115,7 @@ class ConstraintField:
             If the catalog has no column of this name.
         """
         if name not in self.extra:
-            known = listed(self.extra, 8)
+            known = f"{listed(self.extra, 8)} (Catalog.read reads the columns that its parameter keep names)"
             raise InputError(f"the catalog must have the column {name!r}, but its further columns are: {known}")
         return self.extra[name]
 
@@ -130,7 +142,9 @@ class ConstraintField:
             near[there] = cKDTree(centers).query(self.vectors[there])[0] <= 2 * np.sin(min(radius_rad, np.pi) / 2)
         return near
 
-    def with_blank_sky(self, vectors: np.ndarray, xy: np.ndarray) -> "ConstraintField":
+    def with_blank_sky(
+        self, vectors: np.ndarray, xy: np.ndarray, fiber_type: np.ndarray | None = None
+    ) -> "ConstraintField":
         """Return the field with additional available targets of the kind ``sky``, which have no other properties.
 
         Parameters
@@ -139,6 +153,8 @@ class ConstraintField:
             Directions of the sky positions.
         xy : ndarray of float, shape (k, 2)
             Positions on the focal plane in mm.
+        fiber_type : ndarray of str, shape (k,), optional
+            Fiber type that each sky position requires; by default, it is not known.
 
         Returns
         -------
@@ -150,6 +166,7 @@ class ConstraintField:
         columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
         more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), dtype=bool)}
         more["kind"] = np.full(len(xy), "sky")
+        more["fiber_type"] = np.full(len(xy), "") if fiber_type is None else fiber_type
         columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
         return replace(self, **columns)
 
@@ -316,6 +333,29 @@ class Constraint:
                 text = number_of(len(wrong), "excluded target has", "excluded targets have")
                 found.append(f"{self}: {text} a fiber ({listed(wrong, MOST_LISTED)})")
         return found
+
+    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> Verdict:
+        """Return the verdict on a finished plan, which by default is the number of sentences of ``check``.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int
+            Number of arms that cover circles of ``obstacles``.
+
+        Returns
+        -------
+        Verdict
+            The verdict; its attribute ``rows`` contains the rows of the targets that violate the constraint.
+        """
+        found = self.check(field, has_fiber, n_covering)
+        excluded = self.excluded(field) if "exclusion" in self.parts else None
+        rows = np.empty(0, dtype=int) if excluded is None else np.flatnonzero(excluded & has_fiber)
+        note = "; ".join(text.removeprefix(f"{self}: ") for text in found)
+        return Verdict(str(self), len(found), "no violation", FAIL if found else PASS, note, rows=rows)
 
     @cached_property
     def parts(self) -> frozenset[str]:

@@ -147,7 +147,7 @@ class Requirement(Constraint):
     def __str__(self):
         most = "" if self.maximum is None else f"-{self.maximum}"
         fiber = f"@{self.fiber_type}" if self.fiber_type else ""
-        named = {one.name for one in Constraint.__subclasses__()} - {*KINDS}
+        named = {one.name for one in _subclasses(Constraint)} - {*KINDS}
         plain = PLAIN.fullmatch(self.what) and self.what.split()[0] not in named
         what = self.what if plain else f"'{self.what}'"
         return f"{what}{fiber}={self.minimum}{most}" + ("/spectrograph" if self.per == "spectrograph" else "")
@@ -179,6 +179,11 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
             raise InputError(f"{text}, got {short(one)}")
         found.append(Requirement.parse(one) if isinstance(one, str) else one)
     return tuple(dict.fromkeys(found))  # a repeated requirement counts once
+
+
+def _subclasses(cls: type) -> set[type]:
+    """Return a class and all its subclasses, including indirect ones."""
+    return {cls}.union(*map(_subclasses, cls.__subclasses__()))
 
 
 def _holds(column: np.ndarray, word: str) -> bool:

@@ -11,7 +11,7 @@ from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, switch_inherited
-from rfpsurvey.instrument._entries import SECTIONS, check_description, with_defaults
+from rfpsurvey.instrument._entries import check_description, sections_of, with_defaults
 from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
@@ -55,8 +55,8 @@ def build(content: dict, folder: Path) -> dict:
     if lacking:
         raise InputError(f"[positioner] lacks {', '.join(sorted(lacking))}")
     sources, values = content.get("sources", {}), {}
-    for section in SECTIONS:
-        for name, entry in content.get(section, {}).items():
+    for section, entries in sections_of(content).items():
+        for name, entry in entries.items():
             values[f"{section}.{name}"] = {**entry, "source": sources.get(entry["source"], entry["source"])}
 
     def get(name, default=None):

@@ -175,6 +175,12 @@ OBSERVING = _whole(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
 """Keys of entries for which a description may set a default value at the top of the file."""
+RULES = "rules"
+"""Name of the section with the rules of the observatory, which contains a section for each name of rules."""
+RULE = Kind(
+    "the text of a constraint, or a list of such texts",
+    lambda value: _is_text(value) or (_is_list(value, _is_text) and len(value) > 0),
+)
 SECTIONS = ("positioner", "margins", "layout", "optics", "observing")
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
@@ -191,8 +197,15 @@ TOP = {
         "a table whose values are text (for a single text, write source instead of sources)",
         lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
     ),
+    RULES: Kind("a table of tables", lambda value: isinstance(value, dict) and all(map(TABLE.fits, value.values()))),
     **dict.fromkeys(SECTIONS, TABLE),
 }
+
+
+def sections_of(content: dict) -> dict[str, dict]:
+    """Return the sections of a description that contain entries, by name, such as ``optics`` or ``rules.dark``."""
+    rules = {f"{RULES}.{name}": entries for name, entries in content.get(RULES, {}).items()}
+    return {name: content.get(name, {}) for name in SECTIONS} | rules
 
 
 def with_defaults(content: dict) -> dict:
@@ -219,14 +232,15 @@ def check_description(content: dict) -> None:
         check_choice(name, TOP, "section or entry")
         if not TOP[name].fits(value):
             raise InputError(f"{name} must be {TOP[name].what}, got {_short(value)}")
-    for section in SECTIONS:
-        for name, entry in content.get(section, {}).items():
+    for section, entries in sections_of(content).items():
+        for name, entry in entries.items():
             _check_entry(section, name, entry)
 
 
 def _check_entry(section: str, name: str, entry: object) -> None:
     full = f"{section}.{name}"
     kind = OBSERVING if NEED.fullmatch(full) else ENTRIES.get(full)
+    kind = RULE if section.startswith(f"{RULES}.") else kind
     if kind is None:
         _refuse_name(section, name)
     if not isinstance(entry, dict):

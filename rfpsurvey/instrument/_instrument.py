@@ -35,6 +35,7 @@ from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
 from rfpsurvey.instrument._margins import PREFIX, WithMargins
 from rfpsurvey.instrument._projections import Projections
+from rfpsurvey.instrument._rules import RULES, WithRules
 from rfpsurvey.instrument._states import LISTED, States, apply_entry, moments_at
 from rfpsurvey.projection import RadialMap
 
@@ -44,7 +45,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins):
+class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -286,7 +287,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins):
     @property
     def _used(self) -> dict:
         """The values on which results depend, apart from the margins of the focal plane."""
-        return {name: v for name, v in self.values.items() if name not in UNUSED and not name.startswith(PREFIX)}
+        return {k: v for k, v in self.values.items() if k not in UNUSED and not k.startswith((PREFIX, RULES))}
 
     @cached_property
     def _digest(self) -> str:

@@ -10,11 +10,11 @@ import numpy as np
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import CollisionReport
-from rfpsurvey.constraints import Constraint, ConstraintField
+from rfpsurvey.constraints import Constraint, ConstraintField, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline._project import project_field
+from rfpsurvey.pipeline._project import project_field, required_types
 from rfpsurvey.projection import FieldProjection
 
 if TYPE_CHECKING:
@@ -36,28 +36,57 @@ class Applied:
     obstacle_of: np.ndarray
     """Index of the constraint that added each of the last obstacles of the instrument."""
 
-    def violations(
-        self, report: CollisionReport, target: np.ndarray, sky_vectors: np.ndarray, sky_xy: np.ndarray
-    ) -> dict[str, list[str]]:
+    def violations(self, *plan) -> dict[str, list[str]]:
         """Return sentences, for the text of each constraint, that state how a finished plan violates the constraint.
 
-        ``target`` contains the rows of the targets that have a fiber; the arrays ``sky_vectors`` and ``sky_xy``
-        describe sky positions that were added between the targets and have a fiber.
+        The parameters are those of `verdicts`.
         """
         if not self.constraints:
             return {}
+        field, owner, n_covering = self._finished(*plan)
+        return {
+            str(one): sentences_of(one, field, owner >= 0, n)
+            for one, n in zip(self.constraints, n_covering, strict=True)
+        }
+
+    def verdicts(
+        self,
+        report: CollisionReport,
+        positioner: np.ndarray,
+        fiber_type: np.ndarray,
+        target: np.ndarray,
+        sky_vectors: np.ndarray,
+        sky_xy: np.ndarray,
+    ) -> list[Verdict]:
+        """Return the verdict of each constraint on a finished plan.
+
+        ``target`` contains the rows of the targets that have a fiber; the arrays ``sky_vectors`` and ``sky_xy``
+        describe sky positions that were added between the targets and have a fiber. ``positioner`` and ``fiber_type``
+        contain the rows of the positioners and the fiber types of these targets and, after them, of these sky
+        positions.
+        """
+        if not self.constraints:
+            return []
+        field, owner, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
+        found, names = [], self.instrument.focal_plane.id.astype(str)
+        for one, n in zip(self.constraints, n_covering, strict=True):
+            verdict = answer(one, partial(one.verdict, field, owner >= 0, n))
+            if not isinstance(verdict, Verdict):
+                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(verdict)}")
+            found.append(replace(verdict, fibers=tuple(names[owner[verdict.rows]].tolist())))
+        return found
+
+    def _finished(self, report, positioner, fiber_type, target, sky_vectors, sky_xy) -> tuple:
+        """Return the field of a finished plan, the positioner of each target, and the numbers of covering arms."""
         field = self.field.with_blank_sky(sky_vectors, sky_xy) if len(sky_xy) else self.field
-        has_fiber = np.zeros(len(field.id), dtype=bool)
-        has_fiber[len(self.field.id) :] = True
-        has_fiber[target] = True
+        rows = np.append(target, np.arange(len(self.field.id), len(field.id)))
+        owner, types = np.full(len(field.id), -1), np.append(field.fiber_type, fiber_type)[: len(field.id)]
+        owner[rows], types[rows] = positioner, fiber_type
+        field = replace(field, fiber_type=types)
         own, obstacle = report.obstacle_pairs.T
         first = len(self.instrument.focal_plane.arrays.obstacles) - len(self.obstacle_of)
         maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
-        n_covering = [len(np.unique(own[maker == k])) for k in range(len(self.constraints))]
-        return {
-            str(one): sentences_of(one, field, has_fiber, n)
-            for one, n in zip(self.constraints, n_covering, strict=True)
-        }
+        return field, owner, [len(np.unique(own[maker == k])) for k in range(len(self.constraints))]
 
 
 def apply_constraints(
@@ -87,7 +116,7 @@ def apply_constraints(
         )
 
     def excludes_sky(points: np.ndarray, fiber_type: np.ndarray | None) -> np.ndarray:
-        wider = field.with_blank_sky(projection.unproject(points, fiber_type), points)
+        wider = field.with_blank_sky(projection.unproject(points, fiber_type), points, fiber_type)
         parts = [excluded_by(one, wider) for one in constraints]
         parts = [part[len(field.id) :] for part in parts if part is not None]
         return np.any(parts, axis=0) if parts else np.zeros(len(points), dtype=bool)
@@ -120,9 +149,12 @@ def constraint_field(
     for name, usual in (("kind", "science"), ("category", ""), ("priority", 0.0)):
         columns = [getattr(one.columns, name) for one in parts]
         found[name] = [np.full(len(one.id), usual) if c is None else c for one, c in zip(parts, columns, strict=True)]
+    types = [required_types(instrument, len(one.id), one.columns.fiber_type) for one in parts]
+    found["fiber_type"] = [np.full(len(one.id), "") if c is None else c for one, c in zip(parts, types, strict=True)]
     extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
     columns = {name: np.concatenate(values) for name, values in found.items()}
-    return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete)
+    has_kinds = is_complete or targets.columns.kind is not None
+    return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete, has_kinds=has_kinds)
 
 
 def circles_of(constraint: Constraint, field: ConstraintField) -> np.ndarray:

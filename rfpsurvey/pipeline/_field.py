@@ -1,6 +1,7 @@
 """Plan a field: project unit vectors of targets, assign the targets to fibers, and find the colliding arms."""
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from rfpsurvey.allocation import (
     to_subpriorities,
 )
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions
+from rfpsurvey.constraints import Verdict
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
@@ -92,6 +94,8 @@ class FieldPlan(NamedTuple):
     """Computing time of each stage of the pipeline, in seconds."""
     violations: dict[str, list[str]]
     """For the text of each constraint, sentences that state how the plan violates the constraint, except counts."""
+    verdicts: Callable[[], list[Verdict]]
+    """Function that returns the verdict of each constraint, except counts."""
 
 
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
@@ -207,11 +211,15 @@ def plan_field(
         ids[~given] = blank.take(len(found))
         vectors[~given] = projection.unproject(allocation.xy_mm[found], types)
     lon, lat = to_lonlat(vectors)
-    violations = applied.violations(report, target[given], vectors[~given], allocation.xy_mm[target[~given]])
+    owners = np.append(positioner[given], positioner[~given])
+    blanks = vectors[~given], allocation.xy_mm[target[~given]]
+    finished = report, owners, allocation.fiber_type[owners], target[given], *blanks
+    violations, verdicts = applied.violations(*finished), partial(applied.verdicts, *finished)
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}
     lon %= 2 * np.pi
+    checked = violations, verdicts
     return FieldPlan(
-        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, violations
+        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *checked
     )

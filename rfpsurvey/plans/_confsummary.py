@@ -53,6 +53,8 @@ NATIVE = {
 
 A plan and a file contain the same values, except that missing numbers are -999 in a file, and NaN or -1 in a plan.
 """
+BANDS = {"u": 0, "g": 1, "r": 2, "i": 3, "z": 4, "bp": "bp_mag", "gaia_g": "gaia_g_mag", "rp": "rp_mag", "h": "h_mag"}
+"""Name of each band, and its index in the column ``mag`` or the name of its own column."""
 REQUIRED = ("holeId", "fiberType", "assigned")
 ANGLES = ("theta", "phi", "ra", "dec", "pm_ra", "pm_dec", "ra_fiber", "dec_fiber")
 
@@ -135,6 +137,13 @@ def lost(plan: QTable) -> list[str]:
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
     found = texts_of_lost(plan, [name for name in plan.colnames if name not in names], "confsummary")
     return found + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
+
+
+def magnitudes(plan: QTable) -> dict[str, np.ndarray]:
+    """Return the magnitudes of a plan by the names that SDSS-V uses in its design rules (``BANDS``)."""
+    mag = np.asarray(plan["mag"]) if "mag" in plan.colnames else np.empty((len(plan), 0))
+    own = {name: mag[:, at] for name, at in BANDS.items() if isinstance(at, int) and at < mag.shape[-1]}
+    return own | {name: np.asarray(plan[at]) for name, at in BANDS.items() if at in plan.colnames}
 
 
 def to_wok(x, y, position_angle: float) -> tuple:

@@ -15,6 +15,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
 from rfpsurvey._readers import check_is_file, sentence
+from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
@@ -287,6 +288,12 @@ def as_plan(plan: object) -> QTable:
         epoch=parameters.get("epoch"),
         **{name: parameters.get(name) for name in ENTRIES},
     )
+
+
+def further_columns(table: Table) -> dict[str, np.ndarray]:
+    """Return the columns with one value per row and, for a plan of SDSS-V, the magnitudes by the names of the bands."""
+    found = {name: to_plain(table[name]) for name in table.colnames if table[name].ndim == 1}
+    return _module("confsummary").magnitudes(table) | found if table.meta.get("format") == "confsummary" else found
 
 
 def is_tile(table: Table) -> bool:

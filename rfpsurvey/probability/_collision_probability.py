@@ -261,7 +261,7 @@ def _check_science_only(options):
             f"allocator must have no requirements and no sky_separation, since all targets are treated as science "
             f"targets, got {options!r}"
         )
-    if options.all_constraints:
+    if options.all_constraints or options.rules is not None:
         raise InputError(
             f"allocator must have no required targets and no other constraints, since a collision probability "
             f"describes random configurations, not one field, got {options!r}"

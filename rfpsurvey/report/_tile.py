@@ -8,6 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey.allocation import METHODS, recorded_constraints
+from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
@@ -63,7 +64,11 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     sections = [Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])])]
     if summary.get("unmet") or recorded_constraints(parameters):
         unmet = summary.get("unmet") or ["All constraints are met."]
-        sections.append(Section("Constraints", [Text(list(unmet))]))
+        blocks = [Text(list(unmet))]
+        if tile.rules is not None:
+            caption = "Verdict on each constraint, with the positioners whose fibers violate it."
+            blocks.append(Rows(caption, tile.rules, marks={PASS: "good", FAIL: "bad", NOT_CHECKABLE: "open"}))
+        sections.append(Section("Constraints", blocks))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))

@@ -3,6 +3,7 @@
 import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
+from astropy.utils.masked import Masked
 
 TARGET_COLUMNS = {
     "ra": "right ascension of the target (ICRS)",
@@ -87,3 +88,18 @@ def id_column(ids, has_target) -> MaskedColumn:
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
     """Return values with a unit; return the values unchanged if ``unit`` is None."""
     return values * u.Unit(unit) if unit else values
+
+
+def without_masks(table: QTable) -> QTable:
+    """Replace masked values of a table from a file by NaN, empty text or False; masked integers remain masked."""
+    for name in table.colnames:
+        column = table[name]
+        if isinstance(column, Masked):
+            table[name] = column.filled(np.nan)
+        elif isinstance(column, MaskedColumn) and column.dtype.kind in "fU" and name != "target_id":
+            table[name] = column.filled("" if column.dtype.kind == "U" else np.nan)
+        elif isinstance(column, MaskedColumn) and column.dtype.kind == "b":
+            table[name] = column.filled(False)
+        elif isinstance(column, MaskedColumn) and column.dtype.kind == "i":
+            table[name] = only_with_target(np.asarray(column), ~column.mask)
+    return table

@@ -4,15 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import CollisionReport
-from rfpsurvey.constraints import sentences
+from rfpsurvey.constraints import KINDS, Rule, count_verdicts, sentences
 from rfpsurvey.errors import InputError, check_fiber_type, warn
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import Applied, FieldTargets, apply_constraints
+from rfpsurvey.plans import further_columns
 from rfpsurvey.projection import FieldProjection
 
 
@@ -25,8 +25,12 @@ class ScoredConstraints:
     columns: TargetColumns
     xy: np.ndarray
 
-    def summary(self, report: CollisionReport, target_of: np.ndarray) -> dict:
-        """Return the entries of the summary of a score; ``target_of`` is the target of each positioner."""
+    def summary(self, report: CollisionReport, target_of: np.ndarray, who: np.ndarray, fibers: np.ndarray) -> dict:
+        """Return the entries of the summary of a score.
+
+        ``target_of`` is the target of each positioner; ``who`` and ``fibers`` are the positioner and the fiber type of
+        each target.
+        """
         plane, n = self.applied.instrument.focal_plane, len(self.xy)
         none = Reach(np.zeros(n + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
         problem = AllocationProblem(
@@ -42,11 +46,18 @@ class ScoredConstraints:
         )
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
-        violations = self.applied.violations(report, np.arange(n), np.empty((0, 3)), np.empty((0, 2)))
+        finished = report, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))
+        violations = self.applied.violations(*finished)
         wrong = {one.requirement for one in lacking}
         numbers: dict = {}
-        for group, number in zip(problem.groups, problem.counts_of(target_of), strict=True):
-            numbers.setdefault(str(group.requirement), []).append(number)
+        counts = count_verdicts(problem.groups, problem.counts_of(target_of))
+        for one in counts:
+            numbers.setdefault(one.rule, []).append(one.number)
+        unknown = "the plan does not have the kinds of its targets"
+        counts = [
+            one if self._knows(group.requirement.what) else one.unknown(unknown)
+            for one, group in zip(counts, problem.groups, strict=True)
+        ]
         return {
             "n_constraints": len(self.options.all_constraints),
             "n_unmet": sum(
@@ -54,7 +65,24 @@ class ScoredConstraints:
             ),
             "requirements": numbers,
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
+            "rules": [one.record for one in (*counts, *self.applied.verdicts(*finished))],
         }
+
+    def _knows(self, what: str) -> bool:
+        """Return whether the plan states which targets have a kind or category."""
+        kind, category = self.columns.kind, self.columns.category
+        in_category = category is not None and (what not in KINDS or bool((category == what).any()))
+        return in_category or (kind is not None and what in KINDS)
+
+
+def _kinds_of(category: np.ndarray | None) -> np.ndarray | None:
+    """Return the kinds of targets from categories such as ``sky_boss``; None if a category does not begin with one."""
+    if category is None:
+        return None
+    found = np.full(len(category), "", dtype="U8")
+    for kind in KINDS:
+        found[np.char.startswith(category, kind)] = kind
+    return found if (found != "").all() else None
 
 
 def find_constraints(
@@ -76,20 +104,21 @@ def find_constraints(
                 f"the constraint '{one}' can be checked only with positions on the sky: give positions='sky' (or "
                 "--positions sky)"
             )
-        if one.margin_rad and "exclusion" in one.parts:
+        if one.margin_rad and "exclusion" in one.parts and not isinstance(one, Rule):  # the verdict of a rule states it
             warn(f"the constraint '{one}' is checked only with the targets that have a fiber; the table has no others")
     for one in options.counts:
         if one.fiber_type:
             what = f"fiber type of the requirement {str(one)!r}"
             check_fiber_type(one.fiber_type, instrument.focal_plane.fiber_types, what)
     kind, category = (find.labels(role) for role in ("kind", "category"))
+    kind = _kinds_of(category) if kind is None else kind
     priority = find.numbers("priority")
     columns = [None if column is None else column[rows] for column in (priority, kind, category)]
     named = instrument.focal_plane.fiber_types != ("",)
     columns = TargetColumns(*columns, fiber_type=fiber_type if named else None)
     extra = {}
     if options.constraints:
-        extra = {name: to_plain(find.table[name][rows]) for name in find.table.colnames if find.table[name].ndim == 1}
+        extra = {name: values[rows] for name, values in further_columns(find.table).items()}
     lon, lat = np.deg2rad(sky_deg)
     vectors = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     targets = FieldTargets(vectors, ids, columns, None, extra)

@@ -174,6 +174,7 @@ def plan_tile(
     if allocation.n_reachable == 0:
         what = "target" if options.counts else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
+    verdicts = [*allocation.counts, *plan.verdicts()]
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
@@ -183,6 +184,7 @@ def plan_tile(
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
         "kinds": counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
+        **({"rules": [one.record for one in verdicts]} if verdicts else {}),
         "n_required": builder.n_required,
         "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
         "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],

@@ -105,8 +105,8 @@ def score_tile(
         target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses). If there are
         ``constraints``, it also contains ``n_constraints`` and ``n_unmet`` (the numbers of constraints that were
         checked, and that are not met), ``requirements`` (for the text of each requirement, a list with the number of
-        targets that have a fiber, in the tile or in each spectrograph) and ``unmet`` (sentences on the constraints that
-        are not met).
+        targets that have a fiber, in the tile or in each spectrograph), ``unmet`` (sentences on the constraints that
+        are not met) and ``rules`` (the verdict on each constraint, see `Tile.rules`).
 
     Raises
     ------
@@ -214,7 +214,7 @@ def score_tile(
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
-        **({} if constraints is None else checked.summary(report, target_of)),
+        **({} if constraints is None else checked.summary(report, target_of, who, fibers)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

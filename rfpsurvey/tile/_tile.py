@@ -7,17 +7,17 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import MaskedColumn, QTable
+from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
-from astropy.utils.masked import Masked
 
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey.catalog import to_time
+from rfpsurvey.constraints import verdict_table
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plans import write_plan
-from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, only_with_target
+from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, without_masks
 from rfpsurvey.tile._model import collision_shape
 from rfpsurvey.tile._table import TableOfTile
 from rfpsurvey.tile._targets import TargetsOfField, completeness_table
@@ -127,6 +127,16 @@ class Tile:
         return self._made_from.meta["provenance"]
 
     @property
+    def rules(self) -> Table | None:
+        """The verdict on each constraint: its number, its limit and the positioners that violate it.
+
+        The column ``verdict`` contains ``pass``, ``fail`` or ``not checkable`` (the plan lacks the data of the
+        constraint). None if there are no constraints.
+        """
+        found = self.summary.get("rules")
+        return None if found is None else verdict_table(found)
+
+    @property
     def instrument(self) -> str:
         """Name of the instrument."""
         return self.provenance["instrument"]["name"]
@@ -230,14 +240,14 @@ class Tile:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
             table["target_id"] = id_column(table["target_id"], has_target)
-            tile = cls(describe(_plain(table), TILE_COLUMNS, KEPT_COLUMN))
+            tile = cls(describe(without_masks(table), TILE_COLUMNS, KEPT_COLUMN))
         except KeyError as error:
             raise InputError(f"{path} does not hold a tile: the column {error.args[0]} is missing") from None
         except InputError as error:
             raise InputError(f"{path} does not hold a tile: {error}") from None
         if not tile.provenance.get("outcomes") or _io.suffix_of(_io.to_path(path)) != ".fits":
             return tile
-        return cls(tile.table, describe(_plain(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, KEPT_COLUMN))
+        return cls(tile.table, describe(without_masks(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, KEPT_COLUMN))
 
     def write(
         self,
@@ -367,21 +377,6 @@ class Tile:
         """Return as text the number of positioners for each kind of target, unless all targets are science targets."""
         counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
         return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
-
-
-def _plain(table: QTable) -> QTable:
-    """Replace masked values of a table from a file by NaN, empty text or False; masked integers remain masked."""
-    for name in table.colnames:
-        column = table[name]
-        if isinstance(column, Masked):
-            table[name] = column.filled(np.nan)
-        elif isinstance(column, MaskedColumn) and column.dtype.kind in "fU" and name != "target_id":
-            table[name] = column.filled("" if column.dtype.kind == "U" else np.nan)
-        elif isinstance(column, MaskedColumn) and column.dtype.kind == "b":
-            table[name] = column.filled(False)
-        elif isinstance(column, MaskedColumn) and column.dtype.kind == "i":
-            table[name] = only_with_target(np.asarray(column), ~column.mask)
-    return table
 
 
 def _same_table(a, b) -> bool:

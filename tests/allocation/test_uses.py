@@ -12,7 +12,7 @@ from rfpsurvey.allocation import METHODS, OPTIONS
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
-INDEPENDENT = ("keep_out", "sky_separation", "constraints")
+INDEPENDENT = ("keep_out", "sky_separation", "constraints", "rules")
 """Options that affect the results of every allocator."""
 
 

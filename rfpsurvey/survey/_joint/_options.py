@@ -147,7 +147,7 @@ def _check_first(options: AllocationOptions) -> None:
         raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
-    for name in ("requirements", "required", "sky_separation", "subpriority"):
+    for name in ("requirements", "required", "sky_separation", "subpriority", "rules"):
         given = getattr(options, name)
         if given is not None and np.size(given) > 0:
             raise InputError(

@@ -1,0 +1,227 @@
+"""The rule `BrightStars`: no fiber close to a bright star, within a radius that depends on the magnitude."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from hashlib import sha256
+from shlex import quote
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._plugins import name_of
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.constraints._constraint import ConstraintField
+from rfpsurvey.constraints._rule import Rule, check_text, to_magnitudes
+from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, refusal
+
+CORE = {"sdssv_bright": (1.75, 0.6), "sdssv_dark": (1.5, 0.8)}
+"""Factor (arcsec) and exponent of the core of a star in bright and in dark time, as in mugatu (BSD-3) of SDSS-V."""
+MAGNITUDES = np.arange(-2, 30, 0.05)
+"""Magnitudes from which the largest radius is computed; no star is brighter."""
+ARCSEC = float(np.deg2rad(1 / 3600))
+FORM = "a table such as '8:60,12:10' (magnitude:radius in arcsec), 'sdssv_dark:16', 'sdssv_bright:12.7' or a function"
+
+
+@check_keywords
+@dataclass(frozen=True)
+class BrightStars(Rule):
+    """Circles around bright stars in which no fiber may be; the arms of positioners may be in the circles.
+
+    Targets and added sky positions in the circles are excluded. A star of the catalog does not exclude itself.
+
+    Parameters
+    ----------
+    column : str
+        Column with the magnitude of the stars; stars with a missing magnitude have no circle.
+    radius : str, list or callable
+        Radius as a function of the magnitude. A list of pairs of a magnitude and a radius (arcsec), or text such as
+        ``8:60,12:10``, is interpolated; stars that are brighter than the first magnitude have the first radius, and
+        stars that are fainter than the last magnitude have no circle. ``sdssv_dark:16`` and ``sdssv_bright:12.7`` are
+        the formulas of SDSS-V for dark and bright time, with the magnitude limit of the design mode; ``column`` is then
+        the magnitude Gaia G (H for APOGEE). A function receives an array of magnitudes, and returns radii in arcsec.
+    fiber_type : str, optional
+        Fiber type of the targets that are excluded; by default, any.
+    stars : Catalog or str, optional
+        Catalog with the stars, or the path of its file. All of its stars have circles, even if they are targets; their
+        proper motions are not applied (see `Catalog.at_epoch`). By default, the stars are all targets of the catalog
+        that are not sky positions.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid, or if the catalog with the stars does not have the column.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> str(rs.constraints.BrightStars("gaia_g", [(8, 60), (12, 10)], "BOSS"))
+    'bright_stars gaia_g 8:60,12:10 BOSS'
+    """
+
+    column: str
+    radius: str | list | Callable
+    fiber_type: str = ""
+    stars: Catalog | str | None = None
+
+    name = "bright_stars"
+
+    def __post_init__(self):
+        check_text(self.column, "the column of bright stars")
+        check_text(self.fiber_type, "fiber_type of bright stars", empty=True)
+        if not callable(self.radius):
+            object.__setattr__(self, "radius", _text_of(self.radius))
+        if not isinstance(self.stars, Catalog | str | None):
+            raise refusal("stars must be a Catalog or the path of its file", self.stars, Catalog)
+        if self.stars is not None and self.column not in self._catalog.arrays.extra:
+            known = listed(self._catalog.arrays.extra, 8)
+            raise InputError(f"the catalog of stars must have the column {self.column!r}, but its columns are: {known}")
+
+    def __str__(self):
+        radius = name_of(self.radius) if callable(self.radius) else self.radius
+        words = [self.column, radius, self.fiber_type]
+        words += [] if self.stars is None else [self.stars if isinstance(self.stars, str) else self._digest]
+        return " ".join([self.name, *map(quote, words if words[2] or words[3:] else words[:2])])
+
+    @cached_property
+    def _catalog(self) -> Catalog:
+        """The catalog with the stars."""
+        return Catalog.read(self.stars, keep=[self.column]) if isinstance(self.stars, str) else self.stars
+
+    @cached_property
+    def _digest(self) -> str:
+        arrays = self._catalog.arrays
+        digest = sha256(arrays.vectors.tobytes() + np.asarray(arrays.extra[self.column]).tobytes()).hexdigest()
+        return f"{len(self._catalog)} stars, digest {digest[:16]}"
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the catalog that the rule uses; none if the stars are those of a second catalog."""
+        return super().columns if self.stars is None else ()
+
+    @property
+    def uses_targets(self) -> bool:
+        """Whether the stars are targets of the catalog, also outside the field."""
+        return self.stars is None
+
+    @cached_property
+    def margin_rad(self) -> float:
+        """Largest radius in radians, if the stars are targets of the catalog."""
+        return 0.0 if self.stars is not None else float(min(self._radii(MAGNITUDES).max(), np.pi))
+
+    def _radii(self, magnitudes: np.ndarray) -> np.ndarray:
+        """Return the radius (radians) of the circle around each star."""
+        function = self.radius if callable(self.radius) else _function_of(self.radius)
+        found = function(magnitudes)
+        radii = np.asarray(found.to_value(u.arcsec) if isinstance(found, u.Quantity) else found)
+        fits = radii.shape == magnitudes.shape and radii.dtype.kind in "iuf"
+        if not (fits and np.isfinite(radii).all() and (radii >= 0).all()):
+            raise refusal("the radii around stars must be finite numbers (arcsec) of at least 0", found, np.ndarray)
+        return radii * ARCSEC
+
+    def _circles(self, field: ConstraintField) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return the directions and the radii of the circles, and the identifiers of the stars if they are targets."""
+        if self.stars is None:
+            m, vectors, ids = np.where(field.kind == "sky", np.nan, self._magnitudes(field)), field.vectors, field.id
+        else:
+            arrays = self._catalog.arrays
+            m, vectors, ids = to_magnitudes(arrays.extra[self.column], self.column), arrays.vectors, None
+        rows = np.flatnonzero(np.isfinite(m) & np.isfinite(vectors).all(axis=1))
+        radii = self._radii(m[rows])
+        rows, radii = rows[radii > 0], radii[radii > 0]
+        return vectors[rows], radii, None if ids is None else ids[rows]
+
+    def excluded(self, field: ConstraintField) -> np.ndarray | None:
+        """Return which targets are in the circle around a star.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+
+        Returns
+        -------
+        ndarray of bool or None
+            One value per target; None if a plan of another program lacks the data.
+        """
+        if self._lacks(field, ""):
+            return None
+        from scipy.spatial import cKDTree
+
+        found = np.zeros(len(field.id), dtype=bool)
+        targets = np.flatnonzero(self._concerns(field, "") & np.isfinite(field.vectors).all(axis=1))
+        vectors, radii, ids = self._circles(field)
+        if len(targets) == 0 or len(vectors) == 0:
+            return found
+        near = cKDTree(field.vectors[targets]).query_ball_point(vectors, 2 * np.sin(np.minimum(radii, np.pi) / 2))
+        star = np.repeat(np.arange(len(near)), [len(one) for one in near])
+        rows = targets[np.concatenate([*near, []]).astype(int)]
+        found[rows if ids is None else rows[field.id[rows] != ids[star]]] = True
+        return found
+
+    def _lacks(self, field: ConstraintField, what: str) -> str:
+        """Return the reason why the stars are unknown in a plan of another program; empty text if they are known."""
+        no_positions = len(field.id) and not np.isfinite(field.vectors).any()
+        return "the plan does not have positions on the sky" if no_positions else super()._lacks(field, what)
+
+    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
+        """Return the number of fibers in circles around stars.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int, optional
+            Number of arms that cover obstacles; not used.
+
+        Returns
+        -------
+        Verdict
+            The verdict. If the stars are targets, but only the targets with a fiber are known, the plan fails or is
+            not checkable.
+        """
+        if why := self._lacks(field, ""):
+            return self._not_checkable(why)
+        rows = np.flatnonzero(self.excluded(field) & has_fiber)
+        if len(rows) == 0 and self.stars is None and not field.is_complete:
+            return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
+        note = number_of(len(self._circles(field)[1]), "star with a circle", "stars with a circle")
+        verdict = FAIL if len(rows) else PASS
+        return Verdict(str(self), len(rows), "no fiber in the circle of a star", verdict, note, rows=rows)
+
+
+def _text_of(radius: object) -> str:
+    """Return the text of a table or formula of radii; raise an error if it is not valid."""
+    try:
+        pairs = radius if isinstance(radius, str) else ",".join(f"{float(m):.15g}:{float(r):.15g}" for m, r in radius)
+        _function_of(pairs)
+    except InputError:
+        raise
+    except (TypeError, ValueError):
+        raise refusal(f"the radius around bright stars must be {FORM}", radius, str, list) from None
+    return pairs
+
+
+def _function_of(text: str) -> Callable:
+    """Return the function of the magnitudes for the text of a table or formula of radii."""
+    name, _, limit = text.partition(":")
+    if name in CORE:
+        if not np.isfinite(float(limit)):
+            raise ValueError(limit)
+        return partial(_sdssv, limit=float(limit), core=CORE[name])
+    m, radii = np.array([[float(word) for word in pair.split(":")] for pair in text.split(",")]).reshape(-1, 2).T
+    if not (np.isfinite(m).all() and np.isfinite(radii).all() and (radii >= 0).all() and (np.diff(m) > 0).all()):
+        raise InputError(
+            f"the radius around bright stars must have ascending magnitudes and radii of at least 0, got {text!r}"
+        )
+    return partial(np.interp, xp=m, fp=radii, right=0.0)
+
+
+def _sdssv(m: np.ndarray, limit: float, core: tuple[float, float]) -> np.ndarray:
+    """Return radii (arcsec) for magnitudes, with the formula of SDSS-V: wings, transition and core of the image."""
+    depth = np.maximum(limit - m, 0)
+    radii = np.maximum.reduce([(depth - 8.2) / 0.05, (depth - 4.5) / 0.25, core[0] * depth ** core[1]])
+    return np.where(m <= limit, np.maximum(radii, 0), 0.0)

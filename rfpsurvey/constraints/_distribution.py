@@ -1,0 +1,112 @@
+"""The rule `Distribution`: sky fibers or standards close to the science fibers, over the whole focal plane."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey.constraints._constraint import ConstraintField
+from rfpsurvey.constraints._rule import Rule, check_number, check_text
+from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
+from rfpsurvey.errors import check_keywords, check_whole
+
+
+@check_keywords
+@dataclass(frozen=True)
+class Distribution(Rule):
+    """A smallest percentage of the science fibers that have sky fibers (or standards) within a distance.
+
+    The rule is only checked. SDSS-V compares the percentile of the distances with its limit; the public check of SDSS-V
+    (mugatu) computes it for all fibers that are not of the kind, and takes the second neighbor if ``k`` exceeds 1.
+
+    Parameters
+    ----------
+    what : str
+        Kind or category of the neighbors, such as ``sky`` or ``standard``.
+    k : int
+        Number of neighbors that each science fiber must have.
+    percent : float
+        Percentage of the science fibers.
+    distance_mm : float
+        Largest distance on the focal plane in mm.
+    fiber_type : str, optional
+        Fiber type of the science fibers and of the neighbors; by default, any.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> str(rs.constraints.Distribution("sky", 1, 95, 75, "BOSS"))
+    'distribution sky 1 95 75 BOSS'
+    """
+
+    what: str
+    k: int
+    percent: float
+    distance_mm: float
+    fiber_type: str = ""
+
+    name = "distribution"
+
+    def __post_init__(self):
+        check_text(self.what, "the kind of fibers of a distribution")
+        check_text(self.fiber_type, "fiber_type of a distribution", empty=True)
+        check_whole(self.k, "k of a distribution")
+        check_number(self.percent, "percent of a distribution", 0, 100)
+        check_number(self.distance_mm, "distance_mm of a distribution", 0, 1e6)
+
+    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
+        """Return the percentage of the science fibers that have ``k`` neighbors within the distance.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int, optional
+            Number of arms that cover obstacles; not used.
+
+        Returns
+        -------
+        Verdict
+            The verdict; its note contains the percentiles of the distances (mm).
+        """
+        if why := self._lacks(field, self.what):
+            return self._not_checkable(why)
+        science = np.flatnonzero(has_fiber & self._concerns(field, "science"))
+        near = np.flatnonzero(has_fiber & self._concerns(field, self.what))
+        others = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
+        if len(science) == 0:
+            return self._not_checkable("the plan does not have a science fiber of this type")
+        distance = self._distances(field, science, near, self.k)
+        percent = 100 * np.mean(distance <= self.distance_mm)
+        public = self._distances(field, others, near, min(self.k, 2))
+        rank = "second-nearest" if self.k > 1 else "nearest"
+        nth = {1: "nearest", 2: "second-nearest"}.get(self.k, f"neighbor {self.k}")
+        note = (
+            f"percentile {self.percent:g} of the distance to {nth}: {self._percentile(distance)}; public check of "
+            f"SDSS-V (all fibers that are not {self.what}, {rank}): {self._percentile(public)}"
+        )
+        limit = f"at least {self.percent:g} % of {len(science)} fibers with {self.k} {self.what} within "
+        limit += f"{self.distance_mm:g} mm"
+        # compare whole numbers of fibers, because percentages have rounding errors
+        passes = np.sum(distance <= self.distance_mm) >= np.ceil(self.percent * len(science) / 100 - 1e-9)
+        rows = np.empty(0, dtype=int) if passes else science[distance > self.distance_mm]
+        return Verdict(str(self), percent, limit, PASS if passes else FAIL, note, rows=rows)
+
+    def _distances(self, field: ConstraintField, rows: np.ndarray, near: np.ndarray, k: int) -> np.ndarray:
+        """Return the distance (mm) of targets from their k-th neighbor; infinite if there are too few neighbors."""
+        from scipy.spatial import cKDTree
+
+        if len(near) < k or len(rows) == 0:
+            return np.full(len(rows), np.inf)
+        return cKDTree(field.xy[near]).query(field.xy[rows], k=[k])[0][:, 0]
+
+    def _percentile(self, distances: np.ndarray) -> str:
+        """Return the interpolated percentile of distances as text."""
+        known = len(distances) and np.isfinite(distances).all()
+        return f"{np.percentile(distances, self.percent):.3f} mm" if known else "too few fibers"

@@ -1,0 +1,83 @@
+"""Rules of observatories in commands: the verdict as a table, and surveys with rules."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import rfpsurvey as rs
+
+BANDS = ("g", "r", "i", "gaia_g", "h")
+
+
+@pytest.fixture
+def targets(tmp_path, rng):
+    """Return the path of a catalog with magnitudes."""
+    n = 700
+    table = Table({"id": np.arange(n), "ra": rng.uniform(94, 96, n), "dec": rng.uniform(22, 24, n)})
+    table["kind"] = rng.choice(["science", "standard", "sky"], n)
+    table["fiber_type"] = rng.choice(["BOSS", "APOGEE"], n)
+    for band in BANDS:
+        table[band] = rng.uniform(14, 20, n)
+    table.write(tmp_path / "targets.csv")
+    return tmp_path / "targets.csv"
+
+
+@pytest.mark.parametrize("option", [["--rules", "dark_monit"], ["--set", "options.rules=dark_monit"]])
+def test_score_prints_the_verdict_on_each_rule(run, real_data, tmp_path, option):
+    path = real_data("sdssv_apo_2021/confSummary-998.par.gz")
+    report = tmp_path / "report.html"
+    code, out, err = run("score", path, *option, "--report", report)
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert "fail          sky@BOSS=50: 0 (at least 50)" in lines
+    assert "pass          sky@APOGEE=35: 35 (at least 35)" in lines
+    assert sum(line.startswith(("pass  ", "fail  ", "not checkable ")) for line in lines) == 16
+    text = report.read_text()
+    assert "Verdict on each constraint" in text
+    assert "not checkable" in text
+    assert "contrast h 5.0 APOGEE fiberId" in text
+
+
+def test_a_plan_reads_the_columns_of_its_rules(run, targets, tmp_path):
+    path = tmp_path / "tile.ecsv"
+    code, out, _ = run(
+        "plan", targets, "--instrument", "sdss_apo", "--center", "95 23", "--rules", "dark_monit", "--output", path
+    )
+    assert code == 0
+    assert "magnitude g 16.0 inf science BOSS allowed: 0 (no g of at most 16)" in out
+    table = rs.Tile.read(path).table
+    boss = table[(table["fiber_type"] == "BOSS") & (table["kind"] == "science")]
+    assert len(boss) > 0
+    assert min(boss[band].min() for band in ("g", "r", "i")) > 16
+
+
+def test_a_survey_follows_rules(run, targets, tmp_path):
+    folder = tmp_path / "survey"
+    Table({"ra": [95.0, 95.1], "dec": [23.0, 23.0]}).write(tmp_path / "tiles.csv")
+    code, _, _ = run(
+        "survey", targets, "--instrument", "sdss_apo", "--tiles", tmp_path / "tiles.csv", "--folder", folder,
+        "--set", "options.rules=dark_monit",
+    )  # fmt: skip
+    assert code == 0
+    survey = rs.Survey.read(folder)
+    catalog = Table.read(targets)
+    for rows in survey:
+        used = catalog[np.isin(catalog["id"], rows["target_id"])]
+        boss = used[(used["fiber_type"] == "BOSS") & (used["kind"] == "science")]
+        assert len(boss) > 0
+        assert min(boss[band].min() for band in ("g", "r", "i")) > 16
+
+
+@pytest.mark.parametrize(
+    ("instrument", "rules", "message"),
+    [
+        ("lamost", "dark_monit", "the instrument must have rules of the name 'dark_monit', but lamost has no rules"),
+        ("sdss_lco", "dark_mon", "choose one of: bright_time, dark_faint, dark_monit, dark_plane, dark_rm"),
+        ("sdss_apo", "bright_time", "keep must name columns of the table"),
+    ],
+)
+def test_rules_that_cannot_be_used_get_one_sentence(run, targets, instrument, rules, message):
+    code, _, err = run("plan", targets, "--instrument", instrument, "--center", "95 23", "--rules", rules)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1

@@ -1,0 +1,212 @@
+"""The design modes of SDSS-V on recorded configurations; each number is recomputed from the file with NumPy only."""
+
+import gzip
+import shlex
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import rfpsurvey as rs
+
+FILES = ("sdssv_apo_2021/confSummary-998.par.gz", "sdssv_apo_2024/confSummary-test.par.gz")
+MODES = ("bright_time", "dark_faint", "dark_monit", "dark_plane", "dark_rm")
+BANDS = ("g", "r", "i", "bp", "gaia_g", "rp", "h")
+INDEX = {"u": 0, "g": 1, "r": 2, "i": 3, "z": 4}
+
+
+def rows_of(path):
+    """Return the assigned rows of FIBERMAP as dicts, from the text of the file."""
+    text = gzip.decompress(path.read_bytes()).decode()
+    struct = text.partition("typedef struct {")[2].partition("}")[0]
+    names = [(line.split()[1].partition("[")[0], line) for line in struct.split(";") if line.strip()]
+    found = []
+    for line in text.splitlines():
+        if not line.startswith("FIBERMAP "):
+            continue
+        words, row = shlex.split(line.replace("{", " { ").replace("}", " } "))[1:], {}
+        for name, declared in names:
+            if words[0] == "{":
+                end = words.index("}")
+                row[name], words = words[1:end], words[end + 1 :]
+            else:
+                row[name], words = words[0], words[1:]
+            assert ("char" in declared) or name in ("fiberType",) or row[name]
+        if row["assigned"] == "1":
+            found.append(row)
+    return found
+
+
+def magnitude(row, band):
+    value = float(row["mag"][INDEX[band]] if band in INDEX else row[f"{band}_mag"])
+    return None if value != value or value in (-999, -9999, 999, 0, 99.9) else value
+
+
+def kind(row):
+    word = row["category"]
+    return "sky" if word.startswith("sky") else "standard" if word.startswith("standard") else "science"
+
+
+def spot(row):
+    return float(row["xFocal"]), float(row["yFocal"])
+
+
+def kth(rows, near, k):
+    """Return the distance of each row from its k-th neighbor, from all distances."""
+    if len(near) < k:
+        return np.full(len(rows), np.inf)
+    a, b = np.array([spot(row) for row in rows]), np.array([spot(row) for row in near])
+    return np.sort(np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1)), axis=1)[:, k - 1]
+
+
+def percentile(values, percent):
+    """Return the linearly interpolated percentile of values."""
+    values = np.sort(values)
+    at = percent / 100 * (len(values) - 1)
+    low = int(at)
+    return values[low] + (at - low) * (values[min(low + 1, len(values) - 1)] - values[low])
+
+
+def expected_distribution(rows, what, parameters):
+    """Return number, verdict, and the percentiles of our definition and of the public check."""
+    k, percent, limit = int(parameters[0]), *parameters[1:]
+    near = [row for row in rows if kind(row) == what]
+    science = [row for row in rows if kind(row) == "science"]
+    others = [row for row in rows if kind(row) != what]
+    if not science:
+        return np.nan, "not checkable", None, None
+    distance, public = kth(science, near, k), kth(others, near, min(k, 2))
+    share = 100 * np.mean(distance <= limit)
+    texts = [
+        f"{percentile(one, percent):.3f} mm" if np.isfinite(one).all() else "too few fibers"
+        for one in (distance, public)
+    ]
+    return share, "pass" if share >= percent else "fail", *texts
+
+
+def outside(rows, band, low, high):
+    known = [(row, m) for row in rows if (m := magnitude(row, band)) is not None]
+    wrong = [row["holeId"] for row, m in known if (low == low and m <= low) or (high == high and m >= high)]
+    return known, sorted(wrong)
+
+
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("mode", MODES)
+def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mode, real_data):
+    path = real_data(file)
+    published = {row["label"]: row for row in Table.read(real_data("sdssv_rules/design_modes.ecsv"))}[mode]
+    apo = rs.Instrument.preset("sdss_apo")
+    tile = rs.score_tile(rs.plans.read_plan(path), apo, constraints=apo.rules(mode))
+    rules = {row["rule"]: row for row in tile.rules}
+    rows, n_checked = rows_of(path), 0
+    for fiber in ("BOSS", "APOGEE"):
+        own, name = [row for row in rows if row["fiberType"] == fiber], fiber.lower()
+        for word, what in (("skies", "sky"), ("stds", "standard")):
+            least = published[f"{name}_n_{word}_min"]
+            if least > 0:
+                row = rules[f"{what}@{fiber}={least:.0f}"]
+                n = sum(kind(one) == what for one in own)
+                assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
+                n_checked += 1
+            parameters = published[f"{name}_min_{word}_fovmetric"]
+            if np.isfinite(parameters).all():
+                text = f"distribution {what} {parameters[0]:.0f} {parameters[1]} {parameters[2]} {fiber}"
+                number, verdict, ours, public = expected_distribution(own, what, parameters)
+                row = rules[text]
+                np.testing.assert_allclose(row["number"], number, rtol=1e-12)
+                assert row["verdict"] == verdict
+                assert ours is None or (f": {ours}; public" in row["note"] and row["note"].endswith(f": {public}"))
+                n_checked += 1
+        for what, column in (("standard", "stds_mags"), ("science", "bright_limit_targets")):
+            of_kind = [row for row in own if kind(row) == what]
+            for band, (low, high) in zip(BANDS, published[f"{name}_{column}"], strict=True):
+                if low != low and high != high:
+                    continue
+                ends = ["-inf" if low != low else str(low), "inf" if high != high else str(high)]
+                row = rules[f"magnitude {band} {' '.join(ends)} {what} {fiber} allowed"]
+                known, wrong = outside(of_kind, band, low, high)
+                if not known:
+                    assert row["verdict"] == "not checkable"
+                    assert np.isnan(row["number"])
+                else:
+                    assert (row["number"], row["verdict"]) == (len(wrong), "fail" if wrong else "pass")
+                    assert sorted(row["fibers"].split()) == wrong
+                    assert row["note"].startswith(f"{len(known)} of {len(of_kind)} ")
+                n_checked += 1
+        stars = [one for one in rules if one.startswith("bright_stars") and one.endswith(fiber)]
+        assert all(rules[one]["verdict"] == "not checkable" for one in stars)
+        n_checked += len(stars)
+    n_checked += check_contrast(rules, rows, published["apogee_trace_diff_targets"])
+    assert n_checked == len(rules)
+
+
+def check_contrast(rules, rows, limit):
+    """Compare the verdict on the contrast with all pairs of neighbors; return the number of rules."""
+    if limit != limit:
+        return 0
+    row = rules[f"contrast h {limit} APOGEE fiberId"]
+    own = {int(one["fiberId"]): one for one in rows if one["fiberType"] == "APOGEE"}
+    own = {number: one for number, one in own.items() if number >= 0 and magnitude(one, "h") is not None}
+    steps = {n: abs(magnitude(own[n], "h") - magnitude(own[n + 1], "h")) for n in own if n + 1 in own}
+    if not steps:
+        assert row["verdict"] == "not checkable"
+        return 1
+    wrong = [n for n, step in steps.items() if step > limit]
+    names = {own[n + d]["holeId"] for n in wrong for d in (0, 1)}
+    np.testing.assert_allclose(row["number"], max(steps.values()), atol=1e-5)  # magnitudes are in single precision
+    assert (row["verdict"], set(row["fibers"].split())) == ("fail" if wrong else "pass", names)
+    assert row["note"].startswith(f"{len(steps)} pairs of neighbors")
+    return 1
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_presets_have_the_published_values(mode, real_data):
+    """Radii around stars depend on the magnitude limit of the mode; the limit in bright time is that of the g band."""
+    published = {row["label"]: row for row in Table.read(real_data("sdssv_rules/design_modes.ecsv"))}[mode]
+    texts = [text for text in rs.Instrument.preset("sdss_lco").rules(mode) if text.startswith("bright_stars")]
+    night = "bright" if mode == "bright_time" else "dark"
+    boss = published["boss_bright_limit_targets"][0 if night == "bright" else 1][0]
+    expected = [f"bright_stars gaia_g sdssv_{night}:{boss:g} BOSS"]
+    apogee = published["apogee_bright_limit_targets"][6][0]
+    expected += [] if apogee != apogee else [f"bright_stars h sdssv_{night}:{apogee:g} APOGEE"]
+    assert texts == expected
+
+
+def test_a_plan_without_kinds_and_magnitudes_is_not_checkable():
+    """A rule without data is never passed."""
+    apo = rs.Instrument.preset("sdss_apo")
+    x, y = apo.focal_plane.xy[:3].T
+    table = Table({"positioner": apo.focal_plane.id[:3], "x": x + apo.focal_plane.positioner.eccentric_arm, "y": y})
+    tile = rs.score_tile(table, apo, constraints=apo.rules("dark_monit"))
+    assert set(tile.rules["verdict"]) == {"not checkable"}
+    assert np.isnan(tile.rules["number"]).all()
+
+
+def test_categories_of_sdssv_state_the_kinds_of_targets(real_data):
+    """A table without the column kind has the kinds with which its categories begin."""
+    table = Table.read(real_data("sdssv_robostrategy_field_a.ecsv"))
+    apo = rs.Instrument.preset("sdss_apo")
+    tile = rs.score_tile(table, apo, constraints=apo.rules("dark_monit"))
+    rules = {row["rule"]: row for row in tile.rules}
+    own = table[table["assigned"] == 1]
+    for what, fiber, least in (
+        ("sky", "BOSS", 50),
+        ("standard", "BOSS", 70),
+        ("sky", "APOGEE", 35),
+        ("standard", "APOGEE", 15),
+    ):
+        n = np.sum((own["fiber_type"] == fiber) & np.char.startswith(own["category"], what))
+        row = rules[f"{what}@{fiber}={least}"]
+        assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
+    assert all(
+        row["verdict"] == "not checkable" for text, row in rules.items() if text.startswith(("mag", "bright", "con"))
+    )
+
+
+def test_other_categories_do_not_state_kinds():
+    apo = rs.Instrument.preset("sdss_apo")
+    x, y = apo.focal_plane.xy[:3].T
+    table = Table({"positioner": apo.focal_plane.id[:3], "x": x + apo.focal_plane.positioner.eccentric_arm, "y": y})
+    table["category"] = ["sky_boss", "qso", "sky_boss"]
+    rules = rs.score_tile(table, apo, constraints=["sky=1", "sky_boss=1", "distribution sky 1 50 100"]).rules
+    assert rules["verdict"].tolist() == ["not checkable", "pass", "not checkable"]
