@@ -14,7 +14,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 from astropy.table import Table
@@ -54,9 +54,9 @@ def checksum(folder, row):
 
 
 def timed(function, *args, **options):
-    """Call a function; return its result and the time in seconds."""
-    begin = perf_counter()
-    return function(*args, **options), perf_counter() - begin
+    """Call a function; return its result, and the elapsed time and the processor time in seconds."""
+    begin, used = perf_counter(), process_time()
+    return function(*args, **options), (perf_counter() - begin, process_time() - used)
 
 
 def main():
@@ -74,7 +74,7 @@ def main():
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(options.workers) as executor:
         folder, common = Path(place) / "survey", {"allocator": "nearest", "executor": executor}
         survey, seconds = timed(rs.plan_survey, targets, "desi", tiling, folder=folder, **common)
-        print(f"first plan {seconds:.1f} s")
+        print(f"first plan {seconds[0]:.1f} s")
         order = np.lexsort((rng.random(len(tiling)), np.asarray(survey.tiles["pass"])))
         compared = np.linspace(0, options.chunks - 2, options.compared).astype(int)
         observed = 0
@@ -86,13 +86,14 @@ def main():
             state, replaying = timed(survey.state, targets)
             given = {"folder": folder, "visits": state, "resume": True, **common}
             survey, planning = timed(rs.plan_survey, targets, "desi", tiling, **given)
-            text = f"chunk {k + 1}: {len(rows)} tiles recorded in {recording:.2f} s, state {replaying:.2f} s, "
-            text += f"plan {planning:.2f} s"
+            text = f"chunk {k + 1}: {len(rows)} tiles recorded in {recording[0]:.2f} s, state {replaying[0]:.2f} s, "
+            text += f"plan {planning[0]:.2f} s"
             if k in compared:
                 rest = rs.Tiling(tiling.table[np.sort(order[observed:])])
                 left = replace(state.catalog, visits=state.left)
                 _, alone = timed(rs.plan_survey, left, "desi", rest, folder=Path(place) / f"alone{k}", **common)
-                text += f", {planning / alone:.2f} times the plan of the rest alone"
+                ratios = " and ".join(f"{a / b:.2f}" for a, b in zip(planning, alone, strict=True))
+                text += f", {ratios} times the elapsed and processor time of the plan of the rest alone"
             print(text, flush=True)
         seconds = perf_counter() - begin
         (folder / "events" / "state.npz").unlink()
@@ -100,7 +101,7 @@ def main():
         same = all((getattr(again, one) == getattr(state, one)).all() for one in ("observed", "failed", "left"))
         frozen = sum(checksum(folder, row) == event.plan for row, event in again.kept.items())
         sizes = [sum(one.stat().st_size for one in (folder / part).rglob("*.*")) for part in ("tiles", "events")]
-        print(f"all {seconds:.0f} s; complete replay {replaying:.1f} s, equal: {same}")
+        print(f"all {seconds:.0f} s; complete replay {replaying[0]:.1f} s, equal: {same}")
         print(f"{frozen} of {len(again.kept)} observed tiles unchanged")
         print(f"visits made {int(again.observed.sum())}, failed {int(again.failed.sum())}")
         plans, events = (size // observed for size in sizes)
