@@ -231,7 +231,7 @@ class SurveyState:
 
     @cached_property
     def digest(self) -> str:
-        """A digest of the catalog of the first plan, which is computed faster than the digest in its `Request`."""
+        """A digest of the catalog of the first plan, which is computed without an index on the sky."""
         return digest_of(self.first)
 
     def check_current(self) -> None:
