@@ -45,8 +45,8 @@ class BrightStars(Rule):
         Fiber type of the targets that are excluded; by default, any.
     stars : Catalog or str, optional
         Catalog with the stars, or the path of its file. All of its stars have circles, even if they are targets; their
-        proper motions are not applied (see `rfpsurvey.Catalog.at_epoch`). By default, the stars are all targets of the catalog
-        that are not sky positions.
+        proper motions are not applied (see `rfpsurvey.Catalog.at_epoch`). By default, the stars are all targets of the
+        catalog that are not sky positions.
 
     Raises
     ------
