@@ -33,7 +33,10 @@ def diff(
         write_table(table, output, overwrite=overwrite)
     n_tiles = table.meta["n_tiles"]
     if len(table) == 0:
-        print(f"the surveys are the same: {number_of(n_tiles[0], 'tile')}")
+        print(f"the plans are the same: {number_of(n_tiles[0], 'tile')}")
+    for folder, n in zip((first, second), table.meta["n_later_files"], strict=True):
+        if n:
+            _print.print_text(f"events that were recorded in {folder} after its last plan are not compared")
     is_tile = np.asarray(table["positioner"]) == ""
     for what, rows in (("tiles", is_tile), ("fibers", ~is_tile)):
         for reason, n in Counter(np.asarray(table["reason"])[rows].tolist()).most_common():

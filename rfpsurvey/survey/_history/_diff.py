@@ -56,7 +56,8 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         for fibers, of which the first one that applies is given: ``other catalog``, ``target dropped``, ``target
         complete`` (the previous target needs no visit any more), ``target added`` (the new target is new),
         ``failed visit`` (of the new target), ``priority changed``, ``visits changed`` (the number of requested visits),
-        and ``other plan``. If the surveys are equal, the table has no rows.
+        and ``other plan``. If the plans are equal, the table has no rows. ``meta["n_later_files"]`` contains, for each
+        survey, the number of files of events after its plan, which are not compared.
 
     Raises
     ------
@@ -95,7 +96,11 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
     columns = [np.concatenate([part[k] for part in changes]) for k in range(len(DIFF))]
     table = QTable(dict(zip(DIFF, columns, strict=True)))
     table = table[np.argsort([order[name] for name in table["tile"].tolist()], kind="stable")]
-    table.meta = {"made_by": "diff_surveys", "n_tiles": [len(one.row_of), len(two.row_of)]}
+    table.meta = {
+        "made_by": "diff_surveys",
+        "n_tiles": [len(one.row_of), len(two.row_of)],
+        "n_later_files": [one.n_later_files, two.n_later_files],
+    }
     return describe(table, DIFF)
 
 
@@ -108,6 +113,10 @@ class _Side:
         if not isinstance(survey, Survey):
             raise refusal(f"the {name} survey must be a Survey or the folder of a survey", survey)
         self.survey, tiles = survey, survey.tiles
+        self.n_later_files = 0  # number of files of events after the plan, which are not compared
+        if survey.folder is not None:
+            n_applied = survey.provenance.get("events", {}).get("n_files", 0)
+            self.n_later_files = max(len(read_events(survey.folder).files) - n_applied, 0)
         self.row_of = {str(one): row for row, one in enumerate(np.asarray(tiles["tile"]).tolist())}
         self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
