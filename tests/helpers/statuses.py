@@ -19,6 +19,7 @@ def status_table():
     table.meta = {
         "made_by": "survey_status",
         "instrument": "mine",
+        "areas": [{"ra": "90 to 100", "dec": "20 to 30", "n_requested": 500, "n_observed": 200, "n_planned": 100}],
         "tiles": [{"pass": 1, **states}, {"pass": 2, "observed": 0, "partly observed": 0, "dropped": 0, "planned": 12}],
         "progress": {
             "date": ["", "2026-01-03", "2026-01-04", "2026-01-17"],
