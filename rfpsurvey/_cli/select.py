@@ -77,7 +77,7 @@ def select(keys: SelectKeys, given: Given) -> None:
     if survey is not None:  # the keys have the values of the survey, unless they are given
         place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
         own = {name: one for name, one in given.values.items() if name != "catalog.path"}
-        keys = build(SelectKeys, {name: one for name, one in shared.items() if name[:7] != "output."} | own)
+        keys = build(SelectKeys, {name: one for name, one in shared.items() if not name.startswith("output.")} | own)
     if keys.options.get("allocator") == JOINT:
         raise rs.InputError(
             "selection probabilities need an allocator that plans the tiles one by one, got a survey that was planned "

@@ -51,6 +51,7 @@ def run(
             for block in blocks:
                 own = seeds[block.first : block.last]
                 done = None if folder is None else folder.load_block(block.number, len(builder.wanted), len(block))
+                is_known = done is not None
                 if done is None and generations is not None:
                     plan = partial(_plan_generation, seeds=own, executor=executor, together=together)
                     done = plan_history(generations, request.state, len(block), plan)
@@ -60,12 +61,12 @@ def run(
                     begin = tiles * (1 + block.first)
                     _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
                     done = state.masks(), state.counts
-                if folder is not None:
+                if folder is not None and not is_known:
                     folder.save_block(block.number, *done)
                 word, shift = divmod(block.first, 64)
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
-                tell(tiles * (1 + block.last), new=False)
+                tell(tiles * (1 + block.last), new=generations is not None and not is_known)
         source = request.source
         result = SelectionProbabilities(
             source.ids(),

@@ -41,11 +41,9 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         )
     with where as folder:
         n = len(request.tiling)
-        found = (
-            None
-            if folder is None
-            else read_finished(folder.path, n, joint=request.joint is not None, state=request.state)
-        )
+        found = None
+        if folder is not None:
+            found = read_finished(folder.path, n, joint=request.joint is not None, state=request.state)
         if found is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
@@ -104,9 +102,8 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
     cards = cards_of(request.options)
     for tile, event in history.kept.items():
         if folder is None:
-            parts[tile] = _io.read_fits_bytes(history.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[
-                0
-            ]
+            content = history.events.plan(tile, event.plan)
+            parts[tile] = _io.read_fits_bytes(content, f"the plan of tile {event.tile}")[0]
         elif folder.checksum(tile) != event.plan or not folder.has_part(tile):
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:

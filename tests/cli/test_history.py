@@ -394,8 +394,8 @@ def test_invalid_input_of_the_status_is_one_sentence(run, observed, tmp_path):
 
 def test_differences_of_two_plans(call, observed, tmp_path):
     shutil.copytree(observed, tmp_path / "before")
-    out = call("diff", tmp_path / "before", observed)[0]
-    assert out.startswith("the plans are the same: 4 tiles\nevents that were recorded in")
+    out = " ".join(call("diff", tmp_path / "before", observed)[0].split())  # long paths are wrapped
+    assert out.startswith("the plans are the same: 4 tiles events that were recorded in")
     assert out.count("after its last plan are not compared") == 2
     call("survey", observed, "--replan")
     out, lines = call("diff", tmp_path / "before", observed, "--output", tmp_path / "changes.fits")

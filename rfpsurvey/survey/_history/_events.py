@@ -45,7 +45,7 @@ class TileEvent(NamedTuple):
     """Fraction of the requested exposure."""
     plan: str = ""
     """SHA-256 of the file of the tile with which the tile was observed."""
-    failed: dict = {}  # noqa: RUF012
+    failed: dict = {}  # noqa: RUF012  (it is never changed)
     """Positioners that failed, with the reason for each of them."""
     place: tuple = ()
     """Right ascension, declination and position angle (deg) and the pass of an added tile."""

@@ -9,6 +9,7 @@ from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
+from rfpsurvey.survey._history._catalogs import columns_of
 from rfpsurvey.survey._history._events import DONE
 from rfpsurvey.survey._history._replay import visits_of
 from rfpsurvey.survey._history._state import SurveyState
@@ -80,9 +81,10 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         raise refusal("state must be a SurveyState", state)
     if survey.folder is None or survey.folder.resolve() != state.folder.resolve() or len(survey.outcomes) > len(state):
         raise InputError(f"state must be the state of the survey, got that of the survey in {state.folder}")
-    columns = _columns_of(state.catalog)
-    wanted = np.where(columns["kind"] == "science", state.requested, 0) if columns["kind"] is not None else None
-    wanted = state.requested.astype(np.int64) if wanted is None else wanted.astype(np.int64)
+    columns = columns_of(state.catalog, None)
+    wanted = state.requested.astype(np.int64)
+    if columns["kind"] is not None:
+        wanted[columns["kind"] != "science"] = 0
     observed = np.minimum(state.observed, wanted)
     is_planned = json.loads(json.dumps(state.record)) == survey.provenance.get("events", _none(state))
     left = wanted - observed
@@ -118,13 +120,6 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "events": state.record,
     }
     return describe(table, STATUS)
-
-
-def _columns_of(catalog) -> dict:
-    names = ("priority", "category", "kind")
-    if isinstance(catalog, Catalog):
-        return {name: getattr(catalog, name) for name in names}
-    return {name: catalog.parts.column(name) for name in names}
 
 
 def _none(state: SurveyState) -> dict | None:

@@ -1,31 +1,11 @@
 """Surveys that are continued after records: no plan with which a tile was observed is lost or confused with another."""
 
-import shutil
-
 import numpy as np
 import pytest
-from living import content, differences, events, instrument, part, sha, targets, tiling
+from living import content, differences, events, part, sha
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState
-
-
-@pytest.fixture(scope="module")
-def case():
-    return targets(), instrument(), tiling()
-
-
-@pytest.fixture(scope="module")
-def planned(case, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("planned") / "survey"
-    rs.plan_survey(*case, folder=folder, allocator="nearest")
-    return folder
-
-
-@pytest.fixture
-def survey(planned, tmp_path):
-    """Return a survey in a folder of its own."""
-    return rs.Survey.read(shutil.copytree(planned, tmp_path / "survey"))
 
 
 def replan(case, survey, state=None, **options):

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import shutil
 import warnings
 from pathlib import Path
 
@@ -11,27 +10,10 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
-from living import content, differences, events, instrument, targets, tiling
+from living import content, differences, events
 
 import rfpsurvey as rs
 from rfpsurvey._folder import locked
-
-
-@pytest.fixture(scope="module")
-def case():
-    return targets(), instrument(), tiling()
-
-
-@pytest.fixture(scope="module")
-def planned(case, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("planned") / "survey"
-    rs.plan_survey(*case, folder=folder, allocator="nearest")
-    return folder
-
-
-@pytest.fixture
-def survey(planned, tmp_path):
-    return rs.Survey.read(shutil.copytree(planned, tmp_path / "survey"))
 
 
 def refuse(survey, table, sentence, **options):

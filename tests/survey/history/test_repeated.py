@@ -1,31 +1,12 @@
 """Tables that are recorded again, that add to earlier tables, or that contradict them."""
 
 import json
-import shutil
 
 import pytest
-from living import events, instrument, targets, tiling
+from living import events
 
 import rfpsurvey as rs
 from rfpsurvey.survey._history import _events
-
-
-@pytest.fixture(scope="module")
-def case():
-    return targets(), instrument(), tiling()
-
-
-@pytest.fixture(scope="module")
-def planned(case, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("planned") / "survey"
-    rs.plan_survey(*case, folder=folder, allocator="nearest")
-    return folder
-
-
-@pytest.fixture
-def survey(planned, tmp_path):
-    """Return a survey in a folder of its own."""
-    return rs.Survey.read(shutil.copytree(planned, tmp_path / "survey"))
 
 
 def failed(survey, row=0):
