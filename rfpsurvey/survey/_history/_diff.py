@@ -2,6 +2,7 @@
 
 import os
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from astropy.table import QTable
@@ -113,10 +114,14 @@ class _Side:
         if not isinstance(survey, Survey):
             raise refusal(f"the {name} survey must be a Survey or the folder of a survey", survey)
         self.survey, tiles = survey, survey.tiles
-        self.n_later_files = 0  # number of files of events after the plan, which are not compared
+        about, events = survey.provenance.get("events"), Events(Path())
         if survey.folder is not None:
-            n_applied = survey.provenance.get("events", {}).get("n_files", 0)
-            self.n_later_files = max(len(read_events(survey.folder).files) - n_applied, 0)
+            events = read_events(survey.folder)
+        n_applied = 0 if about is None else about["n_files"]
+        self.events = None if about is None or survey.folder is None else events.first(n_applied)
+        """The events with which the survey was planned; None if there are none."""
+        self.n_later_files = max(len(events.files) - n_applied, 0)
+        """Number of files of events after the plan, which are not compared."""
         self.row_of = {str(one): row for row, one in enumerate(np.asarray(tiles["tile"]).tolist())}
         self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
@@ -138,15 +143,6 @@ class _Side:
         if "priority" in visits.colnames:
             target = np.asarray(visits["target_row"])
             self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
-
-    @cached_property
-    def events(self) -> Events | None:
-        """The events with which the survey was planned; None if there are none."""
-        about = self.survey.provenance.get("events")
-        if about is None or self.survey.folder is None:
-            return None
-        events = read_events(self.survey.folder)
-        return Events(events.folder, events.files[: about["n_files"]])
 
     @cached_property
     def replayed(self) -> Replay:

@@ -25,6 +25,9 @@ from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name
 
 MOST = 2**28
 VERSION = 1
+FRAME = '{{"digest": "{}", "events":\n{}\n}}\n'
+"""Text of a file of events with its digest and its content, which are JSON in all."""
+FRAMED = re.compile(r'\{"digest": "([0-9a-f]{64})", "events":\n(.*)\n\}\n', re.DOTALL)
 DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED = "done", "partly", "bad", "dropped", "planned", "added"
 STATES = (DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED)
 
@@ -69,6 +72,8 @@ class EventFile:
     targets: str | None
     """Name of the file with a table of added and changed targets."""
     digest: str
+    previous: str
+    """Digest of the preceding file."""
 
 
 @dataclass(frozen=True)
@@ -144,23 +149,26 @@ class Events:
             "previous": self.digest,
             **numbers,
             "targets": name,
-            "tiles": [event._asdict() for event in tiles],
+            "tiles": [event._asdict() | {"failed": _by_reason(event.failed)} for event in tiles],
         }
         body = json.dumps(about, separators=(",", ":"), sort_keys=True)
-        content = json.dumps({"digest": _digest(body), "events": about}, indent=1, sort_keys=True) + "\n"
-        _io.write_bytes(self.folder / _name(number), content.encode(), sync=True)
+        _io.write_bytes(self.folder / _name(number), FRAME.format(_digest(body), body).encode(), sync=True)
 
 
-def read_events(folder: Path) -> Events:
-    """Return the events of a survey, or raise an error if a file is missing or damaged."""
+def read_events(folder: Path, known: Events | None = None) -> Events:
+    """Return the events of a survey, or raise an error if a file is missing or damaged.
+
+    Files whose digests are those of ``known`` are verified, but not parsed again.
+    """
+    parsed = {} if known is None else {file.digest: file for file in known.files}
     path = folder / EVENTS
     found = sorted(one.name for one in path.glob("*.json")) if is_present(path) else []
     files, previous = [], ""
     for number, name in enumerate(found, 1):
         if name != Path(_name(number)).name:
             raise InputError(f"{folder / _name(number)} is missing, but {name} exists")
-        file, before = _read(path / name)
-        if before != previous:
+        file = _read(path / name, parsed)
+        if file.previous != previous:
             raise InputError(f"{path / name} must follow the events before it, got a file for other events")
         files.append(file)
         previous = file.digest
@@ -187,24 +195,28 @@ def read_request(folder: Path) -> dict:
         raise InputError(f"{path} is damaged ({error})") from None
 
 
-def _read(path: Path) -> tuple[EventFile, str]:
-    """Return the content of a file of events, and the digest of the preceding file."""
+def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
+    """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
     try:
-        content = json.loads(content_of(path, most=MOST).decode("utf-8", "replace"))
-        about = content["events"]
-        if content["digest"] != _digest(json.dumps(about, separators=(",", ":"), sort_keys=True)):
+        found = FRAMED.fullmatch(content_of(path, most=MOST).decode("utf-8", "replace"))
+        if not found or found[1] != _digest(found[2]):
             raise InputError("its digest differs from its content")
+        if found[1] in parsed:
+            return parsed[found[1]]
+        about = json.loads(found[2])
         if about["version"] != VERSION:
             raise InputError(f"version {about['version']} of the format is not supported")
-        tiles = tuple(TileEvent(**{**one, "place": tuple(one["place"])}) for one in about["tiles"])
-        file = EventFile(
-            *(about[name] for name in ("n_targets", "n_tiles", "n_applied")), tiles, about["targets"], content["digest"]
+        tiles = tuple(
+            TileEvent(**{**one, "failed": _by_name(one["failed"]), "place": tuple(one["place"])})
+            for one in about["tiles"]
         )
+        numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
+        file = EventFile(*numbers, tiles, about["targets"], found[1], about["previous"])
         if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
             raise InputError(f"{file.targets!r} is not the name of a table of targets")
     except (InputError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({sentence(error)})") from None
-    return file, about["previous"]
+    return file
 
 
 def _verified(path: Path, digest: str) -> bytes | None:
@@ -213,6 +225,19 @@ def _verified(path: Path, digest: str) -> bytes | None:
         return None
     content = content_of(path, most=MOST)
     return content if hashlib.sha256(content).hexdigest() == digest else None
+
+
+def _by_reason(failed: dict[str, str]) -> dict[str, list[str]]:
+    """Return the positioners that failed for each reason."""
+    found: dict[str, list[str]] = {}
+    for name, reason in failed.items():
+        found.setdefault(reason, []).append(name)
+    return found
+
+
+def _by_name(failed: dict[str, list[str]]) -> dict[str, str]:
+    """Return the reason for each positioner that failed."""
+    return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
 
 
 def _name(number: int) -> str:

@@ -229,7 +229,7 @@ def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _key(event: TileEvent) -> bytes:
-    text = json.dumps([*event[:6], sorted(event.failed)])
+    text = json.dumps([*event[:6], "\0".join(event.failed)])
     return hashlib.sha256(text.encode()).hexdigest().encode()
 
 

@@ -242,7 +242,7 @@ class SurveyState:
         InputError
             If there are later events.
         """
-        if read_events(self.folder).digest != self.events.digest:
+        if read_events(self.folder, self.events).digest != self.events.digest:
             raise InputError(
                 f"visits must be the state after all events in {self.folder}, got a state that was read before the "
                 "last event was recorded; call Survey.state again"
