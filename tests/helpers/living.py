@@ -21,18 +21,18 @@ def instrument() -> rs.Instrument:
     return rs.Instrument("tiny", plane, plate_scale=200 * u.mm / u.deg)
 
 
-def targets(seed: int = 0, *, kinds: bool = False) -> rs.Catalog:
-    """Return 60 targets with priorities and one to three visits; some of them are standards if ``kinds`` is true."""
+def targets(seed: int = 0, *, kinds: bool = False, n: int = N, radius: float = 0.35) -> rs.Catalog:
+    """Return targets with priorities and one to three visits; some of them are standards if ``kinds`` is true."""
     rng = np.random.default_rng(seed)
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.35 * u.deg, n_targets=N, rng=seed)
-    kind = rng.choice(["science", "standard", "sky"], N, p=[0.8, 0.1, 0.1]) if kinds else None
-    numbers = {"priority": rng.integers(1, 4, N), "visits": rng.integers(1, 4, N)}
-    return rs.Catalog(sky.coord, id=1000 + np.arange(N), kind=kind, **numbers)
+    sky = rs.synthetic_catalog("uniform", CENTER, radius * u.deg, n_targets=n, rng=seed)
+    kind = rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1]) if kinds else None
+    numbers = {"priority": rng.integers(1, 4, n), "visits": rng.integers(1, 4, n)}
+    return rs.Catalog(sky.coord, id=1000 + np.arange(n), kind=kind, **numbers)
 
 
-def tiling(seed: int = 0, n: int = 6) -> rs.Tiling:
-    """Return overlapping tiles in two passes."""
-    offsets = np.random.default_rng(seed).uniform(-0.2, 0.2, (n, 2))
+def tiling(seed: int = 0, n: int = 6, size: float = 0.2) -> rs.Tiling:
+    """Return overlapping tiles in two passes, up to ``size`` (deg) from the center in both directions."""
+    offsets = np.random.default_rng(seed).uniform(-size, size, (n, 2))
     places = [CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in offsets]
     table = QTable({"ra": [c.ra.deg for c in places] * u.deg, "dec": [c.dec.deg for c in places] * u.deg})
     table["tile"] = 11 + np.arange(n)

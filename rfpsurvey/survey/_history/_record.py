@@ -152,7 +152,8 @@ def _tile_events(
     columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
     groups = groups_of(names.tolist(), columns["date"])
-    for name, date in sorted(groups, key=lambda key: (key[1], history.row_of.get(key[0], history.n_tiles))):
+    place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
+    for name, date in sorted(groups, key=lambda key: (key[1], place[key[0]])):
         rows = groups[name, date]
         whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
         if len(whole) > 1:

@@ -52,11 +52,12 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
             f"a table of targets must have one of the columns {listed(known)}, got {listed(table.colnames)}"
         )
     ids = np.asarray(to_labels(table[name], name))
-    values, counts = np.unique(ids, return_counts=True)
+    values, first, counts = np.unique(ids, return_index=True, return_counts=True)
     if (counts > 1).any():
         raise InputError(
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
+    ids, table = values, table[first]  # events do not depend on the order of rows
     if "n_partitions" in survey.provenance["catalog"]:
         raise InputError("targets must be changed only in a survey of a catalog in memory, got a partitioned catalog")
     rows, n = _rows_of(ids, events, survey)

@@ -155,3 +155,15 @@ def test_a_partitioned_catalog(case, tmp_path):
     survey = rs.Survey.read(tmp_path / "survey-0")
     with pytest.raises(rs.InputError, match="targets must be changed only in a survey of a catalog in memory"):
         survey.record(events(target=1001, state="dropped"))
+
+
+def test_the_order_of_new_targets_and_tiles(case, planned, tmp_path, rng):
+    """Regression: the rows of added targets and tiles were those of the table."""
+    first, *others = copies(planned, tmp_path, 4)
+    new = events(target=[1003, 2001, 2002, 1001], state=["dropped", "", "", ""], ra=120.1, dec=30.0, priority=2.0)
+    new["visits"] = [1, 1, 2, 3]
+    tiles = events(tile=[101, 30, 9, 14], state=["added"] * 3 + ["dropped"], ra=[120.0, 120.1, 119.9, 0.0], dec=30.0)
+    for survey in (first, *others):
+        order = np.arange(4) if survey is first else rng.permutation(4)
+        assert survey.record(new[order])["n_events"] == survey.record(tiles[order])["n_events"] == 4
+        assert content(survey.folder) == content(first.folder)
