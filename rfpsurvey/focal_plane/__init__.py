@@ -5,6 +5,7 @@ from rfpsurvey.focal_plane._coverage import on_footprint
 from rfpsurvey.focal_plane._focal_plane import FocalPlane
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._margins import LENGTHS, Margins
+from rfpsurvey.focal_plane._modules import grouped_modules, onto_surface, triangle
 from rfpsurvey.focal_plane._obstacles import with_circles
 from rfpsurvey.focal_plane._reach import Reach, accepted_types, elbow_names
 
@@ -16,7 +17,10 @@ __all__ = [
     "Reach",
     "accepted_types",
     "elbow_names",
+    "grouped_modules",
     "hexagonal_cells",
     "on_footprint",
+    "onto_surface",
+    "triangle",
     "with_circles",
 ]

@@ -16,13 +16,14 @@ from rfpsurvey.focal_plane._checks import check_columns
 from rfpsurvey.focal_plane._coverage import find_coverage, footprint_of
 from rfpsurvey.focal_plane._lattice import hexagonal_cells
 from rfpsurvey.focal_plane._margins import Margins
+from rfpsurvey.focal_plane._modules import Modular
 from rfpsurvey.focal_plane._neighbors import nearest_within
 from rfpsurvey.positioner import Positioner
 
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class FocalPlane:
+class FocalPlane(Modular):
     """The positioners of an instrument, one per row, and the fixed obstacles between them.
 
     Parameters

@@ -4,6 +4,7 @@ from copy import copy
 
 import astropy.units as u
 import numpy as np
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._kernels.outlines import NO_POLYGONS, Polygons
 from rfpsurvey._units import locked
@@ -37,9 +38,15 @@ def find_obstacle_pairs(columns) -> np.ndarray:
         circles = np.vstack([circles, around])
     if len(circles) == 0:
         return locked(np.empty((0, 2), dtype=np.int64))
-    apart = np.hypot(*(columns.xy[:, None, :] - circles[None, :, :2]).transpose(2, 0, 1))
-    limit = columns.arm_reach[:, None] + circles[None, :, 2] + columns.clearance
-    return locked(np.ascontiguousarray(np.argwhere(apart < limit * (1 + 1e-12) + columns.touch_slack)))
+    most = (columns.arm_reach.max() + circles[:, 2] + columns.clearance) * 1.001 + 1
+    near = scipy.spatial.cKDTree(columns.xy).query_ball_point(circles[:, :2], most)
+    own = np.concatenate([np.sort(rows).astype(np.int64) for rows in near])
+    other = np.repeat(np.arange(len(circles)), list(map(len, near)))
+    apart = np.hypot(*(columns.xy[own] - circles[other, :2]).T)
+    limit = columns.arm_reach[own] + circles[other, 2] + columns.clearance
+    keep = apart < limit * (1 + 1e-12) + columns.touch_slack
+    pairs = np.column_stack([own, other])[keep]
+    return locked(np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]))
 
 
 def with_circles(plane, circles: np.ndarray):

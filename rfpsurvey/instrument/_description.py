@@ -12,6 +12,7 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, switch_inherited
 from rfpsurvey.instrument._entries import check_description, sections_of, with_defaults
+from rfpsurvey.instrument._modules import has_modules, layout_of_modules
 from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
@@ -114,6 +115,12 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     """Make the focal plane from the table or lattice in the section ``layout``."""
     if get("layout.table") is not None:
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
+    if has_modules(get):
+        plane, n = layout_of_modules(positioner, get, folder), get("layout.spectrographs")
+        if not isinstance(n, int):
+            return plane
+        groups = _groups(plane.xy.to_value(u.mm), n, get("layout.spectrograph_shape", "blocks"))
+        return replace(plane, spectrograph=groups)
     if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
         raise InputError("[layout] must have a table, or a pitch with either rings or count")
     fiducials = get("layout.fiducial_cells", [])

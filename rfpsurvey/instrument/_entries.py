@@ -55,6 +55,19 @@ def _choice(*names) -> Kind:
     return Kind(f"one of {', '.join(names)}", lambda value: isinstance(value, str) and value in names)
 
 
+def _is_point(value) -> bool:
+    return _is_list(value, _is_number, 2)
+
+
+def _is_class(value) -> bool:
+    return (
+        isinstance(value, dict)
+        and set(value) <= {"places", "central_arm", "eccentric_arm"}
+        and _is_list(value.get("places", []), _is_whole)
+        and all(_is_number(length, TINY, MOST_NUMBER) for name, length in value.items() if name != "places")
+    )
+
+
 def _is_map(value) -> bool:
     if not isinstance(value, dict) or not set(value) <= {"form", "coefficients", "radius", "unit_tangent"}:
         return False
@@ -80,7 +93,7 @@ def _is_part(value) -> bool:
     return (
         isinstance(value, dict)
         and {"vertices"} <= set(value) <= {"vertices", "radius"}
-        and _is_list(value["vertices"], lambda point: _is_list(point, _is_number, 2))
+        and _is_list(value["vertices"], _is_point)
         and len(value["vertices"]) > 0
         and _is_number(value.get("radius", 0), 0)
     )
@@ -89,7 +102,7 @@ def _is_part(value) -> bool:
 TINY = 1e-300  # lower limit of positive numbers
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
-ANGLES = Kind("two angles", lambda value: _is_list(value, _is_number, 2), u.rad)
+ANGLES = Kind("two angles", _is_point, u.rad)
 CELLS = Kind(
     "a list of pairs of whole numbers",
     lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
@@ -100,6 +113,7 @@ OUTLINE = Kind(
     _is_outline,
     u.mm,
 )
+POINTS = Kind("a list of at least three points", lambda value: _is_list(value, _is_point) and len(value) > 2, u.mm)
 TEXT = Kind("text", _is_text)
 STATES = Kind(
     "the name of a file, or a list of tables with the key id",
@@ -130,10 +144,7 @@ ENTRIES = {
     "positioner.full_outline": OUTLINE,
     "layout.obstacle_polygons": Kind(
         "a list of polygons, which are lists of at least three points",
-        lambda value: (
-            _is_list(value, lambda one: _is_list(one, lambda p: _is_list(p, _is_number, 2)) and len(one) > 2)
-            and len(value) > 0
-        ),
+        lambda value: _is_list(value, POINTS.fits) and len(value) > 0,
         u.mm,
     ),
     "margins.outer": CLOSED_LENGTH,
@@ -152,12 +163,36 @@ ENTRIES = {
     "layout.vacant_cells": CELLS,
     "layout.fiducial_cells": CELLS,
     "layout.fiducial_radius": CLOSED_LENGTH,
+    "layout.modules": Kind(
+        "the name of a file, or a list of modules [x, y, rotation] in mm and deg",
+        lambda value: _is_text(value) or (_is_list(value, lambda row: _is_list(row, _is_number, 3)) and len(value) > 0),
+    ),
+    "layout.module_rows": _whole(1, 200),
+    "layout.module_corners": _choice("vacant", "used"),
+    "layout.module_places": Kind("a list of points", lambda value: _is_list(value, _is_point) and len(value) > 0, u.mm),
+    "layout.module_outline": POINTS,
+    "layout.module_wall": LENGTH,
+    "layout.module_classes": Kind(
+        "a table whose keys are fiber types and whose values are tables with places (numbers from 1), central_arm and "
+        "eccentric_arm (mm)",
+        lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_class, value.values())),
+    ),
+    "layout.module_side": LENGTH,
+    "layout.module_gap": CLOSED_LENGTH,
+    "layout.group_gap": CLOSED_LENGTH,
+    "layout.group_radius": LENGTH,
+    "layout.module_radius": LENGTH,
+    "layout.focal_surface": Kind(
+        "a radius of curvature above 0, or a list of at least three points [R, Z]",
+        lambda value: POINTS.fits(value) or _is_number(value, TINY),
+        u.mm,
+    ),
     "layout.names": _choice("row and column", "cobra"),
     "layout.fiber_types": NAMES,
     "layout.first_type_only_cells": CELLS,
     "layout.spectrographs": Kind(
-        "a whole number from 1 to 1000000, or 'one a fiber type'",
-        lambda value: _is_whole(value, 1, 1_000_000) or value == "one a fiber type",
+        "a whole number from 1 to 1000000, or 'one a fiber type' or 'one a module'",
+        lambda value: _is_whole(value, 1, 1_000_000) or value in ("one a fiber type", "one a module"),
     ),
     "layout.spectrograph_shape": _choice("blocks", "wedges"),
     "optics.plate_scale": _number("a positive length per angle", TINY, 1e12, SCALE),

@@ -1,0 +1,238 @@
+"""Focal planes made of modules: the places of the positioners in a module, and the places of the modules."""
+
+import astropy.units as u
+import numpy as np
+import scipy  # its subpackages are imported on first use
+
+from rfpsurvey._units import to_points_mm, to_radian, to_scalar
+from rfpsurvey.errors import InputError, check_whole, number_of
+from rfpsurvey.positioner import Positioner
+
+MOST_ROWS = 200
+
+
+class Modular:
+    """The part of `FocalPlane` that makes focal planes from modules."""
+
+    @classmethod
+    def from_modules(
+        cls,
+        positioner: Positioner,
+        *,
+        centers: u.Quantity,
+        places: u.Quantity,
+        rotation: u.Quantity | None = None,
+        outline: u.Quantity | None = None,
+        wall: u.Quantity | None = None,
+        **columns,
+    ):
+        """Make a focal plane from equal modules, such as the triangular modules of MUST.
+
+        The identifiers of the positioners are numbers such as 1263: place 63 of module 12. Modules and places are
+        numbered from 1, in the order of the arguments.
+
+        Parameters
+        ----------
+        positioner : Positioner
+            Geometry common to all positioners.
+        centers : Quantity, shape (m, 2)
+            Centers of the modules on the focal plane.
+        places : Quantity, shape (k, 2)
+            Centers of the positioners of a module that is not rotated, relative to its center.
+        rotation : Quantity, shape (m,), optional
+            Angle by which each module is rotated counter-clockwise; 0 by default.
+        outline : Quantity, shape (v, 2), optional
+            Corners of the convex outline of a module that is not rotated, relative to its center.
+        wall : Quantity, optional
+            Thickness of walls along the outline, outside of it, which no arm may touch; no walls by default.
+        **columns
+            Further arguments of `FocalPlane`, such as ``fiber_type`` and ``central_arm``; columns with k values apply
+            to all modules.
+
+        Returns
+        -------
+        FocalPlane
+            The focal plane.
+
+        Raises
+        ------
+        InputError
+            If an argument is not valid, or if modules overlap.
+
+        Examples
+        --------
+        >>> import astropy.units as u
+        >>> import rfpsurvey as rs
+        >>> robot = rs.Positioner(1.8 * u.mm, 1.8 * u.mm, clearance=2 * u.mm)
+        >>> places = rs.focal_plane.triangle(6.2 * u.mm, 11, corners=False)
+        >>> plane = rs.FocalPlane.from_modules(
+        ...     robot, centers=[[0, 0], [0, -43]] * u.mm, rotation=[0, 180] * u.deg, places=places
+        ... )
+        >>> len(plane), plane.id[-1]
+        (126, np.int64(263))
+        """
+        xy, turn = to_points_mm(centers, "centers"), np.zeros(len(centers))
+        if rotation is not None:
+            turn = to_radian(rotation, "rotation")
+            if turn.shape != (len(xy),):
+                raise InputError(f"rotation must have the shape ({len(xy)},), got {turn.shape}")
+        points = to_points_mm(places, "places")
+        for name, values in (("centers", xy), ("places", points), ("rotation", turn)):
+            if len(values) == 0 or not np.isfinite(values).all():
+                got = values[~np.isfinite(values)][0] if len(values) else "none"
+                raise InputError(f"{name} of modules must be finite, got {got}")
+        edge = hull_of(points) if outline is None else hull_of(to_points_mm(outline, "outline"))
+        _check_overlap(xy, turn, edge)
+        if wall is not None:
+            if outline is None:
+                raise InputError("walls must be given with the outline of a module, got no outline")
+            walls = walls_of(xy, turn, edge, to_scalar(wall, u.mm, "wall", low=0))
+            columns["obstacle_polygons"] = [*(columns.get("obstacle_polygons") or ()), *walls]
+        m, k = len(xy), len(points)
+        for name, value in columns.items():
+            if name not in ("obstacles", "hidden", "obstacle_polygons", "margins") and len(value) == k != m * k:
+                columns[name] = (
+                    u.Quantity([*value] * m) if isinstance(value, u.Quantity) else np.concatenate([value] * m)
+                )
+        step = 10 ** len(str(k))
+        columns.setdefault("id", (step * np.arange(1, m + 1)[:, None] + np.arange(1, k + 1)).ravel())
+        return cls(_placed(xy, turn, points).reshape(-1, 2) * u.mm, positioner, **columns)
+
+
+def triangle(pitch: u.Quantity, rows: int, *, corners: bool = True) -> u.Quantity:
+    """Return the places of a triangular module: a triangular lattice whose tip points toward +y.
+
+    Parameters
+    ----------
+    pitch : Quantity
+        Distance between neighboring places.
+    rows : int
+        Number of rows; the lattice has ``rows (rows + 1) / 2`` places.
+    corners : bool, optional
+        Whether the three places at the corners have positioners.
+
+    Returns
+    -------
+    Quantity, shape (k, 2)
+        The places relative to the centroid of the triangle, from the lowest row to the tip and from -x to +x.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> len(rs.focal_plane.triangle(6.2 * u.mm, 11, corners=False))
+    63
+    """
+    step, n = to_scalar(pitch, u.mm, "pitch", low=0, high=1e6), check_whole(rows, "rows", 1, MOST_ROWS)
+    row = np.repeat(np.arange(n), n - np.arange(n))
+    place = np.concatenate([np.arange(n - k) for k in range(n)])
+    xy = step * np.column_stack([place + (row - n + 1) / 2, np.sqrt(3) / 2 * (row - (n - 1) / 3)])
+    is_corner = (row == n - 1) | ((row == 0) & np.isin(place, (0, n - 1)))
+    return xy[np.ones(len(xy), dtype=bool) if corners else ~is_corner] * u.mm
+
+
+def grouped_modules(side: float, gap: float, group_gap: float, most: float, *, whole: bool) -> tuple:
+    """Return the flat grid of triangular modules in groups of four: centers, rotations and corners (mm, rad).
+
+    Four modules form a larger triangle: one at the center, and three around it at the distance ``gap``; ``group_gap``
+    is the distance between the modules of adjacent groups, less twice ``gap``. Groups (or modules, if ``whole`` is
+    false) whose centers are farther than ``most`` from the origin are omitted. The corners are points between the
+    modules, where fiducials have their place.
+    """
+    edge = 2 * side + np.sqrt(3) * (group_gap + 2 * gap)
+    n = int(most / edge) + 3
+    j, i = (part.ravel() for part in np.mgrid[-n : n + 1, -n : n + 1])
+    corner = edge * np.column_stack([i + j / 2, np.sqrt(3) / 2 * j])
+    centers, turns = [], []
+    for sign in (1, -1):  # groups whose tip points toward +y, and toward -y
+        group = corner + np.array([edge / 2, sign * edge / np.sqrt(12)])
+        own = sign * (side / np.sqrt(3) + gap)
+        around = [[0, 0], *([own * np.cos(a), own * np.sin(a)] for a in np.radians([90, 210, 330]))]
+        modules = group[:, None, :] + np.array(around)
+        far = np.hypot(*group.T)[:, None] if whole else np.hypot(*modules.transpose(2, 0, 1))
+        keep = np.broadcast_to(far <= most, modules.shape[:2])
+        up = np.broadcast_to(np.array([-sign, sign, sign, sign]), modules.shape[:2])
+        centers.append(modules[keep])
+        turns.append(np.where(up[keep] > 0, 0.0, np.pi))
+    centers, turns = np.concatenate(centers), np.concatenate(turns)
+    order = np.lexsort((np.round(centers[:, 0], 6), np.round(centers[:, 1], 6)))
+    centers, turns = centers[order], turns[order]
+    if not len(centers):
+        raise InputError(f"the modules must have centers within {most:g} mm of the axis, got none")
+    # corners of modules lie on a lattice with half the edge of a group
+    j, i = (part.ravel() for part in np.mgrid[-4 * n : 4 * n + 1, -4 * n : 4 * n + 1])
+    lattice = edge / 2 * np.column_stack([i + j / 2, np.sqrt(3) / 2 * j])
+    apart, _ = scipy.spatial.cKDTree(centers).query(lattice)
+    farthest = edge / np.sqrt(3) - side / np.sqrt(3) - gap  # of the corners of a group from its outer modules
+    return centers, turns, lattice[apart < 1.01 * farthest]
+
+
+def onto_surface(xy: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """Return points of a flat grid (mm) after their distances from the axis become lengths along a curved surface.
+
+    ``surface`` is the radius of curvature of a sphere, or an array of points (R, Z) of the profile, which begins at the
+    axis. The result is the projection of the points on the surface along the axis.
+    """
+    far = np.hypot(*xy.T)
+    if np.ndim(surface) == 0:
+        most, to_radius = float(surface) * np.pi / 2, lambda arc: surface * np.sin(arc / surface)
+    else:
+        steps = np.diff(surface, axis=0)
+        if surface[0, 0] != 0 or (steps[:, 0] <= 0).any():
+            raise InputError(
+                "the points of the focal surface must begin at R = 0, and R must increase, got other points"
+            )
+        length = np.concatenate([[0], np.cumsum(np.hypot(*steps.T))])
+        most, to_radius = length[-1], lambda arc: np.interp(arc, length, surface[:, 0])
+    if far.max() > most:
+        raise InputError(
+            f"the focal surface must extend to all modules, at {far.max():g} mm, got one up to {most:g} mm"
+        )
+    return xy * (to_radius(far) / np.where(far > 0, far, 1))[:, None]
+
+
+def hull_of(points: np.ndarray) -> np.ndarray:
+    """Return the corners of the convex hull of points; all points if they lie on a line."""
+    if len(points) < 3 or np.linalg.matrix_rank(points - points[0], tol=1e-9 * (1 + np.abs(points).max())) < 2:
+        return points
+    return points[scipy.spatial.ConvexHull(points).vertices]
+
+
+def walls_of(xy: np.ndarray, turn: np.ndarray, outline: np.ndarray, thickness: float) -> list[u.Quantity]:
+    """Return a polygon along each edge of each module, outside of its outline."""
+    first, last = outline, np.roll(outline, -1, axis=0)
+    along = (last - first) / np.hypot(*(last - first).T)[:, None]
+    out = thickness * np.column_stack([along[:, 1], -along[:, 0]])  # corners are in counter-clockwise order
+    strips = np.stack([first, first + out, last + out, last], axis=1)
+    return [one * u.mm for one in _placed(xy, turn, strips.reshape(-1, 2)).reshape(-1, 4, 2)]
+
+
+def _placed(xy: np.ndarray, turn: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the points of each module on the focal plane, shape (m, k, 2)."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    matrix = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+    return xy[:, None, :] + np.einsum("mab,kb->mka", matrix, points)
+
+
+def _check_overlap(xy: np.ndarray, turn: np.ndarray, outline: np.ndarray) -> None:
+    """Raise an error if the outlines of two modules overlap, because no edge of either of them separates them."""
+    if len(outline) < 3:
+        return
+    shapes = _placed(xy, turn, outline)
+    along = np.roll(shapes, -1, axis=1) - shapes
+    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    pairs = scipy.spatial.cKDTree(xy).query_pairs(2 * np.hypot(*outline.T).max(), output_type="ndarray")
+    apart = np.zeros(len(pairs), dtype=bool)
+    for one, other in (pairs.T, pairs.T[::-1]):
+        axes = normals[one]
+        own = np.einsum("pab,pcb->pac", axes, shapes[one]).max(axis=2)
+        apart |= (np.einsum("pab,pcb->pac", axes, shapes[other]).min(axis=2) >= own - 1e-9 * np.abs(own)).any(axis=1)
+    if not apart.all():
+        i, j = pairs[~apart][0] + 1
+        n = number_of(int((~apart).sum()), "pair")
+        raise InputError(f"modules must not overlap, got {n} of modules that do, such as modules {i} and {j}")

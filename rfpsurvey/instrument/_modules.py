@@ -1,0 +1,113 @@
+"""Read the entries of a description that arrange positioners in modules."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._readers import read_table
+from rfpsurvey.errors import InputError, listed
+from rfpsurvey.focal_plane import FocalPlane, grouped_modules, onto_surface, triangle
+from rfpsurvey.positioner import Positioner
+
+GENERATED = ("module_side", "module_gap", "group_gap")
+
+
+def has_modules(get: Callable) -> bool:
+    """Return whether a description arranges positioners in modules."""
+    return any(get(f"layout.{name}") is not None for name in ("modules", *GENERATED))
+
+
+def layout_of_modules(positioner: Positioner, get: Callable, folder: Path) -> FocalPlane:
+    """Return the focal plane of a description with modules."""
+    places, corners = _places(get), np.empty((0, 2))
+    columns = _classes(get, places)
+    if get("layout.modules") is not None:
+        xy, turn = _listed_modules(get("layout.modules"), folder)
+    else:
+        lacking = [name for name in GENERATED if get(f"layout.{name}") is None]
+        radii = {name: get(f"layout.{name}") for name in ("group_radius", "module_radius")}
+        radii = {name: one for name, one in radii.items() if one is not None}
+        if lacking or len(radii) != 1:
+            got = listed(lacking) if lacking else f"{len(radii)} radii"
+            raise InputError(
+                f"[layout] must have modules, or {listed(GENERATED)} and either group_radius or module_radius; "
+                f"{'it lacks' if lacking else 'got'} {got}"
+            )
+        sizes = [get(f"layout.{name}").to_value(u.mm) for name in GENERATED]
+        ((name, radius),) = radii.items()
+        xy, turn, corners = grouped_modules(*sizes, radius.to_value(u.mm), whole=name == "group_radius")
+    if get("layout.focal_surface") is not None:
+        xy = onto_surface(xy, get("layout.focal_surface").to_value(u.mm))
+    if get("layout.fiducial_radius") is not None:
+        radius = np.full((len(corners), 1), get("layout.fiducial_radius").to_value(u.mm))
+        columns["obstacles"] = np.hstack([corners, radius]) * u.mm
+    if get("layout.spectrographs") == "one a module":
+        columns["spectrograph"] = np.repeat(np.arange(len(xy)), len(places))
+    return FocalPlane.from_modules(
+        positioner,
+        centers=xy * u.mm,
+        rotation=turn * u.rad,
+        places=places,
+        outline=get("layout.module_outline"),
+        wall=get("layout.module_wall"),
+        **columns,
+    )
+
+
+def _places(get: Callable) -> u.Quantity:
+    """Return the places of the positioners in a module."""
+    given = get("layout.module_places")
+    if given is not None:
+        return given
+    if get("layout.pitch") is None or get("layout.module_rows") is None:
+        raise InputError("[layout] with modules must have module_places, or pitch and module_rows")
+    corners = get("layout.module_corners", "used") == "used"
+    return triangle(get("layout.pitch"), get("layout.module_rows"), corners=corners)
+
+
+def _listed_modules(given: str | list, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centers (mm) and rotations (rad) of modules in a list or in a file."""
+    if not isinstance(given, str):
+        rows = np.array(given, dtype=float)
+        return rows[:, :2], np.radians(rows[:, 2])
+    table = read_table(folder / given)
+    lacking = [name for name in ("x", "y") if name not in table.colnames]
+    if lacking or not {"rotation", "points_up"} & {*table.colnames}:
+        raise InputError(
+            f"{given} must have the columns x and y (mm), and rotation (deg) or points_up, got {listed(table.colnames)}"
+        )
+
+    def numbers(name, unit):
+        column = table[name]
+        own = getattr(column, "unit", None) or unit
+        return (np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan) * own).to_value(
+            unit
+        )
+
+    turn = numbers("rotation", u.deg) if "rotation" in table.colnames else 180 - 180 * numbers("points_up", u.one)
+    return np.column_stack([numbers("x", u.mm), numbers("y", u.mm)]), np.radians(turn)
+
+
+def _classes(get: Callable, places: u.Quantity) -> dict:
+    """Return the columns of the fiber types of a module, with the lengths of their arms."""
+    classes, n = get("layout.module_classes"), len(places)
+    if classes is None:
+        return {}
+    kinds, of = list(classes), np.zeros(n, dtype=int)
+    arms = {name: np.empty(n) for name in ("central_arm", "eccentric_arm")}
+    for k, own in enumerate(classes.values()):
+        rows = np.array(own.get("places", []), dtype=int)
+        if len(rows) and (rows.min() < 1 or rows.max() > n):
+            raise InputError(
+                f"places of {kinds[k]!r} must be numbers from 1 to {n}, got {rows[(rows < 1) | (rows > n)][0]}"
+            )
+        if (of[rows - 1] > 0).any():
+            raise InputError(
+                f"each place of a module must be in one class, got two for the place {rows[of[rows - 1] > 0][0]}"
+            )
+        of[rows - 1] = k
+    for name, values in arms.items():
+        values[:] = [classes[kinds[k]].get(name, get(f"positioner.{name}").to_value(u.mm)) for k in of]
+    return {"fiber_type": np.array(kinds)[of], **{name: values * u.mm for name, values in arms.items()}}
