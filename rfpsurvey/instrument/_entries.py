@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 import astropy.units as u
+import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice, listed
 from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
@@ -86,6 +87,10 @@ def _is_part(value) -> bool:
     )
 
 
+def _is_polygon(value) -> bool:
+    return _is_list(value, lambda point: _is_list(point, _is_number, 2)) and len(value) > 2
+
+
 TINY = 1e-300  # lower limit of positive numbers
 LENGTH = _number("a length above 0", TINY, unit=u.mm)
 CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
@@ -130,10 +135,7 @@ ENTRIES = {
     "positioner.full_outline": OUTLINE,
     "layout.obstacle_polygons": Kind(
         "a list of polygons, which are lists of at least three points",
-        lambda value: (
-            _is_list(value, lambda one: _is_list(one, lambda p: _is_list(p, _is_number, 2)) and len(one) > 2)
-            and len(value) > 0
-        ),
+        lambda value: _is_list(value, _is_polygon) and len(value) > 0,
         u.mm,
     ),
     "margins.outer": CLOSED_LENGTH,
@@ -181,7 +183,14 @@ RULE = Kind(
     "the text of a constraint, or a list of such texts",
     lambda value: _is_text(value) or (_is_list(value, _is_text) and len(value) > 0),
 )
-SECTIONS = ("positioner", "margins", "layout", "optics", "observing")
+CAMERAS = "cameras"
+"""Name of the section with the guide and focus cameras, whose entries have the names of the cameras."""
+CAMERA = Kind(
+    "the corners of a camera, which are at least three points that do not lie on a line",
+    lambda value: _is_polygon(value) and np.linalg.matrix_rank(np.subtract(value, value[0]), 1e-6) == 2,
+    u.mm,
+)
+SECTIONS = ("positioner", "margins", "layout", "optics", "observing", CAMERAS)
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {
@@ -240,7 +249,7 @@ def check_description(content: dict) -> None:
 def _check_entry(section: str, name: str, entry: object) -> None:
     full = f"{section}.{name}"
     kind = OBSERVING if NEED.fullmatch(full) else ENTRIES.get(full)
-    kind = RULE if section.startswith(f"{RULES}.") else kind
+    kind = RULE if section.startswith(f"{RULES}.") else CAMERA if section == CAMERAS else kind
     if kind is None:
         _refuse_name(section, name)
     if not isinstance(entry, dict):

@@ -131,6 +131,15 @@ def apply_constraints(
     )
 
 
+def early_violations(
+    instrument: Instrument, projection: FieldProjection, options: AllocationOptions, targets: "FieldTargets"
+) -> dict[str, list[str]]:
+    """Return sentences, for the text of each constraint, on violations that no assignment of fibers can prevent."""
+    early = [one for one in options.constraints if one.before_fibers]
+    field = constraint_field(instrument, projection, targets) if early else None
+    return {str(one): sentences_of(one, field, np.zeros(len(field.id), dtype=bool), 0) for one in early}
+
+
 def constraint_field(
     instrument: Instrument, projection: FieldProjection | None, targets: "FieldTargets", xy: np.ndarray | None = None
 ) -> ConstraintField:

@@ -5,7 +5,8 @@ import shlex
 
 import numpy as np
 import pytest
-from astropy.table import Table
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 
@@ -210,3 +211,34 @@ def test_other_categories_do_not_state_kinds():
     table["category"] = ["sky_boss", "qso", "sky_boss"]
     rules = rs.score_tile(table, apo, constraints=["sky=1", "sky_boss=1", "distribution sky 1 50 100"]).rules
     assert rules["verdict"].tolist() == ["not checkable", "pass", "not checkable"]
+
+
+def test_the_rules_of_desi_are_checked_in_each_petal(presets):
+    """Counts in each petal, and magnitudes of standards, are recomputed from the table of the tile."""
+    desi, center, rng = presets["desi"], SkyCoord(95, 23, unit="deg"), np.random.default_rng(3)
+    sky = rs.synthetic_catalog("uniform", center, desi.field_radius, n_targets=12_000, rng=1)
+    kind = rng.choice(["science", "standard", "sky"], len(sky), p=[0.7, 0.1, 0.2])
+    sky = rs.Catalog(sky.coord, kind=kind, extra=QTable({"gaia_g": rng.uniform(14, 20, len(sky))}))
+    for name, faintest in (("dark", 19), ("bright", 18)):
+        tile = rs.plan_tile(sky, desi, center, allocator=rs.AllocationOptions("network_flow", rules=name))
+        t = tile.table[~tile.table["target_id"].mask]
+        for what, least, rows in (("sky", 40, tile.rules[:10]), ("standard", 10, tile.rules[10:20])):
+            for petal, row in enumerate(rows):
+                n = np.sum((t["kind"] == what) & (t["spectrograph"] == petal))
+                assert row["rule"] == f"{what}={least}/spectrograph"
+                assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
+        mags = t["gaia_g"][t["kind"] == "standard"]
+        assert (mags.min() > 16, mags.max() < faintest) == (True, True)
+        assert tile.rules["verdict"][20] == "pass"
+
+
+@pytest.mark.filterwarnings("ignore:.*out of reach of their positioners")
+def test_the_rules_of_pfs_are_checked_on_a_design(real_data, presets):
+    """The numbers equal those of targetType (2: sky, 3: flux standard) in the file, which has no magnitudes."""
+    path = real_data("pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz")
+    types = Table.read(path, hdu="DESIGN")["targetType"]
+    tile = rs.score_tile(rs.plans.read_plan(path), presets["pfs"], constraints=presets["pfs"].rules("queue"))
+    n_sky, n_standard = np.sum(types == 2), np.sum(types == 3)
+    assert tile.rules["number"].tolist()[:2] == [n_sky, n_standard]
+    assert tile.rules["verdict"].tolist()[:2] == ["fail", "fail"]
+    assert set(tile.rules["verdict"][2:]) == {"not checkable"}
