@@ -89,9 +89,23 @@ class Rule(Constraint):
         list of str
             The sentence; an empty list if the plan does not violate the rule, or if the rule is not checkable.
         """
-        found = self.verdict(field, has_fiber, n_covering)
-        note = found.note if self.states_note else ""
-        return [str(replace(found, note=note, fibers=()))] if found.verdict == FAIL else []
+        return self.sentences(self.verdict(field, has_fiber, n_covering))
+
+    def sentences(self, verdict: Verdict) -> list[str]:
+        """Return the sentence of ``check`` for a verdict.
+
+        Parameters
+        ----------
+        verdict : Verdict
+            The verdict on a plan.
+
+        Returns
+        -------
+        list of str
+            The sentence; an empty list if the plan does not violate the rule, or if the rule is not checkable.
+        """
+        note = verdict.note if self.states_note else ""
+        return [str(replace(verdict, note=note, fibers=()))] if verdict.verdict == FAIL else []
 
     def _not_checkable(self, why: str) -> Verdict:
         """Return the verdict that a plan lacks the data of the rule."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import CollisionReport
-from rfpsurvey.constraints import Constraint, ConstraintField, Verdict
+from rfpsurvey.constraints import Constraint, ConstraintField, Rule, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
@@ -36,20 +36,7 @@ class Applied:
     obstacle_of: np.ndarray
     """Index of the constraint that added each of the last obstacles of the instrument."""
 
-    def violations(self, *plan) -> dict[str, list[str]]:
-        """Return sentences, for the text of each constraint, that state how a finished plan violates the constraint.
-
-        The parameters are those of `verdicts`.
-        """
-        if not self.constraints:
-            return {}
-        field, owner, n_covering = self._finished(*plan)
-        return {
-            str(one): sentences_of(one, field, owner >= 0, n)
-            for one, n in zip(self.constraints, n_covering, strict=True)
-        }
-
-    def verdicts(
+    def checks(
         self,
         report: CollisionReport,
         positioner: np.ndarray,
@@ -57,8 +44,8 @@ class Applied:
         target: np.ndarray,
         sky_vectors: np.ndarray,
         sky_xy: np.ndarray,
-    ) -> list[Verdict]:
-        """Return the verdict of each constraint on a finished plan.
+    ) -> tuple[dict[str, list[str]], Callable[[], list[Verdict]]]:
+        """Return, for the text of each constraint, how a finished plan violates it; and a function for the verdicts.
 
         ``target`` contains the rows of the targets that have a fiber; the arrays ``sky_vectors`` and ``sky_xy``
         describe sky positions that were added between the targets and have a fiber. ``positioner`` and ``fiber_type``
@@ -66,15 +53,26 @@ class Applied:
         positions.
         """
         if not self.constraints:
-            return []
+            return {}, list
         field, owner, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
-        found, names = [], self.instrument.focal_plane.id.astype(str)
-        for one, n in zip(self.constraints, n_covering, strict=True):
-            verdict = answer(one, partial(one.verdict, field, owner >= 0, n))
-            if not isinstance(verdict, Verdict):
-                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(verdict)}")
-            found.append(replace(verdict, fibers=tuple(names[owner[verdict.rows]].tolist())))
-        return found
+        has_fiber, names = owner >= 0, self.instrument.focal_plane.id.astype(str)
+
+        @cache
+        def verdict(k: int) -> Verdict:
+            one = self.constraints[k]
+            found = answer(one, partial(one.verdict, field, has_fiber, n_covering[k]))
+            if not isinstance(found, Verdict):
+                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(found)}")
+            return replace(found, fibers=tuple(names[owner[found.rows]].tolist()))
+
+        def violations(k: int) -> list[str]:
+            one = self.constraints[k]
+            if isinstance(one, Rule) and type(one).check is Rule.check:  # its sentences follow from its verdict
+                return one.sentences(verdict(k))
+            return sentences_of(one, field, has_fiber, n_covering[k])
+
+        rows = range(len(self.constraints))
+        return {str(self.constraints[k]): violations(k) for k in rows}, lambda: [verdict(k) for k in rows]
 
     def _finished(self, report, positioner, fiber_type, target, sky_vectors, sky_xy) -> tuple:
         """Return the field of a finished plan, the positioner of each target, and the numbers of covering arms."""

@@ -159,7 +159,7 @@ def work(job: Job) -> Done:
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "n_unmet": len(plan.allocation.unmet),
-        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options),
+        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
     }
     counts["n_unmet"] += sum(n > 0 for name, n in counts.items() if name.startswith(VIOLATED))
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}

@@ -47,7 +47,7 @@ class ScoredConstraints:
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
         finished = report, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))
-        violations = self.applied.violations(*finished)
+        violations, verdicts = self.applied.checks(*finished)
         wrong = {one.requirement for one in lacking}
         numbers: dict = {}
         counts = count_verdicts(problem.groups, problem.counts_of(target_of))
@@ -65,7 +65,7 @@ class ScoredConstraints:
             ),
             "requirements": numbers,
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
-            "rules": [one.record for one in (*counts, *self.applied.verdicts(*finished))],
+            "rules": [one.record for one in (*counts, *verdicts())],
         }
 
     def _knows(self, what: str) -> bool:

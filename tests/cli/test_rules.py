@@ -54,12 +54,20 @@ def test_a_plan_reads_the_columns_of_its_rules(run, targets, tmp_path):
 def test_a_survey_follows_rules(run, targets, tmp_path):
     folder = tmp_path / "survey"
     Table({"ra": [95.0, 95.1], "dec": [23.0, 23.0]}).write(tmp_path / "tiles.csv")
-    code, _, _ = run(
+    code, out, _ = run(
         "survey", targets, "--instrument", "sdss_apo", "--tiles", tmp_path / "tiles.csv", "--folder", folder,
         "--set", "options.rules=dark_monit",
     )  # fmt: skip
     assert code == 0
     survey = rs.Survey.read(folder)
+    for row in survey.rules:
+        (line,) = [line.split() for line in out.splitlines() if line.strip().startswith(f"{row['rule']} ")]
+        numbers = [str(row[name]) for name in ("pass", "fail", "not checkable")]
+        assert line[len(row["rule"].split()) :][:3] == numbers
+    assert (
+        dict(zip(survey.rules["rule"], survey.rules["not checkable"], strict=True))["contrast h 5.0 APOGEE fiberId"]
+        == 2
+    )
     catalog = Table.read(targets)
     for rows in survey:
         used = catalog[np.isin(catalog["id"], rows["target_id"])]
