@@ -12,13 +12,14 @@ from rfpsurvey.constraints._constraint import ConstraintField
 from rfpsurvey.constraints._rule import check_text
 from rfpsurvey.constraints._stars import StarRule
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_keywords, number_of, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal
 
 CORE = {"sdssv_bright": (1.75, 0.6), "sdssv_dark": (1.5, 0.8)}
 """Factor (arcsec) and exponent of the core of a star in bright and in dark time, as in mugatu (BSD-3) of SDSS-V."""
 MAGNITUDES = np.arange(-2, 30, 0.05)
 """Magnitudes from which the largest radius is computed; no star is brighter."""
 ARCSEC = float(np.deg2rad(1 / 3600))
+IDLE = ("ignored", "counted")
 FORM = "a table such as '8:60,12:10' (magnitude:radius in arcsec), 'sdssv_dark:16', 'sdssv_bright:12.7' or a function"
 
 
@@ -45,6 +46,9 @@ class BrightStars(StarRule):
         Catalog with the stars, or the path of its file. All of its stars have circles, even if they are targets; their
         proper motions are not applied (see `rfpsurvey.Catalog.at_epoch`). By default, the stars are all targets of the
         catalog that are not sky positions.
+    idle : {"ignored", "counted"}, optional
+        Whether the verdict counts fibers of positioners without a target, which allocators do not move. If the pose of
+        such a positioner is not known, the rule does not pass.
 
     Raises
     ------
@@ -62,6 +66,7 @@ class BrightStars(StarRule):
     radius: str | list | Callable
     fiber_type: str = ""
     stars: Catalog | str | None = None
+    idle: str = "ignored"
 
     name = "bright_stars"
 
@@ -71,6 +76,12 @@ class BrightStars(StarRule):
         if not callable(self.radius):
             object.__setattr__(self, "radius", _text_of(self.radius))
         self._check_stars()
+        check_choice(self.idle, IDLE, "treatment of idle positioners")
+
+    @property
+    def with_idle(self) -> bool:
+        """Whether the verdict counts fibers of positioners without a target."""
+        return self.idle == "counted"
 
     @cached_property
     def margin_rad(self) -> float:
@@ -148,6 +159,10 @@ class BrightStars(StarRule):
         if why := self._lacks(field, ""):
             return self._not_checkable(why)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
+        unknown = np.count_nonzero(has_fiber & ~np.isfinite(field.vectors).all(axis=1)) if self.with_idle else 0
+        if len(rows) == 0 and unknown:
+            what = number_of(unknown, "fiber of idle positioners", "fibers of idle positioners")
+            return self._not_checkable(f"{what} without a known position on the sky")
         if len(rows) == 0 and self.stars is None and not field.is_complete:
             return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
         note = number_of(len(self._circles(field)[1]), "star with a circle", "stars with a circle")

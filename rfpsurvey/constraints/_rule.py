@@ -21,6 +21,8 @@ class Rule(Constraint):
 
     states_note: ClassVar[bool] = False
     """Whether the sentence of ``check`` contains the note of the verdict."""
+    with_idle = False
+    """Whether the field of ``verdict`` contains the fibers of positioners without a target, as sky positions."""
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
-from rfpsurvey.collision import CollisionReport
+from rfpsurvey.collision import Arms, CollisionReport, place_arms
 from rfpsurvey.constraints import Constraint, ConstraintField, Rule, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
@@ -39,6 +40,7 @@ class Applied:
     def checks(
         self,
         report: CollisionReport,
+        arms: Arms,
         positioner: np.ndarray,
         fiber_type: np.ndarray,
         target: np.ndarray,
@@ -55,21 +57,29 @@ class Applied:
         if not self.constraints:
             return {}, list
         field, owner, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
-        has_fiber, names = owner >= 0, self.instrument.focal_plane.id.astype(str)
+        fields, names = {False: (field, owner)}, self.instrument.focal_plane.id.astype(str)
+        with_idle = [isinstance(one, Rule) and one.with_idle for one in self.constraints]
+        if any(with_idle):
+            own, xy, vectors, types = idle_fibers(self.instrument, arms, field.projection)
+            fields[True] = field.with_blank_sky(vectors, xy, types), np.append(owner, own)
+
+        def plan(k: int) -> tuple:
+            field, owner = fields[with_idle[k]]
+            return field, owner >= 0, n_covering[k]
 
         @cache
         def verdict(k: int) -> Verdict:
             one = self.constraints[k]
-            found = answer(one, partial(one.verdict, field, has_fiber, n_covering[k]))
+            found = answer(one, partial(one.verdict, *plan(k)))
             if not isinstance(found, Verdict):
                 raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(found)}")
-            return replace(found, fibers=tuple(names[owner[found.rows]].tolist()))
+            return replace(found, fibers=tuple(names[fields[with_idle[k]][1][found.rows]].tolist()))
 
         def violations(k: int) -> list[str]:
             one = self.constraints[k]
             if isinstance(one, Rule) and type(one).check is Rule.check:  # its sentences follow from its verdict
                 return one.sentences(verdict(k))
-            return sentences_of(one, field, has_fiber, n_covering[k])
+            return sentences_of(one, *plan(k))
 
         rows = range(len(self.constraints))
         return {str(self.constraints[k]): violations(k) for k in rows}, lambda: [verdict(k) for k in rows]
@@ -127,6 +137,24 @@ def apply_constraints(
         field,
         np.repeat(np.arange(len(sizes)), sizes),
     )
+
+
+def idle_fibers(instrument: Instrument, arms: Arms, projection: FieldProjection | None) -> tuple:
+    """Return positioner, position (mm), direction and type of each fiber of positioners without a target.
+
+    A position is NaN if the pose of the positioner is not known, and so is the direction without a projection.
+    """
+    plane, parts = instrument.focal_plane, []
+    angles = {"theta": arms.theta * u.rad, "phi": arms.phi * u.rad}
+    for name in plane.fiber_types:
+        has = np.array([name in row.split("+") for row in plane.fiber_type.tolist()])
+        types = np.where(has, name, plane.arrays.first_type) if name else None
+        own = np.flatnonzero(~arms.assigned & has)
+        xy = place_arms(plane, **angles, fiber_type=types).tip[own]
+        xy[np.isnan(arms.tip[own, 0])] = np.nan
+        vectors = np.full((len(own), 3), np.nan) if projection is None else projection.unproject(xy, name or None)
+        parts.append((own, xy, vectors, np.full(len(own), name)))
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def early_violations(

@@ -212,7 +212,7 @@ def plan_field(
     lon, lat = to_lonlat(vectors)
     owners = np.append(positioner[given], positioner[~given])
     blanks = vectors[~given], allocation.xy_mm[target[~given]]
-    finished = report, owners, allocation.fiber_type[owners], target[given], *blanks
+    finished = report, arms, owners, allocation.fiber_type[owners], target[given], *blanks
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}

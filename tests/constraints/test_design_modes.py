@@ -1,12 +1,10 @@
 """The design modes of SDSS-V on recorded configurations; each number is recomputed from the file with NumPy only."""
 
-import gzip
-import shlex
-
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from configurations import rows_of, spot
 
 import rfpsurvey as rs
 
@@ -14,28 +12,6 @@ FILES = ("sdssv_apo_2021/confSummary-998.par.gz", "sdssv_apo_2024/confSummary-te
 MODES = ("bright_time", "dark_faint", "dark_monit", "dark_plane", "dark_rm")
 BANDS = ("g", "r", "i", "bp", "gaia_g", "rp", "h")
 INDEX = {"u": 0, "g": 1, "r": 2, "i": 3, "z": 4}
-
-
-def rows_of(path):
-    """Return the assigned rows of FIBERMAP as dicts, from the text of the file."""
-    text = gzip.decompress(path.read_bytes()).decode()
-    struct = text.partition("typedef struct {")[2].partition("}")[0]
-    names = [(line.split()[1].partition("[")[0], line) for line in struct.split(";") if line.strip()]
-    found = []
-    for line in text.splitlines():
-        if not line.startswith("FIBERMAP "):
-            continue
-        words, row = shlex.split(line.replace("{", " { ").replace("}", " } "))[1:], {}
-        for name, declared in names:
-            if words[0] == "{":
-                end = words.index("}")
-                row[name], words = words[1:end], words[end + 1 :]
-            else:
-                row[name], words = words[0], words[1:]
-            assert ("char" in declared) or name in ("fiberType",) or row[name]
-        if row["assigned"] == "1":
-            found.append(row)
-    return found
 
 
 def magnitude(row, band):
@@ -46,10 +22,6 @@ def magnitude(row, band):
 def kind(row):
     word = row["category"]
     return "sky" if word.startswith("sky") else "standard" if word.startswith("standard") else "science"
-
-
-def spot(row):
-    return float(row["xFocal"]), float(row["yFocal"])
 
 
 def kth(rows, near, k):

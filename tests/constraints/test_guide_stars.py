@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from configurations import places, stars_around
 
 import rfpsurvey as rs
 from rfpsurvey.constraints import GuideStars
@@ -33,24 +34,6 @@ plate_scale = {{ value = 200.0, unit = "mm / deg" }}
 [cameras]
 north = {{ value = {value}, unit = {unit} }}
 """
-
-
-def stars_around(center, n=20_000, radius=1.7, seed=1):
-    rng = np.random.default_rng(seed)
-    apart = radius * np.sqrt(rng.uniform(0, 1, n)) * u.deg
-    coord = center.directional_offset_by(rng.uniform(0, 360, n) * u.deg, apart)
-    return rs.Catalog(coord, extra=QTable({"gaia_g": rng.uniform(10, 21, n)}))
-
-
-def places(coord, center, angle_deg, model):
-    """Return positions in the frame of the wok (mm), from an offset frame of astropy and the published polynomial."""
-    seen = coord.transform_to(center.skyoffset_frame(rotation=angle_deg * u.deg))
-    theta, lon, lat = center.separation(coord).deg, seen.lon.rad, seen.lat.rad
-    turn = np.arctan2(np.sin(lat), np.cos(lat) * np.sin(lon))
-    row = model[(model["direction"] == "focal") & (model["waveCat"] == "Boss")][0]
-    p = sum(row[f"c{k}"] * theta ** (2 * k + 1) for k in range(5))
-    r = 0.9998082 * row["R"] * np.sin(np.deg2rad(p))
-    return r * np.cos(turn), r * np.sin(turn)
 
 
 def counts_of(coord, m, center, angle_deg, real_data, low, high):
