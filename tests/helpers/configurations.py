@@ -43,12 +43,12 @@ def stars_around(center, n=20_000, radius=1.7, seed=1):
     return rs.Catalog(coord, extra=QTable({"gaia_g": rng.uniform(10, 21, n)}))
 
 
-def places(coord, center, angle_deg, model, fiber="Boss"):
+def places(coord, center, angle_deg, model, fiber="Boss", factor=0.9998082):
     """Return positions in the frame of the wok (mm), from an offset frame of astropy and the published polynomial."""
     seen = coord.transform_to(center.skyoffset_frame(rotation=angle_deg * u.deg))
     theta, lon, lat = center.separation(coord).deg, seen.lon.rad, seen.lat.rad
     turn = np.arctan2(np.sin(lat), np.cos(lat) * np.sin(lon))
     row = model[(model["direction"] == "focal") & (np.char.upper(model["waveCat"]) == fiber.upper())][0]
     p = sum(row[f"c{k}"] * theta ** (2 * k + 1) for k in range(5))
-    r = 0.9998082 * row["R"] * np.sin(np.deg2rad(p))
+    r = factor * row["R"] * np.sin(np.deg2rad(p))
     return r * np.cos(turn), r * np.sin(turn)
