@@ -89,3 +89,34 @@ def test_rules_that_cannot_be_used_get_one_sentence(run, targets, instrument, ru
     assert code == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("instrument", "rule", "message"),
+    [
+        ("lamost", "guide_stars gaia_g 12 19 5", "needs cameras, but lamost has none; describe them in the section"),
+        (
+            "sdss_lco",
+            "guide_stars gaia_g 19 12 5",
+            "the brightest magnitude of 'gaia_g' must be smaller than the faint",
+        ),
+        ("sdss_lco", "guide_stars gaia_g 12 19 5 inf gfa7", "unknown camera of sdss_lco 'gfa7'; choose one of: gfa1"),
+        ("pfs", "guide_stars gaia_g 12 19 5 inf '' {folder}/nowhere.ecsv", "nowhere.ecsv"),
+    ],
+)
+def test_rules_on_guide_stars_that_cannot_be_used_get_one_sentence(run, targets, instrument, rule, message):
+    rule = rule.format(folder=targets.parent)
+    code, _, err = run("plan", targets, "--instrument", instrument, "--center", "95 23", "--constraint", rule)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_a_plan_warns_of_cameras_without_guide_stars(run, targets, tmp_path):
+    """The stars of a second file are read; the plan is made, and its verdict is printed."""
+    rule = f"guide_stars gaia_g 12 19 40 inf '' {targets}"
+    code, out, err = run("plan", targets, "--instrument", "sdss_apo", "--center", "95 23", "--constraint", rule)
+    assert code == 0
+    assert "warning: guide_stars gaia_g 12.0 19.0 40" in err
+    assert "on each camera); gfa1 has" in err
+    assert "\nfail          guide_stars gaia_g 12.0 19.0 40" in out

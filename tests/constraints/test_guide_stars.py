@@ -98,6 +98,15 @@ def test_the_presets_have_the_published_cameras(real_data, presets):
         assert np.abs(presets["sdss_lco"].cameras[f"gfa{row['id']}"] - corners).max() < 2
 
 
+def test_the_cameras_of_pfs_are_squares_around_the_field(presets):
+    """They have sides of 13.312 mm, and their centers are 241.292 mm from the field center, every 60 degrees."""
+    for k, corners in enumerate(presets["pfs"].cameras.values()):
+        center = corners.mean(axis=0)
+        np.testing.assert_allclose(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T), 13.312, atol=2e-3)
+        np.testing.assert_allclose(np.hypot(*center), 241.292, atol=1e-3)
+        assert np.rad2deg(np.arctan2(*center[::-1])) % 360 == pytest.approx(30 + 60 * k, abs=1e-3)
+
+
 @pytest.fixture(scope="module")
 def one():
     """Return an instrument with a square camera of 4 mm, 0.4 deg north of the field center."""
