@@ -156,6 +156,9 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
             "upper bound:"
         )
         print_table(last)
+    if survey.rules is not None:
+        print("constraints, with the numbers of tiles with each verdict, and the first tiles that fail:")
+        print_table(survey.rules)
     print("visits and completeness after each pass:")
     print_table(survey.completeness)
     if s.get("collision_rate_assigned", s["collision_rate"]) > MANY:

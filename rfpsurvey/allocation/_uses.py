@@ -81,7 +81,7 @@ def _warn_of_only_checked(options: Sequence, known: list) -> None:
         return
     own = {id(one) for one in first.constraints}  # comparing constraints could compare arrays
     for one in first.all_constraints:
-        is_checked = "obstacles" in one.parts or id(one) in own
+        is_checked = ("obstacles" in one.parts or id(one) in own) and not one.before_fibers
         if is_checked and all(one.honored(abilities_of(method)) == ONLY_CHECKED for method in methods):
             users = [method.name for method in known if one.honored(abilities_of(method)) != ONLY_CHECKED]
             name = f"'{one}'" if id(one) in own else one.name

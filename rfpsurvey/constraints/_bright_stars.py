@@ -3,30 +3,29 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from hashlib import sha256
-from shlex import quote
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._plugins import name_of
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import Rule, check_text, to_magnitudes
+from rfpsurvey.constraints._rule import check_text
+from rfpsurvey.constraints._stars import StarRule
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_keywords, listed, number_of, refusal
+from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal
 
 CORE = {"sdssv_bright": (1.75, 0.6), "sdssv_dark": (1.5, 0.8)}
 """Factor (arcsec) and exponent of the core of a star in bright and in dark time, as in mugatu (BSD-3) of SDSS-V."""
 MAGNITUDES = np.arange(-2, 30, 0.05)
 """Magnitudes from which the largest radius is computed; no star is brighter."""
 ARCSEC = float(np.deg2rad(1 / 3600))
+IDLE = ("ignored", "counted")
 FORM = "a table such as '8:60,12:10' (magnitude:radius in arcsec), 'sdssv_dark:16', 'sdssv_bright:12.7' or a function"
 
 
 @check_keywords
 @dataclass(frozen=True)
-class BrightStars(Rule):
+class BrightStars(StarRule):
     """Circles around bright stars in which no fiber may be; the arms of positioners may be in the circles.
 
     Targets and added sky positions in the circles are excluded. A star of the catalog does not exclude itself.
@@ -47,6 +46,9 @@ class BrightStars(Rule):
         Catalog with the stars, or the path of its file. All of its stars have circles, even if they are targets; their
         proper motions are not applied (see `rfpsurvey.Catalog.at_epoch`). By default, the stars are all targets of the
         catalog that are not sky positions.
+    idle : {"ignored", "counted"}, optional
+        Whether the verdict counts fibers of positioners without a target, which allocators do not move. If the pose of
+        such a positioner is not known, the rule does not pass.
 
     Raises
     ------
@@ -64,6 +66,7 @@ class BrightStars(Rule):
     radius: str | list | Callable
     fiber_type: str = ""
     stars: Catalog | str | None = None
+    idle: str = "ignored"
 
     name = "bright_stars"
 
@@ -72,38 +75,13 @@ class BrightStars(Rule):
         check_text(self.fiber_type, "fiber_type of bright stars", empty=True)
         if not callable(self.radius):
             object.__setattr__(self, "radius", _text_of(self.radius))
-        if not isinstance(self.stars, Catalog | str | None):
-            raise refusal("stars must be a Catalog or the path of its file", self.stars, Catalog)
-        if self.stars is not None and self.column not in self._catalog.arrays.extra:
-            known = listed(self._catalog.arrays.extra, 8)
-            raise InputError(f"the catalog of stars must have the column {self.column!r}, but its columns are: {known}")
-
-    def __str__(self):
-        radius = name_of(self.radius) if callable(self.radius) else self.radius
-        words = [self.column, radius, self.fiber_type]
-        words += [] if self.stars is None else [self.stars if isinstance(self.stars, str) else self._digest]
-        return " ".join([self.name, *map(quote, words if words[2] or words[3:] else words[:2])])
-
-    @cached_property
-    def _catalog(self) -> Catalog:
-        """The catalog with the stars."""
-        return Catalog.read(self.stars, keep=[self.column]) if isinstance(self.stars, str) else self.stars
-
-    @cached_property
-    def _digest(self) -> str:
-        arrays = self._catalog.arrays
-        digest = sha256(arrays.vectors.tobytes() + np.asarray(arrays.extra[self.column]).tobytes()).hexdigest()
-        return f"{len(self._catalog)} stars, digest {digest[:16]}"
+        self._check_stars()
+        check_choice(self.idle, IDLE, "treatment of idle positioners")
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns of the catalog that the rule uses; none if the stars are those of a second catalog."""
-        return super().columns if self.stars is None else ()
-
-    @property
-    def uses_targets(self) -> bool:
-        """Whether the stars are targets of the catalog, also outside the field."""
-        return self.stars is None
+    def with_idle(self) -> bool:
+        """Whether the verdict counts fibers of positioners without a target."""
+        return self.idle == "counted"
 
     @cached_property
     def margin_rad(self) -> float:
@@ -122,15 +100,10 @@ class BrightStars(Rule):
 
     def _circles(self, field: ConstraintField) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Return the directions and the radii of the circles, and the identifiers of the stars if they are targets."""
-        if self.stars is None:
-            m, vectors, ids = np.where(field.kind == "sky", np.nan, self._magnitudes(field)), field.vectors, field.id
-        else:
-            arrays = self._catalog.arrays
-            m, vectors, ids = to_magnitudes(arrays.extra[self.column], self.column), arrays.vectors, None
-        rows = np.flatnonzero(np.isfinite(m) & np.isfinite(vectors).all(axis=1))
-        radii = self._radii(m[rows])
-        rows, radii = rows[radii > 0], radii[radii > 0]
-        return vectors[rows], radii, None if ids is None else ids[rows]
+        m, vectors, ids = self._stars(field)
+        radii = self._radii(m)
+        rows = np.flatnonzero(radii > 0)
+        return vectors[rows], radii[rows], None if ids is None else ids[rows]
 
     def excluded(self, field: ConstraintField) -> np.ndarray | None:
         """Return which targets are in the circle around a star.
@@ -186,6 +159,10 @@ class BrightStars(Rule):
         if why := self._lacks(field, ""):
             return self._not_checkable(why)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
+        unknown = np.count_nonzero(has_fiber & ~np.isfinite(field.vectors).all(axis=1)) if self.with_idle else 0
+        if len(rows) == 0 and unknown:
+            what = number_of(unknown, "fiber of idle positioners", "fibers of idle positioners")
+            return self._not_checkable(f"{what} without a known position on the sky")
         if len(rows) == 0 and self.stars is None and not field.is_complete:
             return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
         note = number_of(len(self._circles(field)[1]), "star with a circle", "stars with a circle")

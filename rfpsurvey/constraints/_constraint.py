@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
 LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
-MOST_LISTED = 5
-NO_CIRCLES = np.empty((0, 3))
+MOST_LISTED, NO_CIRCLES = 5, np.empty((0, 3))
 
 
 @dataclass(frozen=True)
@@ -165,8 +164,8 @@ class ConstraintField:
         columns = {name: values_at(getattr(self, name), rows) for name in ("id", "category", "priority")}
         columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
         more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), dtype=bool)}
-        more["kind"] = np.full(len(xy), "sky")
-        more["fiber_type"] = np.full(len(xy), "") if fiber_type is None else fiber_type
+        fiber_type = np.full(len(xy), "") if fiber_type is None else fiber_type
+        more |= {"kind": np.full(len(xy), "sky"), "fiber_type": fiber_type}
         columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
         return replace(self, **columns)
 
@@ -200,8 +199,9 @@ class Constraint:
     counts: tuple = ()
     """The requirements (`~rfpsurvey.Requirement`) on numbers of targets that the constraint consists of."""
     uses_targets: ClassVar[bool] = True
-    """Whether the methods of the constraint use the positions of targets on the focal plane, or targets around the
-    field; if not, these are not computed."""
+    """Whether its methods use positions of targets on the focal plane or targets around the field."""
+    before_fibers: ClassVar[bool] = False
+    """Whether ``check`` depends on the field only, so that plans state violations before fibers are assigned."""
     margin_rad: float = 0.0
     """Angle by which ``excluded`` must know targets outside of the field, in radians, from 0 to pi."""
 

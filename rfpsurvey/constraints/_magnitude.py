@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import Rule, check_number, check_text
+from rfpsurvey.constraints._rule import Rule, check_limits, check_text
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of
+from rfpsurvey.errors import check_choice, check_keywords, number_of
 
 NONE = "no fiber has such a target"
 MISSING = ("allowed", "refused")
@@ -60,13 +60,7 @@ class MagnitudeLimits(Rule):
         check_text(self.column, "the column of magnitude limits")
         for name in ("what", "fiber_type"):
             check_text(getattr(self, name), f"{name} of magnitude limits", empty=True)
-        for name in ("brightest", "faintest"):
-            check_number(getattr(self, name), f"the {name} magnitude of {self.column!r}")
-        if not self.brightest < self.faintest:
-            raise InputError(
-                f"the brightest magnitude of {self.column!r} must be smaller than the faintest magnitude "
-                f"{self.faintest:g}, got {self.brightest:g}"
-            )
+        check_limits(self.column, self.brightest, self.faintest)
         check_choice(self.missing, MISSING, "treatment of missing magnitudes")
 
     def excluded(self, field: ConstraintField) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """The base class of the rules of observatories, whose verdict on a plan is a number and a limit."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,6 +18,11 @@ class Rule(Constraint):
 
     A subclass overrides ``verdict``. The fields ``column`` and ``fiber_type`` are optional.
     """
+
+    states_note: ClassVar[bool] = False
+    """Whether the sentence of ``check`` contains the note of the verdict."""
+    with_idle = False
+    """Whether the field of ``verdict`` contains the fibers of positioners without a target, as sky positions."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -85,8 +91,23 @@ class Rule(Constraint):
         list of str
             The sentence; an empty list if the plan does not violate the rule, or if the rule is not checkable.
         """
-        found = self.verdict(field, has_fiber, n_covering)
-        return [str(replace(found, note="", fibers=()))] if found.verdict == FAIL else []
+        return self.sentences(self.verdict(field, has_fiber, n_covering))
+
+    def sentences(self, verdict: Verdict) -> list[str]:
+        """Return the sentence of ``check`` for a verdict.
+
+        Parameters
+        ----------
+        verdict : Verdict
+            The verdict on a plan.
+
+        Returns
+        -------
+        list of str
+            The sentence; an empty list if the plan does not violate the rule, or if the rule is not checkable.
+        """
+        note = verdict.note if self.states_note else ""
+        return [str(replace(verdict, note=note, fibers=()))] if verdict.verdict == FAIL else []
 
     def _not_checkable(self, why: str) -> Verdict:
         """Return the verdict that a plan lacks the data of the rule."""
@@ -126,6 +147,17 @@ def check_number(value: object, name: str, low: float = -np.inf, high: float = n
     if not (is_number and low <= value <= high):
         limits = f" from {low:g} to {high:g}" if np.isfinite(low) else ""
         raise refusal(f"{name} must be a number{limits}", value, int, float)
+
+
+def check_limits(column: str, brightest: object, faintest: object) -> None:
+    """Raise an error if the limits of the magnitude in a column are not numbers, or are reversed."""
+    check_number(brightest, f"the brightest magnitude of {column!r}")
+    check_number(faintest, f"the faintest magnitude of {column!r}")
+    if not brightest < faintest:
+        raise InputError(
+            f"the brightest magnitude of {column!r} must be smaller than the faintest magnitude {faintest:g}, got "
+            f"{brightest:g}"
+        )
 
 
 def check_text(value: object, name: str, *, empty: bool = False) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 import astropy.units as u
+import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice, listed
 from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
@@ -216,7 +217,14 @@ RULE = Kind(
     "the text of a constraint, or a list of such texts",
     lambda value: _is_text(value) or (_is_list(value, _is_text) and len(value) > 0),
 )
-SECTIONS = ("positioner", "margins", "layout", "optics", "observing")
+CAMERAS = "cameras"
+"""Name of the section with the guide and focus cameras, whose entries have the names of the cameras."""
+CAMERA = Kind(
+    "the corners of a camera, which are at least three points that do not lie on a line",
+    lambda value: POINTS.fits(value) and np.linalg.matrix_rank(np.subtract(value, value[0]), 1e-6) == 2,
+    u.mm,
+)
+SECTIONS = ("positioner", "margins", "layout", "optics", "observing", CAMERAS)
 TABLE = Kind("a table", lambda value: isinstance(value, dict))
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {
@@ -275,7 +283,7 @@ def check_description(content: dict) -> None:
 def _check_entry(section: str, name: str, entry: object) -> None:
     full = f"{section}.{name}"
     kind = OBSERVING if NEED.fullmatch(full) else ENTRIES.get(full)
-    kind = RULE if section.startswith(f"{RULES}.") else kind
+    kind = RULE if section.startswith(f"{RULES}.") else CAMERA if section == CAMERAS else kind
     if kind is None:
         _refuse_name(section, name)
     if not isinstance(entry, dict):

@@ -1,6 +1,10 @@
-"""The method of `Instrument` that returns the rules of its observatory."""
+"""The members of `Instrument` with the rules of its observatory, and with the cameras that rules refer to."""
+
+import astropy.units as u
+import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice, short
+from rfpsurvey.instrument._entries import CAMERAS
 from rfpsurvey.instrument._entries import RULES as SECTION
 
 RULES = f"{SECTION}."
@@ -8,7 +12,13 @@ RULES = f"{SECTION}."
 
 
 class WithRules:
-    """The method that `Instrument` inherits, which returns rules."""
+    """The members that `Instrument` inherits, which return rules and cameras."""
+
+    @property
+    def cameras(self) -> dict[str, np.ndarray]:
+        """Corners of the guide and focus cameras on the focal plane in mm, by the name of the camera."""
+        found = {name.partition(".")[2]: one for name, one in self.values.items() if name.startswith(f"{CAMERAS}.")}
+        return {name: np.array(one["value"]) * u.Unit(one["unit"]).to(u.mm) for name, one in found.items()}
 
     def rules(self, name: str) -> tuple[str, ...]:
         """Return the rules that an observatory publishes for the plans of an instrument, as texts of constraints.

@@ -1,5 +1,6 @@
 """The projection of one field for given observing conditions; its methods use arrays without units."""
 
+from copy import copy
 from functools import cache
 
 import astropy.units as u
@@ -124,6 +125,13 @@ class ObservedField:
                 break
             last = largest
         return vectors
+
+    def beyond(self, factor: float) -> "ObservedField":
+        """Return the projection with radial maps that are continued to a largest field angle times a factor."""
+        found = copy(self)
+        found._optics = self._optics.beyond(factor)
+        found.distortion = found._optics.distortion
+        return found
 
     def wavelength_groups(self, fiber_type: str | np.ndarray | None, n: int) -> list[tuple[object, float]]:
         """Return which targets are observed at which wavelength, as pairs (rows, wavelength in micrometers)."""

@@ -6,7 +6,7 @@ steps of the pipeline.
 """
 
 from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import Applied, apply_constraints
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints, early_violations
 from rfpsurvey.pipeline._field import FieldPlan, FieldReach, FieldTargets, field_radius_rad, find_reach, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._project import project_field
@@ -27,6 +27,7 @@ __all__ = [
     "SelectedRows",
     "apply_constraints",
     "category_classes",
+    "early_violations",
     "field_radius_rad",
     "find_reach",
     "outcome_codes",

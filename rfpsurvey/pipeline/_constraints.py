@@ -2,15 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
-from rfpsurvey.collision import CollisionReport
-from rfpsurvey.constraints import Constraint, ConstraintField, Verdict
+from rfpsurvey.collision import Arms, CollisionReport, place_arms
+from rfpsurvey.constraints import Constraint, ConstraintField, Rule, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
@@ -36,29 +37,17 @@ class Applied:
     obstacle_of: np.ndarray
     """Index of the constraint that added each of the last obstacles of the instrument."""
 
-    def violations(self, *plan) -> dict[str, list[str]]:
-        """Return sentences, for the text of each constraint, that state how a finished plan violates the constraint.
-
-        The parameters are those of `verdicts`.
-        """
-        if not self.constraints:
-            return {}
-        field, owner, n_covering = self._finished(*plan)
-        return {
-            str(one): sentences_of(one, field, owner >= 0, n)
-            for one, n in zip(self.constraints, n_covering, strict=True)
-        }
-
-    def verdicts(
+    def checks(
         self,
         report: CollisionReport,
+        arms: Arms,
         positioner: np.ndarray,
         fiber_type: np.ndarray,
         target: np.ndarray,
         sky_vectors: np.ndarray,
         sky_xy: np.ndarray,
-    ) -> list[Verdict]:
-        """Return the verdict of each constraint on a finished plan.
+    ) -> tuple[dict[str, list[str]], Callable[[], list[Verdict]]]:
+        """Return, for the text of each constraint, how a finished plan violates it; and a function for the verdicts.
 
         ``target`` contains the rows of the targets that have a fiber; the arrays ``sky_vectors`` and ``sky_xy``
         describe sky positions that were added between the targets and have a fiber. ``positioner`` and ``fiber_type``
@@ -66,15 +55,34 @@ class Applied:
         positions.
         """
         if not self.constraints:
-            return []
+            return {}, list
         field, owner, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
-        found, names = [], self.instrument.focal_plane.id.astype(str)
-        for one, n in zip(self.constraints, n_covering, strict=True):
-            verdict = answer(one, partial(one.verdict, field, owner >= 0, n))
-            if not isinstance(verdict, Verdict):
-                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(verdict)}")
-            found.append(replace(verdict, fibers=tuple(names[owner[verdict.rows]].tolist())))
-        return found
+        fields, names = {False: (field, owner)}, self.instrument.focal_plane.id.astype(str)
+        with_idle = [isinstance(one, Rule) and one.with_idle for one in self.constraints]
+        if any(with_idle):
+            own, xy, vectors, types = idle_fibers(self.instrument, arms, field.projection)
+            fields[True] = field.with_blank_sky(vectors, xy, types), np.append(owner, own)
+
+        def plan(k: int) -> tuple:
+            field, owner = fields[with_idle[k]]
+            return field, owner >= 0, n_covering[k]
+
+        @cache
+        def verdict(k: int) -> Verdict:
+            one = self.constraints[k]
+            found = answer(one, partial(one.verdict, *plan(k)))
+            if not isinstance(found, Verdict):
+                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(found)}")
+            return replace(found, fibers=tuple(names[fields[with_idle[k]][1][found.rows]].tolist()))
+
+        def violations(k: int) -> list[str]:
+            one = self.constraints[k]
+            if isinstance(one, Rule) and type(one).check is Rule.check:  # its sentences follow from its verdict
+                return one.sentences(verdict(k))
+            return sentences_of(one, *plan(k))
+
+        rows = range(len(self.constraints))
+        return {str(self.constraints[k]): violations(k) for k in rows}, lambda: [verdict(k) for k in rows]
 
     def _finished(self, report, positioner, fiber_type, target, sky_vectors, sky_xy) -> tuple:
         """Return the field of a finished plan, the positioner of each target, and the numbers of covering arms."""
@@ -129,6 +137,33 @@ def apply_constraints(
         field,
         np.repeat(np.arange(len(sizes)), sizes),
     )
+
+
+def idle_fibers(instrument: Instrument, arms: Arms, projection: FieldProjection | None) -> tuple:
+    """Return positioner, position (mm), direction and type of each fiber of positioners without a target.
+
+    A position is NaN if the pose of the positioner is not known, and so is the direction without a projection.
+    """
+    plane, parts = instrument.focal_plane, []
+    angles = {"theta": arms.theta * u.rad, "phi": arms.phi * u.rad}
+    for name in plane.fiber_types:
+        has = np.array([name in row.split("+") for row in plane.fiber_type.tolist()])
+        types = np.where(has, name, plane.arrays.first_type) if name else None
+        own = np.flatnonzero(~arms.assigned & has)
+        xy = place_arms(plane, **angles, fiber_type=types).tip[own]
+        xy[np.isnan(arms.tip[own, 0])] = np.nan
+        vectors = np.full((len(own), 3), np.nan) if projection is None else projection.unproject(xy, name or None)
+        parts.append((own, xy, vectors, np.full(len(own), name)))
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
+
+
+def early_violations(
+    instrument: Instrument, projection: FieldProjection, options: AllocationOptions, targets: "FieldTargets"
+) -> dict[str, list[str]]:
+    """Return sentences, for the text of each constraint, on violations that no assignment of fibers can prevent."""
+    early = [one for one in options.constraints if one.before_fibers]
+    field = constraint_field(instrument, projection, targets) if early else None
+    return {str(one): sentences_of(one, field, np.zeros(len(field.id), dtype=bool), 0) for one in early}
 
 
 def constraint_field(

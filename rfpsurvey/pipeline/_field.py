@@ -1,7 +1,6 @@
 """Plan a field: project unit vectors of targets, assign the targets to fibers, and find the colliding arms."""
 
 from collections.abc import Callable
-from functools import partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -213,13 +212,12 @@ def plan_field(
     lon, lat = to_lonlat(vectors)
     owners = np.append(positioner[given], positioner[~given])
     blanks = vectors[~given], allocation.xy_mm[target[~given]]
-    finished = report, owners, allocation.fiber_type[owners], target[given], *blanks
-    violations, verdicts = applied.violations(*finished), partial(applied.verdicts, *finished)
+    finished = report, arms, owners, allocation.fiber_type[owners], target[given], *blanks
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}
     lon %= 2 * np.pi
-    checked = violations, verdicts
+    checks = applied.checks(*finished)
     return FieldPlan(
-        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *checked
+        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *checks
     )

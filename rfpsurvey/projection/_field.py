@@ -1,5 +1,7 @@
 """The projection of one field for arrays without units: unit vectors to points in mm, and points to unit vectors."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rfpsurvey._kernels import sky
@@ -51,6 +53,10 @@ class FieldProjection:
         """Convert points (n, 2) on the focal plane in mm to unit vectors (n, 3); NaN outside the range of the map."""
         return self._apply(sky.unproject, sky.unproject_radial, points, fiber_type, 3)
 
+    def beyond(self, factor: float) -> "FieldProjection":
+        """Return the projection with radial maps that are continued to a largest field angle times a factor."""
+        return FieldProjection(self.basis, self.focal_length, continued(self.distortion, factor))
+
     def _apply(self, gnomonic, radial, values, fiber_type, width):
         """Project or unproject values with the map of their fiber type or, without a map, with the kernel ``gnomonic``.
 
@@ -89,6 +95,18 @@ class FieldProjection:
         for name in np.unique(types):
             check_choice(str(name), names, "fiber type")
         return [(types == name, self.distortion[name]) for name in names]
+
+
+def continued(distortion: object, factor: float) -> object:
+    """Return maps of a field, in which radial maps are continued, if they then still increase from the center."""
+    if isinstance(distortion, dict):
+        return {name: continued(one, factor) for name, one in distortion.items()}
+    if not isinstance(distortion, RadialMap):
+        return distortion
+    try:
+        return replace(distortion, max_angle=factor * distortion.max_angle)
+    except InputError:
+        return distortion
 
 
 def field_basis(ra: float, dec: float, angle: float) -> np.ndarray:

@@ -36,8 +36,11 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey in the order of the tiling.", survey.tiles, where)]),
     ]
-    if s.get("unmet"):
-        sections.insert(1, Section("Constraints", [Text(list(s["unmet"]))]))
+    if s.get("unmet") or survey.rules is not None:
+        blocks = [Text(list(s["unmet"]))] if s.get("unmet") else []
+        if survey.rules is not None:
+            blocks.append(Rows("Number of tiles with each verdict, for each constraint.", survey.rules))
+        sections.insert(1, Section("Constraints", blocks))
     visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')}"
     lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)

@@ -63,7 +63,10 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
     sections = [Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])])]
     if summary.get("unmet") or recorded_constraints(parameters):
-        unmet = summary.get("unmet") or ["All constraints are met."]
+        verdicts = [] if tile.rules is None else tile.rules["verdict"].tolist()
+        unknown = number_of(verdicts.count(NOT_CHECKABLE), "constraint")
+        met = f"No constraint is violated; not checkable: {unknown}."
+        unmet = summary.get("unmet") or [met if NOT_CHECKABLE in verdicts else "All constraints are met."]
         blocks = [Text(list(unmet))]
         if tile.rules is not None:
             caption = "Verdict on each constraint, with the positioners whose fibers violate it."

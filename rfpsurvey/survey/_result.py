@@ -7,7 +7,7 @@ from rfpsurvey.errors import brief
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._history import state_columns
-from rfpsurvey.survey._unmet import sentences_of, texts_of, without_shortfalls
+from rfpsurvey.survey._unmet import UNKNOWN, rule_records, sentences_of, texts_of, without_shortfalls
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
 
@@ -35,6 +35,7 @@ TILES = {
     "n_obstacle_collisions": "number of collisions with obstacles",
     "n_unmet": "number of requirements that are not met",
     "unmet": "requirements that are not met, with the numbers of missing targets",
+    "not_checkable": "constraints that are not checkable, because the plan lacks their data",
     "n_observed": "number of successful visits to science targets",
     "collision_rate": "n_colliding divided by n_counted",
     "fiber_use": "n_assigned divided by the number of usable positioners",
@@ -60,6 +61,8 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     if lacking:
         table["unmet"] = texts_of(lacking)
+    if any(name.startswith(UNKNOWN) for name in lacking):
+        table["not_checkable"] = texts_of(lacking, unknown=True)
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
     table["fiber_use"] = counts["n_assigned"] / max(n_usable, 1)
     centers, near = request.tiling.vectors, request.source.sum_near
@@ -81,6 +84,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
+    kept = slice(None) if request.state is None else state_columns(request)["state"] != "dropped"
     return {
         "n_tiles": len(request.tiling),
         "n_rounds": len(request.rounds),
@@ -110,6 +114,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
             *sentences_of(lacking, np.asarray(request.tiling.table["tile"])),
             *_never_observed(request.source, missed, why),
         ],
+        **({"rules": rule_records(lacking, np.asarray(request.tiling.table["tile"]), kept)} if lacking else {}),
         **({} if request.moved is None else {"epoch": request.moved}),
         **({} if request.state is None else request.state.summary),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),

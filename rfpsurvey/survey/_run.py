@@ -19,6 +19,7 @@ from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
+from rfpsurvey.survey._unmet import UNKNOWN
 from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
@@ -108,7 +109,8 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]
-            found = {name: own.get(card, 0) for card, (name, _) in cards.items()}
+            # constraints that the plan of the tile did not have are not checkable
+            found = {name: own.get(card, int(name.startswith(UNKNOWN))) for card, (name, _) in cards.items()}
             found |= {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
         else:
             job = request.job(tile, np.ones_like(state.left), as_file=False)

@@ -45,7 +45,8 @@ class Survey:
         ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement,
         and so do all keep-out circles), ``unmet``
         (if there are requirements or required targets: the requirements that are not met, with the numbers of missing
-        targets), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
+        targets), ``not_checkable`` (if there are rules: those for which this tile lacks data), ``n_observed``
+        (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
         ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness``
         (visits that all tiles together made to the targets of this field, divided by the requested visits of these
         targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and ``provenance``.
@@ -104,6 +105,16 @@ class Survey:
         observed.
         """
         return self.tiles.meta["summary"]
+
+    @property
+    def rules(self) -> Table | None:
+        """Table of the constraints: the numbers of tiles with each verdict, and the first tiles that fail.
+
+        The columns are ``rule``, ``pass``, ``fail``, ``not checkable`` and ``tiles``. None if there are no constraints.
+        The columns ``unmet`` and ``not_checkable`` of ``tiles`` name the constraints of each tile.
+        """
+        records = self.summary.get("rules")
+        return Table(records) if records else None
 
     @property
     def provenance(self) -> dict:

@@ -9,10 +9,11 @@ import numpy as np
 
 from rfpsurvey._io import fits_bytes, table_cards
 from rfpsurvey.allocation import KINDS, AllocationOptions
+from rfpsurvey.errors import listed, number_of
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, find_reach, plan_field
-from rfpsurvey.survey._unmet import VIOLATED, shortfall_cards, shortfall_counts
+from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, early_violations, find_reach, plan_field
+from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
@@ -158,7 +159,7 @@ def work(job: Job) -> Done:
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         "n_unmet": len(plan.allocation.unmet),
-        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options),
+        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
     }
     counts["n_unmet"] += sum(n > 0 for name, n in counts.items() if name.startswith(VIOLATED))
     cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
@@ -189,3 +190,23 @@ def projection_of(job: Job):
     """Return the projection from the sky to the focal plane for the tile of a job."""
     place = np.deg2rad([job.ra_deg, job.dec_deg, job.position_angle_deg])
     return job.model.instrument.field_projection(*place, job.conditions)
+
+
+def early_sentences(request) -> list[str]:
+    """Return a sentence for each constraint that tiles to be planned violate whichever targets they observe."""
+    found, n, state = {}, len(request.tiling), request.state
+    early = any(one.before_fibers for one in request.options.constraints)
+    known = () if state is None else {*state.closed, *state.begun}
+    for tile in range(n) if early else ():
+        if tile not in known:
+            job = request.job(tile, request.builder.left, as_file=False)
+            model = job.model
+            texts = early_violations(model.instrument, projection_of(job), model.options, job.field.targets)
+            for name, sentences in texts.items():
+                found.setdefault(name, []).extend((job.tile, text) for text in sentences)
+    return [
+        f"{len(rows)} of {number_of(n, 'tile')} ({listed([tile for tile, _ in rows], MOST_TILES)}) cannot meet a "
+        f"constraint, whichever targets they observe; tile {rows[0][0]}: {rows[0][1]}"
+        for rows in found.values()
+        if rows
+    ]

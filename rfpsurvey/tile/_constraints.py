@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
 from rfpsurvey.catalog import Finder
-from rfpsurvey.collision import CollisionReport
+from rfpsurvey.collision import Arms, CollisionReport
 from rfpsurvey.constraints import KINDS, Rule, count_verdicts, sentences
 from rfpsurvey.errors import InputError, check_fiber_type, warn
 from rfpsurvey.focal_plane import Reach
@@ -25,7 +25,9 @@ class ScoredConstraints:
     columns: TargetColumns
     xy: np.ndarray
 
-    def summary(self, report: CollisionReport, target_of: np.ndarray, who: np.ndarray, fibers: np.ndarray) -> dict:
+    def summary(
+        self, report: CollisionReport, arms: Arms, target_of: np.ndarray, who: np.ndarray, fibers: np.ndarray
+    ) -> dict:
         """Return the entries of the summary of a score.
 
         ``target_of`` is the target of each positioner; ``who`` and ``fibers`` are the positioner and the fiber type of
@@ -46,8 +48,8 @@ class ScoredConstraints:
         )
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
-        finished = report, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))
-        violations = self.applied.violations(*finished)
+        finished = report, arms, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))
+        violations, verdicts = self.applied.checks(*finished)
         wrong = {one.requirement for one in lacking}
         numbers: dict = {}
         counts = count_verdicts(problem.groups, problem.counts_of(target_of))
@@ -65,7 +67,7 @@ class ScoredConstraints:
             ),
             "requirements": numbers,
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
-            "rules": [one.record for one in (*counts, *self.applied.verdicts(*finished))],
+            "rules": [one.record for one in (*counts, *verdicts())],
         }
 
     def _knows(self, what: str) -> bool:

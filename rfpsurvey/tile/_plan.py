@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from functools import partial
+from itertools import chain
 from time import perf_counter
 
 import astropy.units as u
@@ -26,7 +27,15 @@ from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
 from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
-from rfpsurvey.pipeline import CatalogTargets, FieldBuilder, FieldPlan, SelectedRows, field_radius_rad, plan_field
+from rfpsurvey.pipeline import (
+    CatalogTargets,
+    FieldBuilder,
+    FieldPlan,
+    SelectedRows,
+    early_violations,
+    field_radius_rad,
+    plan_field,
+)
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import warn_of_north, where
 from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
@@ -107,8 +116,8 @@ def plan_tile(
     Warns
     -----
     RfpsurveyWarning
-        If an option that the allocator does not use is given, if identifiers occur twice, or if no target has the
-        category that a requirement counts.
+        If an option that the allocator does not use is given, if identifiers occur twice, if no target has the
+        category that a requirement counts, or if the field violates a constraint whatever targets are assigned.
 
     Examples
     --------
@@ -162,6 +171,8 @@ def plan_tile(
     if n_twice:
         text = f"the field has {number_of(n_twice, 'target')} with the same id as another target"
         text += "; each row is planned as a separate target"
+        warn(text)
+    for text in chain(*early_violations(instrument, plain, options, targets).values()):
         warn(text)
     rng, seed = _generator(rng)
     seconds = {"select": perf_counter() - begin}

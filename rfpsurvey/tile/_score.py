@@ -214,7 +214,7 @@ def score_tile(
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
-        **({} if constraints is None else checked.summary(report, target_of, who, fibers)),
+        **({} if constraints is None else checked.summary(report, posed, target_of, who, fibers)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

@@ -85,8 +85,8 @@ def growth(_options):
         for radius in (230, 520, 1150):
             text = Path(rs.__file__).parent.joinpath("presets/must.toml").read_text()
             text = text.replace("group_radius = { value = 520.0", f"group_radius = {{ value = {float(radius)}")
-            head, _, tail = text.partition("[layout.focal_surface]")
-            text = head + tail.partition("[layout.obstacle_polygons]")[2].partition("]\n\n")[2]
+            head, _, tail = text.partition("[layout.focal_surface]")  # the published profile ends at the edge of MUST
+            text = head + "[optics]" + tail.partition("[optics]")[2]
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "size.toml"
                 path.write_text(text.replace('name = "must"', 'name = "size"'))

@@ -54,12 +54,20 @@ def test_a_plan_reads_the_columns_of_its_rules(run, targets, tmp_path):
 def test_a_survey_follows_rules(run, targets, tmp_path):
     folder = tmp_path / "survey"
     Table({"ra": [95.0, 95.1], "dec": [23.0, 23.0]}).write(tmp_path / "tiles.csv")
-    code, _, _ = run(
+    code, out, _ = run(
         "survey", targets, "--instrument", "sdss_apo", "--tiles", tmp_path / "tiles.csv", "--folder", folder,
         "--set", "options.rules=dark_monit",
     )  # fmt: skip
     assert code == 0
     survey = rs.Survey.read(folder)
+    for row in survey.rules:
+        (line,) = [line.split() for line in out.splitlines() if line.strip().startswith(f"{row['rule']} ")]
+        numbers = [str(row[name]) for name in ("pass", "fail", "not checkable")]
+        assert line[len(row["rule"].split()) :][:3] == numbers
+    assert (
+        dict(zip(survey.rules["rule"], survey.rules["not checkable"], strict=True))["contrast h 5.0 APOGEE fiberId"]
+        == 2
+    )
     catalog = Table.read(targets)
     for rows in survey:
         used = catalog[np.isin(catalog["id"], rows["target_id"])]
@@ -81,3 +89,34 @@ def test_rules_that_cannot_be_used_get_one_sentence(run, targets, instrument, ru
     assert code == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("instrument", "rule", "message"),
+    [
+        ("lamost", "guide_stars gaia_g 12 19 5", "needs cameras, but lamost has none; describe them in the section"),
+        (
+            "sdss_lco",
+            "guide_stars gaia_g 19 12 5",
+            "the brightest magnitude of 'gaia_g' must be smaller than the faint",
+        ),
+        ("sdss_lco", "guide_stars gaia_g 12 19 5 inf gfa7", "unknown camera of sdss_lco 'gfa7'; choose one of: gfa1"),
+        ("pfs", "guide_stars gaia_g 12 19 5 inf '' {folder}/nowhere.ecsv", "nowhere.ecsv"),
+    ],
+)
+def test_rules_on_guide_stars_that_cannot_be_used_get_one_sentence(run, targets, instrument, rule, message):
+    rule = rule.format(folder=targets.parent)
+    code, _, err = run("plan", targets, "--instrument", instrument, "--center", "95 23", "--constraint", rule)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_a_plan_warns_of_cameras_without_guide_stars(run, targets, tmp_path):
+    """The stars of a second file are read; the plan is made, and its verdict is printed."""
+    rule = f"guide_stars gaia_g 12 19 40 inf '' {targets}"
+    code, out, err = run("plan", targets, "--instrument", "sdss_apo", "--center", "95 23", "--constraint", rule)
+    assert code == 0
+    assert "warning: guide_stars gaia_g 12.0 19.0 40" in err
+    assert "on each camera); gfa1 has" in err
+    assert "\nfail          guide_stars gaia_g 12.0 19.0 40" in out

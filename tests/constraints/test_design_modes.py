@@ -1,11 +1,10 @@
 """The design modes of SDSS-V on recorded configurations; each number is recomputed from the file with NumPy only."""
 
-import gzip
-import shlex
-
 import numpy as np
 import pytest
-from astropy.table import Table
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+from configurations import places, rows_of, spot
 
 import rfpsurvey as rs
 
@@ -13,28 +12,6 @@ FILES = ("sdssv_apo_2021/confSummary-998.par.gz", "sdssv_apo_2024/confSummary-te
 MODES = ("bright_time", "dark_faint", "dark_monit", "dark_plane", "dark_rm")
 BANDS = ("g", "r", "i", "bp", "gaia_g", "rp", "h")
 INDEX = {"u": 0, "g": 1, "r": 2, "i": 3, "z": 4}
-
-
-def rows_of(path):
-    """Return the assigned rows of FIBERMAP as dicts, from the text of the file."""
-    text = gzip.decompress(path.read_bytes()).decode()
-    struct = text.partition("typedef struct {")[2].partition("}")[0]
-    names = [(line.split()[1].partition("[")[0], line) for line in struct.split(";") if line.strip()]
-    found = []
-    for line in text.splitlines():
-        if not line.startswith("FIBERMAP "):
-            continue
-        words, row = shlex.split(line.replace("{", " { ").replace("}", " } "))[1:], {}
-        for name, declared in names:
-            if words[0] == "{":
-                end = words.index("}")
-                row[name], words = words[1:end], words[end + 1 :]
-            else:
-                row[name], words = words[0], words[1:]
-            assert ("char" in declared) or name in ("fiberType",) or row[name]
-        if row["assigned"] == "1":
-            found.append(row)
-    return found
 
 
 def magnitude(row, band):
@@ -45,10 +22,6 @@ def magnitude(row, band):
 def kind(row):
     word = row["category"]
     return "sky" if word.startswith("sky") else "standard" if word.startswith("standard") else "science"
-
-
-def spot(row):
-    return float(row["xFocal"]), float(row["yFocal"])
 
 
 def kth(rows, near, k):
@@ -94,11 +67,20 @@ def outside(rows, band, low, high):
 @pytest.mark.parametrize("mode", MODES)
 def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mode, real_data):
     path = real_data(file)
-    published = {row["label"]: row for row in Table.read(real_data("sdssv_rules/design_modes.ecsv"))}[mode]
     apo = rs.Instrument.preset("sdss_apo")
-    tile = rs.score_tile(rs.plans.read_plan(path), apo, constraints=apo.rules(mode))
-    rules = {row["rule"]: row for row in tile.rules}
-    rows, n_checked = rows_of(path), 0
+    tile = rs.score_tile(rs.plans.read_plan(path), apo, constraints=[*apo.rules(mode), *apo.rules("guiding")])
+    check_numbers(tile, rows_of(path), mode, real_data)
+
+
+def check_numbers(tile, rows, mode, real_data, bands=BANDS):
+    """Compare each number of a design mode and of the guide stars with numbers computed from rows of a file.
+
+    Rules for magnitudes that are not in ``bands`` are not checkable, and neither are guide stars without their catalog.
+    """
+    published = {row["label"]: row for row in Table.read(real_data("sdssv_rules/design_modes.ecsv"))}[mode]
+    rules, n_checked = {row["rule"]: row for row in tile.rules}, 1
+    (guide,) = [row for text, row in rules.items() if text.startswith("guide_stars")]
+    assert (guide["verdict"], np.isnan(guide["number"])) == ("not checkable", True)
     for fiber in ("BOSS", "APOGEE"):
         own, name = [row for row in rows if row["fiberType"] == fiber], fiber.lower()
         for word, what in (("skies", "sky"), ("stds", "standard")):
@@ -124,7 +106,7 @@ def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mo
                     continue
                 ends = ["-inf" if low != low else str(low), "inf" if high != high else str(high)]
                 row = rules[f"magnitude {band} {' '.join(ends)} {what} {fiber} allowed"]
-                known, wrong = outside(of_kind, band, low, high)
+                known, wrong = outside(of_kind, band, low, high) if band in bands else ([], [])
                 if not known:
                     assert row["verdict"] == "not checkable"
                     assert np.isnan(row["number"])
@@ -138,6 +120,57 @@ def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mo
         n_checked += len(stars)
     n_checked += check_contrast(rules, rows, published["apogee_trace_diff_targets"])
     assert n_checked == len(rules)
+
+
+LCO = """waveCat,direction,R,c0,c1,c2,c3,c4
+Boss,focal,9938.0,1.89824,0.0131773,0.000104445,5.77341e-05,0
+Apogee,focal,8905.0,2.1189,0.0140826,0.000127996,6.99967e-05,0
+"""
+
+
+@pytest.mark.few(12)
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("design", [21636, 21637, 50323, 502706, 503246, 503247, 505253, 505254])
+def test_the_numbers_of_eight_designs_equal_an_independent_computation(design, mode, real_data, presets):
+    """The designs have the magnitudes gaia_g and h only, and positions on the sky; they do not have fiber numbers."""
+    table = Table.read(real_data("sdssv_eight_designs.ecsv"))
+    table = table[table["design_id"] == design]
+    site = str(table["observatory"][0])
+    instrument = presets[f"sdss_{site.lower()}"]
+    model = Table.read(real_data("sdssv_apo_2024/focalPlaneModel.csv"), format="ascii.csv", comment="#")
+    model = model if site == "APO" else Table.read(LCO, format="ascii.csv")
+    center, coord = SkyCoord(table["racen"][0], table["deccen"][0], unit="deg"), SkyCoord(table["ra"], table["dec"])
+    rows = []
+    for fiber in ("BOSS", "APOGEE"):
+        own = np.asarray(table["instrument"]) == fiber
+        factor = 0.9998082 if site == "APO" else 0.9999588
+        x, y = places(coord[own], center, 0.0, model, fiber, factor)
+        for row, px, py in zip(table[own], x, y, strict=True):
+            found = {"holeId": row["holeid"], "fiberType": fiber, "category": row["category"], "fiberId": -1}
+            found |= {f"{name}_mag": np.nan if row[name] is np.ma.masked else row[name] for name in ("gaia_g", "h")}
+            rows.append({**found, "xFocal": px, "yFocal": py})
+    constraints = [*instrument.rules(mode), *instrument.rules("guiding")]
+    tile = rs.score_tile(table, instrument, equinox="J2022.0", constraints=constraints)
+    assert len(rows) == len(table) == tile.summary["n_assigned"]
+    check_numbers(tile, rows, mode, real_data, bands=("gaia_g", "h"))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_numbers_of_a_field_without_magnitudes_equal_an_independent_computation(mode, real_data, presets):
+    table = Table.read(real_data("sdssv_robostrategy_field_a.ecsv"))
+    names = {
+        "hole_id": "holeId",
+        "fiber_type": "fiberType",
+        "category": "category",
+        "x_wok": "xFocal",
+        "y_wok": "yFocal",
+    }
+    rows = [{new: row[old] for old, new in names.items()} | {"fiberId": -1} for row in table[table["assigned"] == 1]]
+    rows = [{**row, "h_mag": np.nan} for row in rows]
+    apo = presets["sdss_apo"]
+    tile = rs.score_tile(table, apo, constraints=[*apo.rules(mode), *apo.rules("guiding")])
+    assert len(rows) == tile.summary["n_assigned"]
+    check_numbers(tile, rows, mode, real_data, bands=())
 
 
 def check_contrast(rules, rows, limit):
@@ -182,27 +215,6 @@ def test_a_plan_without_kinds_and_magnitudes_is_not_checkable():
     assert np.isnan(tile.rules["number"]).all()
 
 
-def test_categories_of_sdssv_state_the_kinds_of_targets(real_data):
-    """A table without the column kind has the kinds with which its categories begin."""
-    table = Table.read(real_data("sdssv_robostrategy_field_a.ecsv"))
-    apo = rs.Instrument.preset("sdss_apo")
-    tile = rs.score_tile(table, apo, constraints=apo.rules("dark_monit"))
-    rules = {row["rule"]: row for row in tile.rules}
-    own = table[table["assigned"] == 1]
-    for what, fiber, least in (
-        ("sky", "BOSS", 50),
-        ("standard", "BOSS", 70),
-        ("sky", "APOGEE", 35),
-        ("standard", "APOGEE", 15),
-    ):
-        n = np.sum((own["fiber_type"] == fiber) & np.char.startswith(own["category"], what))
-        row = rules[f"{what}@{fiber}={least}"]
-        assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
-    assert all(
-        row["verdict"] == "not checkable" for text, row in rules.items() if text.startswith(("mag", "bright", "con"))
-    )
-
-
 def test_other_categories_do_not_state_kinds():
     apo = rs.Instrument.preset("sdss_apo")
     x, y = apo.focal_plane.xy[:3].T
@@ -210,3 +222,34 @@ def test_other_categories_do_not_state_kinds():
     table["category"] = ["sky_boss", "qso", "sky_boss"]
     rules = rs.score_tile(table, apo, constraints=["sky=1", "sky_boss=1", "distribution sky 1 50 100"]).rules
     assert rules["verdict"].tolist() == ["not checkable", "pass", "not checkable"]
+
+
+def test_the_rules_of_desi_are_checked_in_each_petal(presets):
+    """Counts in each petal, and magnitudes of standards, are recomputed from the table of the tile."""
+    desi, center, rng = presets["desi"], SkyCoord(95, 23, unit="deg"), np.random.default_rng(3)
+    sky = rs.synthetic_catalog("uniform", center, desi.field_radius, n_targets=12_000, rng=1)
+    kind = rng.choice(["science", "standard", "sky"], len(sky), p=[0.7, 0.1, 0.2])
+    sky = rs.Catalog(sky.coord, kind=kind, extra=QTable({"gaia_g": rng.uniform(14, 20, len(sky))}))
+    for name, faintest in (("dark", 19), ("bright", 18)):
+        tile = rs.plan_tile(sky, desi, center, allocator=rs.AllocationOptions("network_flow", rules=name))
+        t = tile.table[~tile.table["target_id"].mask]
+        for what, least, rows in (("sky", 40, tile.rules[:10]), ("standard", 10, tile.rules[10:20])):
+            for petal, row in enumerate(rows):
+                n = np.sum((t["kind"] == what) & (t["spectrograph"] == petal))
+                assert row["rule"] == f"{what}={least}/spectrograph"
+                assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
+        mags = t["gaia_g"][t["kind"] == "standard"]
+        assert (mags.min() > 16, mags.max() < faintest) == (True, True)
+        assert tile.rules["verdict"][20] == "pass"
+
+
+@pytest.mark.filterwarnings("ignore:.*out of reach of their positioners")
+def test_the_rules_of_pfs_are_checked_on_a_design(real_data, presets):
+    """The numbers equal those of targetType (2: sky, 3: flux standard) in the file, which has no magnitudes."""
+    path = real_data("pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz")
+    types = Table.read(path, hdu="DESIGN")["targetType"]
+    tile = rs.score_tile(rs.plans.read_plan(path), presets["pfs"], constraints=presets["pfs"].rules("queue"))
+    n_sky, n_standard = np.sum(types == 2), np.sum(types == 3)
+    assert tile.rules["number"].tolist()[:2] == [n_sky, n_standard]
+    assert tile.rules["verdict"].tolist()[:2] == ["fail", "fail"]
+    assert set(tile.rules["verdict"][2:]) == {"not checkable"}

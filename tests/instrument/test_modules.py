@@ -59,8 +59,10 @@ def test_positions_of_the_layout_tool(presets, real_data, name, n):
 @pytest.mark.parametrize("name", ["must", "spec_s5"])
 def test_no_arm_reaches_a_fiducial_or_a_camera(presets, name):
     plane = presets[name].focal_plane
-    assert len(plane.obstacle_polygons) == 6
     assert len(plane.arrays.obstacle_pairs) == 0
+    cameras = [shapely.Polygon(one) for one in presets[name].cameras.values()]
+    assert [round(one.area) for one in cameras] == [10_000] * 6
+    assert min(one.distance(shapely.MultiPoint(plane.xy.value)) for one in cameras) > 3.6 + 1
     away = np.hypot(*(plane.arrays.xy[:, None, :] - plane.arrays.obstacles[None, :8, :2]).transpose(2, 0, 1)).min(
         axis=0
     )

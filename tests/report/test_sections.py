@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
@@ -61,6 +62,24 @@ def test_the_page_of_a_tile_has_its_requirements_and_constraints(small, catalog,
     names = list(tile_facts(tile))
     begin = names.index("  assigned") + 1
     assert {name: tile_facts(tile)[name] for name in names[begin : begin + 3]} == counts
+
+
+@pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+def test_pages_do_not_count_a_rule_that_is_not_checkable_as_met(small, catalog, tmp_path):
+    """Regression: the page of a tile stated that all constraints are met if none was checkable."""
+    sky = rs.Catalog(catalog.coord, extra=QTable({"mag": np.full(len(catalog), np.nan)}))
+    allocator = rs.AllocationOptions("nearest", constraints="magnitude mag 12 20")
+    for k, result in enumerate(
+        [
+            rs.plan_tile(sky, small, CENTER, allocator=allocator),
+            rs.plan_survey(sky, small, SkyCoord([CENTER]), allocator=allocator),
+        ]
+    ):
+        (tmp_path / str(k)).mkdir()
+        found = text_of(page(result, tmp_path / str(k)))
+        assert "All constraints are met." not in found
+        assert "not checkable" in found
+    assert "Number of tiles with each verdict, for each constraint." in found
 
 
 def test_the_page_of_a_survey_has_unobserved_required_targets_and_priorities(small, catalog, tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from astropy.table import QTable
 from living import content, differences, events, part, sha
 
 import rfpsurvey as rs
@@ -95,6 +96,26 @@ def test_a_dropped_tile_needs_a_plan_before_it_is_observed(case, survey):
     with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
         again.record(events(tile=13))
     assert replan(case, again).record(events(tile=13))["n_events"] == 1
+
+
+@pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+def test_tiles_without_a_plan_have_no_verdict_and_observed_tiles_are_not_checkable_for_new_rules(case, survey):
+    """A rule that the plan of an observed tile did not have, or a dropped tile, never counts as passed."""
+    catalog, instrument, tiling = case
+    catalog = rs.Catalog(
+        catalog.coord,
+        id=catalog.id,
+        priority=catalog.priority,
+        visits=catalog.visits,
+        extra=QTable({"mag": np.full(len(catalog), 15.0)}),
+    )
+    plans = rs.plan_survey(catalog, instrument, tiling, allocator="nearest", folder=survey.folder.with_name("other"))
+    plans.record(events(tile=[11, 13], date="2026-01-03", state=["done", "dropped"]))
+    options = rs.AllocationOptions("nearest", constraints="magnitude mag 10 20")
+    again = rs.plan_survey(catalog, instrument, tiling, allocator=options, visits=plans.state(catalog))
+    row = again.rules[0]
+    assert (row["pass"], row["fail"], row["not checkable"]) == (len(tiling) - 2, 0, 1)
+    assert again.tiles["not_checkable"].tolist()[0] == row["rule"]
 
 
 def test_a_moved_tile_needs_a_plan_before_it_is_observed(case, survey):

@@ -1,0 +1,63 @@
+"""Stuck fibers that observe sky: stars move by their proper motions between the dates of the tiles."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from astropy.time import Time
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord(95, 23, unit="deg", frame="icrs")
+TIMES = Time(["2022-01-15T06:00:00", "2024-01-15T06:00:00", "2026-01-15T06:00:00"], scale="utc")
+STUCK, SEPARATION = 5, 20 * u.arcsec
+
+
+@pytest.fixture(scope="module")
+def worn(small):
+    """Return an instrument with a stuck positioner."""
+    pose = np.where(np.arange(37)[:, None] == STUCK, [20, 90], np.nan) * u.deg
+    return replace(small, focal_plane=replace(small.focal_plane, stuck=pose))
+
+
+@pytest.fixture(scope="module")
+def sky(worn):
+    """Return targets, the first of which is in front of the stuck fiber at the second time only."""
+    conditions = rs.ObservingConditions("kitt peak", time=TIMES[1])
+    image = worn.field_projection(CENTER.ra.rad, CENTER.dec.rad, 0.0, conditions)
+    tip = worn.focal_plane.arrays.idle(False).segments[2:, STUCK][None]
+    x, y, z = image.unproject(tip)[0]
+    place = SkyCoord(x=x, y=y, z=z, representation_type="cartesian").represent_as("spherical")
+    pm = 15 * u.arcsec / u.yr
+    star = SkyCoord(place.lon, place.lat - pm * (TIMES[1].jyear - 2016) * u.yr)
+    others = rs.synthetic_catalog("uniform", CENTER, worn.field_radius, n_targets=25, rng=3).coord
+    far = others.separation(SkyCoord(place.lon, place.lat)) > 0.05 * u.deg
+    ra, dec = np.append(star.ra.deg, others.ra.deg[far]), np.append(star.dec.deg, others.dec.deg[far])
+    motion = np.where(np.arange(len(ra)) == 0, pm.to_value(u.mas / u.yr), 0.0) * u.mas / u.yr
+    epoch = Time(2016.0, format="jyear")
+    return SkyCoord(ra, dec, unit="deg", pm_ra_cosdec=0 * motion, pm_dec=motion, obstime=epoch)
+
+
+@pytest.mark.parametrize("visits", [0, 1, 3])
+@pytest.mark.parametrize("way", ["memory", "folder", "partitioned"])
+def test_a_stuck_fiber_is_on_sky_at_the_dates_at_which_no_star_is_in_front_of_it(worn, sky, visits, way, tmp_path):
+    """Also stars without remaining or without requested visits count."""
+    n = np.where(np.arange(len(sky)) == 0, visits, 3)
+    catalog = rs.Catalog(sky, visits=n)
+    if way == "partitioned":
+        catalog = rs.catalog.partition_catalog(catalog, tmp_path / "parts", order=3)
+    table = QTable({"ra": [95.0] * 3 * u.deg, "dec": [23.0] * 3 * u.deg, "pass": [1, 2, 3]})
+    table["time"] = TIMES.isot
+    tiles = rs.Tiling.from_table(table).with_conditions(rs.ObservingConditions("kitt peak", time=TIMES[0]))
+    allocator = rs.AllocationOptions("network_flow", requirements="sky=30", sky_separation=SEPARATION)
+    folder = tmp_path / "survey" if way == "folder" else None
+    survey = rs.plan_survey(catalog, worn, tiles, allocator=allocator, folder=folder)
+    on_sky = [bool((rows["positioner"] == worn.focal_plane.id[STUCK]).any()) for rows in survey]
+    assert on_sky == [True, False, True]
+    for time, expected in zip(TIMES, on_sky, strict=True):
+        conditions = rs.ObservingConditions("kitt peak", time=time)
+        tile = rs.plan_tile(rs.Catalog(sky, visits=n), worn, CENTER, conditions=conditions, allocator=allocator)
+        assert (tile.table["kind"][STUCK] == "sky") == expected
