@@ -24,6 +24,7 @@ from rfpsurvey.constraints import (
     as_constraints,
     as_required,
     as_requirements,
+    check_counts,
     circle_text,
 )
 from rfpsurvey.errors import (
@@ -321,6 +322,8 @@ class AllocationOptions:
             requirements = as_requirements(instrument.requirements)
         constraints = tuple(one.for_instrument(instrument) for one in self.constraints)
         counts = (*requirements, *(count for one in constraints for count in one.counts))
+        if instrument is not None:
+            check_counts(counts, instrument.focal_plane)
         if separation is not None and not any(one.what == "sky" and one.minimum for one in counts):
             remedy = "add a requirement such as 'sky=20/spectrograph'"
             warn_no_effect("sky_separation", f"because no requirement counts sky positions; {remedy}")
