@@ -21,12 +21,11 @@ from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
-from rfpsurvey.constraints import KINDS, count_verdicts
+from rfpsurvey.constraints import KINDS, check_counts, count_verdicts
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
     check_choice,
-    check_fiber_type,
     check_keywords,
     short,
     warn_no_effect,
@@ -203,9 +202,7 @@ def assign(
     classes, rank = _classes(columns.priority, n)
     if columns.kind is not None:
         classes, rank = _squeeze(classes, rank, columns.kind == "science")
-    for one in options.counts:
-        if one.fiber_type:
-            check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
+    check_counts(options.counts, focal_plane)
     problem = AllocationProblem(
         focal_plane,
         xy_mm,

@@ -9,6 +9,7 @@ from rfpsurvey._kernels import conflicts, reduce
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
+from rfpsurvey.allocation._distribution import Spread, members
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, touching
@@ -61,6 +62,15 @@ class Candidates:
         new[order] = np.arange(len(order))
         columns = o.start, o.own, target[order], self.side[order], np.zeros(len(self)), new[self.pairs]
         return _assemble(problem, self.preselection, *columns)
+
+    @cached_property
+    def spreads(self) -> list[Spread]:
+        """The candidates that each rule on the distribution of fibers concerns."""
+        o, problem = self.options, self.problem
+        return [
+            Spread(rule, *(members(problem, rule, what, o.own, o.target) for what in ("science", rule.what)))
+            for rule in problem.distributions
+        ]
 
     @cached_property
     def segments(self) -> np.ndarray:
@@ -131,8 +141,9 @@ def _assemble(problem, preselection, start, own, target, side, cost, pairs):
     """Return `Candidates` with the given columns and the data that are derived from these columns."""
     rank = problem.rank_of(target)
     place = problem.spectrograph_of(own, target) if problem.groups else None
+    near = [members(problem, rule, rule.what, own, target) for rule in problem.distributions]
     held = np.array([g.holds(target, place, own) for g in problem.groups], dtype=bool).reshape(-1, len(own))
-    key, as_good = _keys(problem, target, held)
+    key, as_good = _keys(problem, target, held, near)
     pairs = np.ascontiguousarray(pairs)  # for another memory layout, numba would compile the kernel again
     by_target, adjacency = _by_target(target, len(problem.xy)), _adjacency(len(own), pairs)
     options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, **adjacency)
@@ -213,19 +224,19 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
     return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)
 
 
-def _keys(problem, target, held):
+def _keys(problem, target, held, near):
     """Return the key of each candidate, and a matrix that states which keys are at least as good as other keys.
 
-    Candidates that count toward the same requirements have the same key, which is a whole number. Key a is at least as
-    good as key b if a counts toward every minimum toward which b counts, and b counts toward every maximum toward which
-    a counts.
+    Candidates that count toward the same requirements, and are neighbors for the same rules (``near``), have the same
+    key, which is a whole number. Key a is at least as good as key b if a counts toward every minimum and is a neighbor
+    for every rule for which b does, and b counts toward every maximum toward which a counts.
     """
     low = [g.requirement.minimum > 0 for g in problem.groups]
     high = [g.requirement.maximum is not None for g in problem.groups]
     required = np.zeros((0, len(target)), dtype=bool)
     if problem.any_required:
         required = np.append(problem.is_required, False)[target][None]
-    does = np.concatenate([held[np.flatnonzero(low)], required])
+    does = np.concatenate([held[np.flatnonzero(low)], required, *(one[None] for one in near)])
     spends = held[np.flatnonzero(high)]
     if len(does) + len(spends) == 0:
         return np.zeros(len(target), dtype=np.int64), np.ones((1, 1), dtype=bool)

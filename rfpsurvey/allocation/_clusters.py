@@ -1,5 +1,7 @@
 """Find plans and upper bounds for many positioners by integer programs for clusters of neighboring positioners."""
 
+from functools import partial
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -12,6 +14,7 @@ from rfpsurvey.allocation._lexicographic import pursue
 from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._solver import choose_one_each
 
 # Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
@@ -93,7 +96,9 @@ def _solve_cluster(matrix, rows, start, value, deadline):
     return bound, x
 
 
-def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None) -> np.ndarray:
+def improve_by_clusters(
+    candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None, upper=None
+) -> np.ndarray:
     """Improve a plan with an integer program for each cluster of positioners, while all other arms are fixed.
 
     The positioners are divided into clusters several times, each time with a different orientation of the clusters. The
@@ -110,6 +115,8 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
         Value of `now` at which the search ends.
     is_best : callable, optional
         Function that takes a plan in the form of ``chosen``, and returns whether this plan is known to be optimal.
+    upper : callable, optional
+        Function that returns an upper bound of each objective from the values of all earlier objectives.
 
     Returns
     -------
@@ -128,11 +135,11 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
         order = np.argsort(label[open_ones], kind="stable")
         for members in np.split(open_ones[order], np.flatnonzero(np.diff(label[open_ones][order])) + 1):
             at_best = (options.rank[now[members]] == best_rank[members]).all()
-            if at_best and not candidates.problem.groups:
+            if at_best and not candidates.problem.any_goals:
                 continue
             if left(deadline) == 0:
                 break
-            better, solved = _improve_cluster(candidates, members, now, blocked, holder, deadline)
+            better, solved = _improve_cluster(candidates, members, now, blocked, holder, deadline, upper)
             improved |= better
             in_time &= solved
         if not in_time:
@@ -148,13 +155,16 @@ def improve_by_clusters(candidates: Candidates, chosen: np.ndarray, deadline: fl
     return now
 
 
-def _improve_cluster(candidates, members, now, blocked, holder, deadline):
+def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=None):
     """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
     options, before, found = candidates.options, now[members].copy(), None
     limit = share(deadline, FOR_ONE)
     try:
         program = program_of(candidates, members, now, blocked, holder, limit)
-        found = pursue(program, before, limit, None, integral=True, squared_cost=False)
+        if upper is not None:
+            base = values_of_others(candidates.problem, np.where(now < 0, -1, options.target[now]))
+            upper = partial(_upper_of_part, upper, base)
+        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=upper)
     except OutOfTimeError:
         pass
     better = False
@@ -166,6 +176,20 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline):
     for c in after:
         moves.put(options.own[c], c, options, now, blocked, holder)
     return better, found is not None and bool((found.values >= found.bounds).all())
+
+
+def values_of_others(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
+    """Return what the positioners outside of a program add to the values of the objectives of the program.
+
+    The objective of the requirements already contains the contributions of all positioners.
+    """
+    base = problem.level_values(target_of)
+    base[int(problem.any_required)] = 0.0
+    return base
+
+
+def _upper_of_part(upper, base, values):
+    return upper(values + base) - base
 
 
 def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder, deadline: float) -> Program:
@@ -181,7 +205,7 @@ def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder
     rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
     target = options.target[rows]
     rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
-    others = now[now >= 0] if candidates.problem.groups else np.empty(0, dtype=np.int64)
+    others = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
     return Program(candidates, rows, others, edges_within(options, rows), deadline)
 
 

@@ -98,8 +98,7 @@ def _fewest(program, pairs, idle, now, x, deadline):
     slack = csr_array((-ones, (np.arange(m), np.arange(m))), shape=(m, m))
     wide = hstack([matrix, csr_array((matrix.shape[0], m))], format="csr")
     matrix = vstack([wide, hstack([link, slack], format="csr")], format="csr")
-    most = np.append(np.ones(len(program.candidate)), np.full(len(program.short), np.inf))
-    goal, most = np.append(-cost, -ones), np.append(most, ones)
+    goal, most = np.append(-cost, -ones), np.append(program.most, ones)
     settings = {"integral": True, "gap": 0.0, "presolve": True}
     found, _ = maximize((matrix, low, high), goal, most, deadline, **settings)
     before = cost @ x + (x[both[0]] * x[both[1]]).sum()

@@ -36,8 +36,8 @@ class Solution(NamedTuple):
 class _Pursuit:
     """The state of the search: the best plan found so far, and the proven values of the first objectives."""
 
-    def __init__(self, program: Program, first, limit, *, integral):
-        self.program, self.limit = program, limit
+    def __init__(self, program: Program, first, limit, *, integral, upper=None):
+        self.program, self.limit, self.known = program, limit, upper
         self.integral, self.n_programs = integral, 0
         self.classes = np.zeros(len(program.high), dtype=bool)
         if not program.problem.any_required:
@@ -45,10 +45,13 @@ class _Pursuit:
         x = program.variables(first)
         self.x = x if program.holds(x) else None
         self.values = program.reaches(x)
+        self.spare = None  # a plan that was better than the stored plan in objectives that were not proven
         self.solved: list[float] = []  # proven values, beginning with the first objective
 
     def upper(self, values):
         """Return the upper bound of each objective, given the values of all earlier objectives."""
+        if self.known is not None:
+            return np.minimum(self.program.high, self.known(values))
         if self.limit is None:
             return self.program.high
         # For every k, no plan has more targets of the first k classes than the best matching.
@@ -114,6 +117,8 @@ class _Pursuit:
             done = (goal + extra) @ x >= bound - 0.5
             if done and self.is_kept(values):
                 self.solved += values[k : k + n].tolist()
+                if tuple(values) < tuple(self.values):
+                    self.spare = self.x
                 self.x, self.values = x, values
                 return n, values[k]
             if not done:
@@ -133,15 +138,16 @@ class _Pursuit:
 
 
 def pursue(
-    program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None
+    program: Program, first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None, upper=None
 ) -> Solution:
     """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
 
-    If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions. With
+    If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions.
+    ``upper`` is a function that returns other upper bounds for the values of all earlier objectives. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
     called with the number of proven objectives and the total number of objectives.
     """
-    now = _Pursuit(program, first, limit, integral=integral)
+    now = _Pursuit(program, first, limit, integral=integral, upper=upper)
     n_objectives, k = len(program.high), 0
     time_left = left(deadline)
     halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
@@ -153,6 +159,8 @@ def pursue(
         if n == 0:
             if k < n_objectives - 1:
                 now.fill(k, deadline)
+            if now.spare is not None:
+                now.take(now.spare)
             bounds[k:] = now.upper(now.values)[k:]
             bounds[k] = min(bound, bounds[k])
             break

@@ -6,6 +6,7 @@ from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import left
+from rfpsurvey.allocation._distribution import add_neighbors, drop_neighbors
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 
 ROUNDS = 10
@@ -65,7 +66,7 @@ def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidate
     options, problem = everything.options, everything.problem
     idle = options.start[1:] - 1
     plan = np.where(chosen < 0, idle, chosen)
-    if not problem.groups:
+    if not problem.any_goals:
         keep = np.zeros(len(everything), dtype=bool)
         keep[plan] = keep[idle] = True
         used = everything.where(keep).with_collisions()
@@ -100,7 +101,8 @@ def repair_collisions(
     """
     options, held = candidates.options, candidates.held
     groups = candidates.problem.groups
-    now, *state = stand(candidates, np.where(chosen < 0, options.start[1:] - 1, chosen))
+    chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
+    now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
     low = [group.requirement.minimum > 0 for group in groups]
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
@@ -115,12 +117,16 @@ def repair_collisions(
     counts = _repair(options, order(), now, *state, deadline, active, near)
     if counts is None:
         return None
+    for spread in candidates.spreads:
+        add_neighbors(candidates, spread, most, deadline, now, *state)
     for g, group in enumerate(groups):
         count = held[:, now].sum(axis=1)
         first = order()
         first = first[~held[low][:, now].any(axis=0)[first]]
         need = group.requirement.minimum - count[g]
         moves.fill_group(first, need, g, held, count, most, options, now, *state)
+    for spread in candidates.spreads:
+        add_neighbors(candidates, spread, most, deadline, now, *state)
     return now, *counts
 
 

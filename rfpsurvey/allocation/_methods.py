@@ -27,6 +27,8 @@ class Allocator(Method):
     """Whether a search, which ends at the time limit at the latest, proves that no other plan is better."""
     counts: str = "no"
     """Whether the plan meets minimum and maximum numbers of targets ``exactly``, as a ``goal``, or not (``no``)."""
+    distribution: str = "no"
+    """Whether the plan follows rules on the distribution of fibers ``exactly``, as a ``goal``, or not (``no``)."""
     makes_queues: bool = False
     """Whether the allocator makes a queue of targets for each positioner."""
     uses_priorities: bool = True
@@ -39,7 +41,8 @@ class Allocator(Method):
     def __post_init__(self):
         for name in ("avoids_collisions", "searches", "makes_queues", "uses_priorities"):
             check_switch(getattr(self, name), name)
-        check_choice(self.counts, COUNTS, "value of counts")
+        for name in ("counts", "distribution"):
+            check_choice(getattr(self, name), COUNTS, f"value of {name}")
 
     @property
     def improves(self) -> bool:
@@ -136,7 +139,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or the maximum of a requirement
     meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
     target_of = options.target[chosen]
-    levels = None if problem.groups else _bounded(problem, target_of, match(everything))
+    levels = None if problem.any_goals else _bounded(problem, target_of, match(everything))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
@@ -157,6 +160,7 @@ METHODS = table_of(
         avoids_collisions=True,
         searches=True,
         counts="exactly",
+        distribution="exactly",
         breaks_ties=True,
         plans_jointly=True,
     ),
@@ -167,6 +171,7 @@ METHODS = table_of(
         "lamost_rule, followed by local moves that remove collisions",
         avoids_collisions=True,
         counts="goal",
+        distribution="goal",
     ),
 )
 """Built-in allocators by name.
@@ -188,7 +193,7 @@ def name_of_best() -> str:
 
 
 def _search(problem, **options):
-    from rfpsurvey.allocation._search import decide  # imported on first use, because it imports solvers
+    from rfpsurvey.allocation._spread import decide  # imported on first use, because it imports solvers
 
     with searching():
         return decide(problem, **options)

@@ -5,11 +5,14 @@ from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover
+from rfpsurvey.allocation._distribution import SpreadRows
 from rfpsurvey.allocation._solver import maximize
 
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
 # measured on dense programs. It is skipped if this time exceeds the fraction PRESOLVE_PART of the time limit.
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
+# Rounding error of sums of percentages.
+ROUNDING = 1e-9
 
 
 class Program:
@@ -18,8 +21,10 @@ class Program:
     ``others`` are the candidates that positioners outside the program use; these candidates also count toward the
     requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a
     candidate is 1 if the candidate is in use, and 0 otherwise. The variable of a requirement is the number of fibers
-    that are missing for its minimum. The rows of ``matrix`` are the coefficients of the objectives, whose smallest and
-    largest possible values are ``low`` and ``high``.
+    that are missing for its minimum, and that of a rule on the distribution of fibers is the number of science fibers
+    that lack neighbors. Further variables belong to the science targets of these rules (`SpreadRows`). The rows of
+    ``matrix`` are the coefficients of the objectives, whose smallest and largest possible values are ``low`` and
+    ``high``.
     """
 
     def __init__(
@@ -35,13 +40,18 @@ class Program:
         self.target, self.own = options.target[rows], options.own[rows]
         self.index = np.full(len(options.own), -1)
         self.index[rows] = np.arange(len(rows))
-        self.n = len(rows) + len(self.problem.groups)
-        self.short = np.arange(len(rows), self.n)
+        self.spreads = [SpreadRows.of(candidates, one, rows, others) for one in candidates.spreads]
+        self.short = len(rows) + np.arange(len(self.problem.groups) + len(self.spreads))
+        self.first = len(rows) + len(self.short) + np.cumsum([0, *map(len, self.spreads)])
+        self.n = int(self.first[-1])
+        self.most = np.ones(self.n)
+        self.most[self.short] = np.inf
         self._parts, self._low, self._high = [], [], []
         self._positioners()
         self._cliques(edges, deadline)
         self._targets()
         self._requirements(others)
+        self._distributions()
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
         self.matrix, self.low, self.high = self._objectives()
 
@@ -49,15 +59,17 @@ class Program:
         """Return the variables of a plan, including the number of missing fibers for each requirement."""
         x = np.zeros(self.n)
         x[self.index[chosen]] = 1.0
+        for first, one in zip(self.first, self.spreads, strict=False):
+            x[first : first + len(one)] = one.values(x)
         matrix, low, _ = self.rows
         lack = np.maximum(low - matrix @ x, 0.0)
-        x[self.short] = matrix[:, self.short].T @ np.where(np.isfinite(lack), lack, 0.0)
+        x[self.short] = np.ceil(matrix[:, self.short].T @ np.where(np.isfinite(lack), lack, 0.0) - ROUNDING)
         return x
 
     @property
     def costs(self) -> np.ndarray:
         """Cost of each variable; the lowest total cost decides between plans that are equally good."""
-        return np.append(self.candidates.options.cost[self.candidate], np.zeros(len(self.short)))
+        return np.append(self.candidates.options.cost[self.candidate], np.zeros(self.n - len(self.candidate)))
 
     def chosen(self, x: np.ndarray) -> np.ndarray:
         """Return the candidates that are in use if the variables have the given values."""
@@ -87,23 +99,22 @@ class Program:
         if len(keep):
             matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
             low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
-        most = np.append(np.ones(len(self.candidate)), np.full(len(self.short), np.inf))
         presolve = self._may_presolve(matrix)
-        return maximize((matrix, low, high), goal, most, deadline, integral=integral, gap=gap, presolve=presolve)
+        return maximize((matrix, low, high), goal, self.most, deadline, integral=integral, gap=gap, presolve=presolve)
 
     def _may_presolve(self, matrix) -> bool:
         """Return whether the presolve of the solver is fast enough; the estimated time is the same on all computers."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit
 
-    def _add(self, row, column, low, high):
-        """Add constraints in which all coefficients are 1; ``low`` and ``high`` are the bounds of the constraints.
+    def _add(self, row, column, low, high, value=1.0):
+        """Add constraints, by default with the coefficients 1; ``low`` and ``high`` are the bounds of the constraints.
 
         For each coefficient, ``row`` contains the index of the constraint, counted from the first added constraint, and
         ``column`` contains the index of the variable.
         """
         n = len(high)
-        self._parts.append(csr_array((np.ones(len(column)), (row, column)), shape=(n, self.n)))
+        self._parts.append(csr_array((np.broadcast_to(value, len(column)), (row, column)), shape=(n, self.n)))
         self._low.append(np.broadcast_to(low, n))
         self._high.append(np.broadcast_to(high, n))
 
@@ -139,6 +150,27 @@ class Program:
             if one.maximum is not None:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
+    def _distributions(self):
+        """Add constraints: a science target has neighbors only if it has a fiber and enough neighbors have fibers."""
+        for short, first, one in zip(self.short[len(self.problem.groups) :], self.first, self.spreads, strict=False):
+            n, own, near = len(one), one.own[~one.is_fixed].tocoo(), one.near.tocoo()
+            z, rest = first + np.arange(n), first + np.flatnonzero(~one.is_fixed)
+            self._add(
+                np.append(np.arange(len(rest)), own.row),
+                np.append(rest, own.col),
+                -np.inf,
+                np.zeros(len(rest)),
+                np.append(np.ones(len(rest)), -own.data),
+            )
+            value = np.append(np.full(n, one.k), -near.data)
+            self._add(
+                np.append(np.arange(n), near.row), np.append(z, near.col), -np.inf, one.n_near.astype(float), value
+            )
+            column = np.concatenate([z, one.always, one.science, [short]])
+            value = np.repeat([1.0, 1.0, -one.fraction, 1.0], [n, len(one.always), len(one.science), 1])
+            low = one.fraction * one.n_fixed - one.n_served - ROUNDING
+            self._add(np.zeros(len(column), int), column, low, np.array([np.inf]), value)
+
     def _objectives(self):
         """Return the coefficients and the smallest and largest values of the objectives, in order of precedence."""
         problem, rank = self.problem, self.candidates.options.rank[self.candidate]
@@ -150,10 +182,11 @@ class Program:
             columns[0] = np.flatnonzero(np.append(problem.is_required, False)[self.target])
         low, worth = np.zeros(len(columns)), np.ones(len(columns))
         high = [min(len(np.unique(self.own[used])), len(np.unique(self.target[used]))) for used in columns]
-        if problem.groups:
+        if problem.any_goals:
             k = int(problem.any_required)
             columns[k], worth[k], high[k] = self.short, -1.0, 0
             low[k] = -sum(g.requirement.minimum for g in problem.groups)
+            low[k] -= len(self.spreads) * (len(self.candidates.options.start) - 1)
         sizes = [len(used) for used in columns]
         row, column = np.repeat(np.arange(len(columns)), sizes), np.concatenate(columns)
         matrix = csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(columns), self.n))

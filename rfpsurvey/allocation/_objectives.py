@@ -75,7 +75,7 @@ def matching_limits(problem: AllocationProblem, everything: Candidates | None) -
     limits = most[problem._objectives.stop - 1]
     if problem.any_required:
         limits[0] = min(problem.is_required.sum(), n)
-    if problem.groups:
+    if problem.any_goals:
         limits[int(problem.any_required)] = 0.0
     return limits
 

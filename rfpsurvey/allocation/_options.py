@@ -17,6 +17,7 @@ from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
 from rfpsurvey.allocation._uses import given_options
 from rfpsurvey.constraints import (
     Constraint,
+    Distribution,
     KeepOut,
     Required,
     Requirement,
@@ -24,6 +25,7 @@ from rfpsurvey.constraints import (
     as_constraints,
     as_required,
     as_requirements,
+    check_counts,
     circle_text,
 )
 from rfpsurvey.errors import (
@@ -229,6 +231,18 @@ class AllocationOptions:
         return tuple(dict.fromkeys(count for one in self.all_constraints for count in one.counts))
 
     @cached_property
+    def distributions(self) -> tuple[Distribution, ...]:
+        """The rules on the distribution of fibers that the allocator follows; none if it only checks them."""
+        if not self.constraints or self.method.distribution == "no":
+            return ()
+        return tuple(dict.fromkeys(rule for one in self.constraints for rule in one.distributions))
+
+    @property
+    def needs(self) -> tuple[Requirement | Distribution, ...]:
+        """The requirements with a minimum, and the rules that the allocator follows, which need targets of a kind."""
+        return (*(one for one in self.counts if one.minimum), *self.distributions)
+
+    @cached_property
     def required_ids(self) -> tuple:
         """Identifiers of the targets that take precedence according to any constraint."""
         return tuple(dict.fromkeys(name for one in self.all_constraints for name in one.required_ids))
@@ -242,6 +256,16 @@ class AllocationOptions:
             The options, in which ``counts`` is empty.
         """
         return replace(self, requirements=(), constraints=[one for one in self.constraints if not one.counts])
+
+    def without_distributions(self) -> "AllocationOptions":
+        """Return the options without the rules on the distribution of fibers.
+
+        Returns
+        -------
+        AllocationOptions
+            The options, in which ``distributions`` is empty.
+        """
+        return replace(self, constraints=[one for one in self.constraints if not one.distributions])
 
     def check_for_fields(self, what: str) -> None:
         """Raise an error if ``start`` is an allocation, because an allocation is valid for a single field only.
@@ -320,15 +344,17 @@ class AllocationOptions:
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         constraints = tuple(one.for_instrument(instrument) for one in self.constraints)
-        counts = (*requirements, *(count for one in constraints for count in one.counts))
-        if separation is not None and not any(one.what == "sky" and one.minimum for one in counts):
+        unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if not self.method.uses(name)}
+        found = replace(self, requirements=requirements, constraints=constraints, **unused)
+        if instrument is not None:
+            check_counts(found.counts, instrument.focal_plane)
+        if separation is not None and not any(one.what == "sky" for one in found.needs):
             remedy = "add a requirement such as 'sky=20/spectrograph'"
             warn_no_effect("sky_separation", f"because no requirement counts sky positions; {remedy}")
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)
-        unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if not self.method.uses(name)}
-        return replace(self, requirements=requirements, constraints=constraints, sky_separation=separation, **unused)
+        return replace(found, sky_separation=separation)
 
     @property
     def breaks_ties(self) -> bool:

@@ -109,11 +109,13 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
 def _codes(problem):
     """Return the code of each target, and the number of codes.
 
-    Targets that count toward the same requirements have the same code.
+    Targets that count toward the same requirements, and are neighbors for the same rules, have the same code.
     """
     columns = list({id(group.targets): group.targets for group in problem.groups}.values())
     if problem.any_required:
         columns.append(problem.is_required)
+    kinds = {kind for rule in problem.distributions for kind in ("science", rule.what)}
+    columns += [(problem.kind == kind) | (problem.category == kind) for kind in sorted(kinds)]
     plane = problem.focal_plane
     several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
     if problem.several_fiber_types and several:  # the spectrograph depends on the fiber type

@@ -11,7 +11,8 @@ from rfpsurvey import allocation  # its names are used later, because the option
 from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
-from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
+from rfpsurvey.allocation._distribution import is_possible, lack_of
+from rfpsurvey.constraints import Distribution, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -171,6 +172,16 @@ class AllocationProblem:
         """Groups of targets and fibers that count toward one requirement each, per tile or per spectrograph."""
         return [group for one in self.requirements for group in one.groups(self)]
 
+    @cached_property
+    def distributions(self) -> tuple[Distribution, ...]:
+        """The rules on the distribution of fibers that plans should follow, without rules that no plan can follow."""
+        return tuple(rule for rule in self.options.distributions if is_possible(self, rule))
+
+    @cached_property
+    def any_goals(self) -> bool:
+        """Whether there are requirements or rules on the distribution of fibers."""
+        return bool(self.groups or self.distributions)
+
     def rank_of(self, target: np.ndarray) -> np.ndarray:
         """Return the class of each target; the row -1, which means no target, has a class after all other classes.
 
@@ -249,7 +260,7 @@ class AllocationProblem:
     @cached_property
     def _objectives(self) -> Objectives:
         all_first = self.objective == "count" and len(self.classes) > 1
-        special = ["required targets"] * self.any_required + ["requirements"] * bool(self.groups)
+        special = ["required targets"] * self.any_required + ["requirements"] * self.any_goals
         return Objectives.of(special, self.classes, all_first=all_first, any_last=not self.science.all())
 
     @property
@@ -275,8 +286,9 @@ class AllocationProblem:
         values = (before[self._objectives.stop] - before[self._objectives.first]).astype(float)
         if self.any_required:
             values[0] = self.is_required[used].sum()
-        if self.groups:
+        if self.any_goals:
             missing = [g.requirement.minimum - n for g, n in zip(self.groups, self.counts_of(target_of), strict=True)]
+            missing += [lack_of(self, rule, target_of) for rule in self.distributions]
             values[int(self.any_required)] = 0.0 - sum(max(n, 0) for n in missing)
         return values
 
@@ -368,11 +380,8 @@ class AllocationProblem:
         if group.targets.any():
             enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
-            return (
-                f"all requirements together need {asked} fibers, but only {there} fibers are usable"
-                if asked > there and enough
-                else ""
-            )
+            text = f"all requirements together need {asked} fibers, but only {there} fibers are usable"
+            return text if asked > there and enough else ""
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:

@@ -79,12 +79,12 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
 def with_sky(
     problem: AllocationProblem, separation: float, others: np.ndarray, excludes: Callable | None = None
 ) -> AllocationProblem:
-    """Return the problem; if a requirement counts sky positions, add sky positions in gaps between the targets.
+    """Return the problem; if a requirement or rule counts sky positions, add sky positions between the targets.
 
     The added positions are at least ``separation`` (mm) from all targets and from the points ``others``. The function
     ``excludes`` returns which positions must not be added, from the positions (mm) and the fiber types.
     """
-    fibers = list(dict.fromkeys(r.fiber_type for r in problem.requirements if r.what == "sky" and r.minimum > 0))
+    fibers = list(dict.fromkeys(one.fiber_type for one in problem.options.needs if one.what == "sky"))
     if not fibers:
         return problem
     plane, n = problem.focal_plane, len(problem.xy)

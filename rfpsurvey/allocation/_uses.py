@@ -56,7 +56,7 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     column : callable
         Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
     """
-    asked = {one.what: one for one in options.counts if one.minimum}
+    asked = {one.what: one for one in options.needs}
     if options.sky_separation is not None:
         asked.pop("sky", None)
     asked.pop("science", None)

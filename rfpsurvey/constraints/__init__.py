@@ -1,10 +1,11 @@
 """Constraints on the plans of fields: excluded targets, obstacles, targets that take precedence, and counts."""
 
 from rfpsurvey.constraints._constraint import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities, Constraint, ConstraintField
+from rfpsurvey.constraints._distribution import Distribution
 from rfpsurvey.constraints._group import Group
 from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
 from rfpsurvey.constraints._required import Required, as_required, mark_required
-from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, hint_of_name
+from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, check_counts, hint_of_name
 from rfpsurvey.constraints._rule import Rule
 from rfpsurvey.constraints._shortfall import Shortfall, sentences
 from rfpsurvey.constraints._text import BUILT_IN, as_constraints, named_plugins
@@ -21,6 +22,7 @@ __all__ = [
     "Abilities",
     "Constraint",
     "ConstraintField",
+    "Distribution",
     "Group",
     "KeepOut",
     "Required",
@@ -32,6 +34,7 @@ __all__ = [
     "as_constraints",
     "as_required",
     "as_requirements",
+    "check_counts",
     "circle_text",
     "count_verdicts",
     "hint_of_name",

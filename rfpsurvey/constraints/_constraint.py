@@ -31,13 +31,14 @@ class Abilities:
         Whether arms avoid obstacles.
     precedence : str
         Whether some targets take precedence over all other targets.
-    counts : str
-        Whether minimum and maximum numbers of targets are met.
+    counts, distribution : str
+        Whether numbers of targets are met, and whether science fibers have enough neighbors.
     """
 
     obstacles: str = ONLY_CHECKED
     precedence: str = ONLY_CHECKED
     counts: str = ONLY_CHECKED
+    distribution: str = ONLY_CHECKED
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +164,8 @@ class ConstraintField:
         rows = np.append(np.arange(len(self.id)), np.full(len(xy), -1))
         columns = {name: values_at(getattr(self, name), rows) for name in ("id", "category", "priority")}
         columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
-        more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), dtype=bool)}
-        fiber_type = np.full(len(xy), "") if fiber_type is None else fiber_type
-        more |= {"kind": np.full(len(xy), "sky"), "fiber_type": fiber_type}
+        more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), bool), "kind": np.full(len(xy), "sky")}
+        more["fiber_type"] = np.full(len(xy), "") if fiber_type is None else fiber_type
         columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
         return replace(self, **columns)
 
@@ -174,8 +174,8 @@ class Constraint:
     """A rule for the plans of fields, such as `~rfpsurvey.KeepOut`, `~rfpsurvey.Required` and `~rfpsurvey.Requirement`.
 
     A subclass is a frozen dataclass whose fields are the arguments of the constraint. It overrides only what it
-    requires: ``excluded``, ``obstacles``, ``required_ids``, ``counts`` or ``check``. rfpsurvey calls these methods for
-    each field; unless one of them is overridden, it costs no time.
+    requires: ``excluded``, ``obstacles``, ``required_ids``, ``counts``, ``distributions`` or ``check``. rfpsurvey calls
+    these methods for each field; unless one of them is overridden, it costs no time.
 
     Examples
     --------
@@ -198,8 +198,10 @@ class Constraint:
     """Identifiers of targets that take precedence over all other targets."""
     counts: tuple = ()
     """The requirements (`~rfpsurvey.Requirement`) on numbers of targets that the constraint consists of."""
+    distributions: tuple = ()
+    """The rules (`Distribution`) on the neighbors of fibers that the constraint consists of."""
     uses_targets: ClassVar[bool] = True
-    """Whether its methods use positions of targets on the focal plane or targets around the field."""
+    """Whether methods use positions of targets on the focal plane or around the field, which are otherwise omitted."""
     before_fibers: ClassVar[bool] = False
     """Whether ``check`` depends on the field only, so that plans state violations before fibers are assigned."""
     margin_rad: float = 0.0
@@ -359,10 +361,10 @@ class Constraint:
 
     @cached_property
     def parts(self) -> frozenset[str]:
-        """Parts of the interface that the constraint uses: ``exclusion``, ``obstacles``, ``precedence``, ``counts``."""
+        """Parts that are used, of ``exclusion``, ``obstacles``, ``precedence``, ``counts`` and ``distribution``."""
         own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
-        own |= {part for part, given in (("precedence", self.required_ids), ("counts", self.counts)) if given}
-        return frozenset(own)
+        given = {"precedence": self.required_ids, "counts": self.counts, "distribution": self.distributions}
+        return frozenset(own | {part for part, values in given.items() if values})
 
     @cached_property
     def uses_field(self) -> bool:
@@ -391,9 +393,8 @@ def _text_of(value: object) -> str:
     if not isinstance(value, np.ndarray):
         return str(value)
     text = str(value.tolist())
-    return (
-        text if value.size <= MOST_LISTED else f"{value.size} values, digest {sha256(text.encode()).hexdigest()[:16]}"
-    )
+    digest = sha256(text.encode()).hexdigest()[:16]
+    return text if value.size <= MOST_LISTED else f"{value.size} values, digest {digest}"
 
 
 METHODS = {"exclusion": "excluded", "obstacles": "obstacles"}

@@ -15,8 +15,9 @@ from rfpsurvey.errors import check_keywords, check_whole
 class Distribution(Rule):
     """A smallest percentage of the science fibers that have sky fibers (or standards) within a distance.
 
-    The rule is only checked. SDSS-V compares the percentile of the distances with its limit; the public check of SDSS-V
-    (mugatu) computes it for all fibers that are not of the kind, and takes the second neighbor if ``k`` exceeds 1.
+    ``optimal`` and ``repair`` follow the rule as a goal; other allocators only check it. SDSS-V compares the percentile
+    of the distances with its limit; the public check of SDSS-V (mugatu) computes it for all fibers that are not of the
+    kind, and takes the second neighbor if ``k`` exceeds 1.
 
     Parameters
     ----------
@@ -58,6 +59,26 @@ class Distribution(Rule):
         check_number(self.percent, "percent of a distribution", 0, 100)
         check_number(self.distance_mm, "distance_mm of a distribution", 0, 1e6)
 
+    @property
+    def distributions(self) -> tuple["Distribution"]:
+        """The rule itself."""
+        return (self,)
+
+    def least(self, n: int) -> int:
+        """Return how many science fibers of a plan must have neighbors.
+
+        Parameters
+        ----------
+        n : int
+            Number of science fibers.
+
+        Returns
+        -------
+        int
+            The percentage of ``n``, rounded up; whole numbers avoid rounding errors in comparisons.
+        """
+        return int(np.ceil(self.percent * n / 100 - 1e-9))
+
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
         """Return the percentage of the science fibers that have ``k`` neighbors within the distance.
 
@@ -82,9 +103,9 @@ class Distribution(Rule):
         others = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
         if len(science) == 0:
             return self._not_checkable("the plan does not have a science fiber of this type")
-        distance = self._distances(field, science, near, self.k)
+        distance = self.distances(field.xy[science], field.xy[near], self.k)
         percent = 100 * np.mean(distance <= self.distance_mm)
-        public = self._distances(field, others, near, min(self.k, 2))
+        public = self.distances(field.xy[others], field.xy[near], min(self.k, 2))
         rank = "second-nearest" if self.k > 1 else "nearest"
         nth = {1: "nearest", 2: "second-nearest"}.get(self.k, f"neighbor {self.k}")
         note = (
@@ -93,18 +114,33 @@ class Distribution(Rule):
         )
         limit = f"at least {self.percent:g} % of {len(science)} fibers with {self.k} {self.what} within "
         limit += f"{self.distance_mm:g} mm"
-        # compare whole numbers of fibers, because percentages have rounding errors
-        passes = np.sum(distance <= self.distance_mm) >= np.ceil(self.percent * len(science) / 100 - 1e-9)
+        passes = np.sum(distance <= self.distance_mm) >= self.least(len(science))
         rows = np.empty(0, dtype=int) if passes else science[distance > self.distance_mm]
         return Verdict(str(self), percent, limit, PASS if passes else FAIL, note, rows=rows)
 
-    def _distances(self, field: ConstraintField, rows: np.ndarray, near: np.ndarray, k: int) -> np.ndarray:
-        """Return the distance (mm) of targets from their k-th neighbor; infinite if there are too few neighbors."""
+    @staticmethod
+    def distances(points: np.ndarray, near: np.ndarray, k: int) -> np.ndarray:
+        """Return the distances of points from their k-th neighbors.
+
+        Parameters
+        ----------
+        points : ndarray of float, shape (n, 2)
+            Positions in mm.
+        near : ndarray of float, shape (m, 2)
+            Positions of the neighbors in mm.
+        k : int
+            Number of the neighbor; 1 is the nearest.
+
+        Returns
+        -------
+        ndarray of float, shape (n,)
+            Distances in mm; infinite if there are fewer than k neighbors.
+        """
         from scipy.spatial import cKDTree
 
-        if len(near) < k or len(rows) == 0:
-            return np.full(len(rows), np.inf)
-        return cKDTree(field.xy[near]).query(field.xy[rows], k=[k])[0][:, 0]
+        if len(near) < k or len(points) == 0:
+            return np.full(len(points), np.inf)
+        return cKDTree(near).query(points, k=[k])[0][:, 0]
 
     def _percentile(self, distances: np.ndarray) -> str:
         """Return the interpolated percentile of distances as text."""

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """The targets and fibers that count toward one requirement, in all spectrographs or in one spectrograph.
+    """The targets and fibers that count toward one requirement, of the whole tile or of a part of it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Requirements for the number of targets of a kind or category, per tile or per spectrograph."""
+"""Requirements for the number of targets of a kind or category, per tile, spectrograph or group of positioners."""
 
 import re
 from collections.abc import Iterable
@@ -9,12 +9,11 @@ import numpy as np
 
 from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.constraints._group import Group
-from rfpsurvey.errors import InputError, check_choice, check_keywords, close_to, refusal, short
+from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, listed, refusal, short
 
 KINDS = ("science", "standard", "sky")
-PERS = ("tile", "spectrograph")
 NUMBERS = r"(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))"
-FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*(.+))?")
+FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*([^/\s][^/]*))?")
 PLAIN = re.compile(r"[^'\s@=/<>](?:[^@=/<>]*[^\s@=/<>])?")
 MOST = 10**9
 
@@ -36,8 +35,9 @@ class Requirement(Constraint):
         Smallest required number of these targets.
     maximum : int, optional
         Largest allowed number of these targets.
-    per : {"tile", "spectrograph"}, optional
-        Whether the numbers apply to the whole tile or to each spectrograph.
+    per : str, optional
+        Whether the numbers apply to the whole ``tile``, to each ``spectrograph``, or to each value of an integer column
+        of the focal plane, such as ``petal`` (``groups`` of `~rfpsurvey.FocalPlane`).
     fiber_type : str, optional
         Count only targets that require this fiber type.
 
@@ -82,7 +82,7 @@ class Requirement(Constraint):
         Returns
         -------
         list of Group
-            One group for the tile, or one for each spectrograph.
+            One group for the tile, or one for each spectrograph or value of a column.
         """
         if _holds(problem.category, self.what):
             targets = problem.category == self.what
@@ -92,7 +92,11 @@ class Requirement(Constraint):
             targets = np.zeros(len(problem.xy), dtype=bool)
         if self.fiber_type:
             targets = targets & (problem.fiber_type == self.fiber_type)
-        places = [None] if self.per == "tile" else np.unique(problem.focal_plane.spectrograph).tolist()
+        plane = problem.focal_plane
+        if self.per in (plane.groups or {}):
+            column = plane.groups[self.per]
+            return [Group(self, None, targets, column == k, f"{self.per} {k}") for k in np.unique(column).tolist()]
+        places = [None] if self.per == "tile" else np.unique(plane.spectrograph).tolist()
         return [Group(self, place, targets) for place in places]
 
     def __post_init__(self):
@@ -100,7 +104,8 @@ class Requirement(Constraint):
             raise refusal("a requirement must contain the name of a kind or category of targets", self.what, str)
         if not isinstance(self.fiber_type, str):
             raise refusal(f"fiber_type of {self.what!r} must be a name", self.fiber_type, str)
-        check_choice(self.per, PERS, "scope of a requirement")
+        if not isinstance(self.per, str) or not self.per.strip() or "/" in self.per:
+            raise refusal(f"per of {self.what!r} must be 'tile', 'spectrograph' or the name of a column", self.per, str)
         for name in ("minimum", "maximum"):
             value = getattr(self, name)
             if not (value is None and name == "maximum") and not (
@@ -121,8 +126,9 @@ class Requirement(Constraint):
         ----------
         text : str
             ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, optionally with ``@FIBER`` after WHAT, and with
-            ``/spectrograph`` at the end if the numbers apply to each spectrograph. WHAT is in single quotes if it
-            contains one of the characters ``@=/<>`` or is the name of a constraint.
+            ``/spectrograph``, or ``/`` and the name of a column of the focal plane, at the end if the numbers apply to
+            each spectrograph or to each value of the column. WHAT is in single quotes if it contains one of the
+            characters ``@=/<>`` or is the name of a constraint.
 
         Returns
         -------
@@ -150,10 +156,25 @@ class Requirement(Constraint):
         named = {one.name for one in _subclasses(Constraint)} - {*KINDS}
         plain = PLAIN.fullmatch(self.what) and self.what.split()[0] not in named
         what = self.what if plain else f"'{self.what}'"
-        return f"{what}{fiber}={self.minimum}{most}" + ("/spectrograph" if self.per == "spectrograph" else "")
+        return f"{what}{fiber}={self.minimum}{most}" + ("" if self.per == "tile" else f"/{self.per}")
 
     def __repr__(self):
         return f"Requirement({str(self)!r})"
+
+
+def check_counts(counts: Iterable[Requirement], focal_plane: object) -> None:
+    """Raise an error if a requirement names a fiber type or a column that a focal plane does not have."""
+    names = tuple(focal_plane.groups or {})
+    for one in counts:
+        if one.fiber_type:
+            check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
+        if one.per not in ("tile", "spectrograph", *names):
+            known = listed(map(repr, ("spectrograph", *names)), 8)
+            hint = close_to(one.per, ("tile", "spectrograph", *names))
+            raise InputError(
+                f"the requirement {str(one)!r} must name an integer column of the focal plane after '/', one of: "
+                f"{known}; got {one.per!r}{hint and '; ' + hint}"
+            )
 
 
 def hint_of_name(what: str, names: Iterable[str]) -> str:

@@ -62,14 +62,16 @@ def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
         by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
     found = []
     for (_, lacking), rows in by_requirement.items():
-        if len(rows) == 1 or not lacking or rows[0].spectrograph is None:
+        per = "tile" if rows[0].requirement is None else rows[0].requirement.per
+        if len(rows) == 1 or not lacking or per == "tile":
             found += [str(one) for one in rows]
             continue
         missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
-        places = ", ".join(str(r.spectrograph) for r in rows[:16]) + (", ..." if len(rows) > 16 else "")
+        names = [r.place.removeprefix(f"{per} ") or str(r.spectrograph) for r in rows[:16]]
+        places = ", ".join(names) + (", ..." if len(rows) > 16 else "")
         why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
         found.append(
-            f"{rows[0].what}, {rows[0].requested} in each spectrograph: {missing} missing in {len(rows)} spectrographs "
+            f"{rows[0].what}, {rows[0].requested} in each {per}: {missing} missing in {len(rows)} {per}s "
             f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
         )
     return found

@@ -6,10 +6,13 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, listed, short
+from rfpsurvey.errors import InputError, InputTypeError, listed, refusal, short
 from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
 from rfpsurvey.positioner import Positioner
+
+RESERVED = ("", "tile", "spectrograph")
+"""Names that groups must not have, because requirements use them."""
 
 
 def check_columns(plane) -> None:
@@ -46,6 +49,7 @@ def _check_labels(plane, n):
             raise InputError(f"{name} must have one value per positioner, shape ({n},), got {value.shape}")
         object.__setattr__(plane, name, value)
     check_unique(columns["id"], "id")
+    _check_groups(plane, n)
     blank = [name for name in columns["id"].tolist() if isinstance(name, str) and (not name or len(name.split()) != 1)]
     if blank:
         raise InputError(f"id must be text without blanks, because tables separate ids by blanks, got {blank[0]!r}")
@@ -61,6 +65,25 @@ def _check_labels(plane, n):
             f"spectrograph must have the shape ({n},) or ({n}, {len(plane.fiber_types)}), "
             f"got {columns['spectrograph'].shape}"
         )
+
+
+def _check_groups(plane, n):
+    """Check the groups of all positioners, and convert them to arrays of integers."""
+    if not isinstance(plane.groups, dict | None):
+        raise refusal("groups must be a dict of arrays of integers, one per positioner", plane.groups, dict)
+    columns = {name: to_labels(value, f"groups[{name!r}]") for name, value in (plane.groups or {}).items()}
+    for name, value in columns.items():
+        if not isinstance(name, str) or name in RESERVED or not is_plain(name):
+            raise InputError(f"names of groups must be text without / other than tile and spectrograph, got {name!r}")
+        if value.shape != (n,) or value.dtype.kind != "i":
+            text = f"groups[{name!r}] must contain an integer for each positioner, shape ({n},)"
+            raise InputError(f"{text}, got {short(plane.groups[name])}")
+    object.__setattr__(plane, "groups", columns or None)
+
+
+def is_plain(name: str) -> bool:
+    """Return whether a name can be the end of a requirement such as ``sky=5/petal``."""
+    return " ".join(name.split()) == name and "/" not in name
 
 
 def _check_lengths(plane, n):

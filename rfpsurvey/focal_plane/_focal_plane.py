@@ -66,6 +66,9 @@ class FocalPlane(Modular):
         divides a polygon that is not convex into convex polygons.
     margins : Margins, optional
         Distances that plans keep from the edges of patrol areas and from broken positioners; by default, none.
+    groups : dict of str to array_like of int, optional
+        Further integers, one per positioner and name, such as the petal or the block on the slit. Requirements such as
+        ``sky=5/petal`` count the fibers of each petal.
 
     Raises
     ------
@@ -110,6 +113,7 @@ class FocalPlane(Modular):
     hidden: u.Quantity | None = None
     obstacle_polygons: tuple[u.Quantity, ...] | None = None
     margins: Margins | None = None
+    groups: dict[str, np.ndarray] | None = None
 
     def __post_init__(self):
         check_columns(self)
@@ -366,7 +370,8 @@ class FocalPlane(Modular):
             Table with a row for each positioner, columns ``x`` and ``y`` (with units) and, optionally, ``id``,
             ``spectrograph``, ``fiber_type``, ``central_arm``, ``eccentric_arm``, ``disabled``, ``stuck_theta`` and
             ``stuck_phi`` (pose of a stuck positioner; NaN for other positioners). Rows with a finite
-            ``obstacle_radius`` are circular obstacles, not positioners.
+            ``obstacle_radius`` are circular obstacles, not positioners. Other columns that contain an integer for each
+            positioner become ``groups``.
         positioner : Positioner, optional
             Geometry common to all positioners. Without it, ``table.meta["positioner"]`` must contain the arguments of
             a `Positioner`, with quantities as text, such as ``{"central_arm": "8.25 mm", ...}``.

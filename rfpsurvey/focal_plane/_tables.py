@@ -8,6 +8,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, close_to, listed, warn
+from rfpsurvey.focal_plane._checks import RESERVED, is_plain
 from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.positioner import ArmOutline, Positioner
 
@@ -64,12 +65,24 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         columns["fiber_xy"] = places
     if POLYGONS in table.meta:
         columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
+    columns["groups"] = {name: values for name in names if (values := _group(table, name, unit)) is not None}
     _warn_of_ignored(names)
     if MARGINS in table.meta:
         columns["margins"] = Margins.from_numbers(table.meta[MARGINS])
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
     return {"xy": xy[unit], "positioner": positioner, **columns}
+
+
+def _group(table, name, rows):
+    """Return the values of a column that is no argument of `FocalPlane`; None unless all of them are integers."""
+    known = {"x", "y", *PLAIN, *LENGTHS, *CIRCLES.values(), *(one for pair in PAIRS.values() for one in pair)}
+    column = table[name][rows]
+    if name in (*known, *RESERVED) or not is_plain(name) or column.ndim != 1 or column.dtype.kind not in "iuf":
+        return None
+    values = to_plain(column)
+    is_whole = (np.abs(values) < 2**53).all() and (values == np.rint(values)).all()
+    return values.astype(np.int64) if is_whole and getattr(column, "unit", None) is None else None
 
 
 def _warn_of_ignored(names):
@@ -95,6 +108,8 @@ def to_table(plane) -> QTable:
     width = plane.spectrograph.shape[1:]
     table["spectrograph"] = np.concatenate([plane.spectrograph, np.zeros((m, *width), int)])
     table["fiber_type"] = np.concatenate([plane.fiber_type, np.full(m, "")])
+    for name, values in (plane.groups or {}).items():
+        table[name] = np.append(values, np.full(m, -1))
     table["disabled"] = np.append(plane.disabled, np.zeros(m, bool))
     lengths = {"central_arm": plane.arrays.central_arm}
     if plane.fiber_xy is None:

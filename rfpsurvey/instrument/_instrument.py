@@ -295,6 +295,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules
         parts = (self._used, plane.positioner, self.plate_scale, self.distortion, plane.fiber_type.tolist())
         parts += plane.id.tolist(), plane.spectrograph.tolist()
         parts += (plane.margins.record,) if plane.margins else ()
+        parts += tuple((name, values.tolist()) for name, values in (plane.groups or {}).items())
         digest = hashlib.sha256("\n".join(_text(part) for part in parts).encode())
         arrays = plane.arrays
         columns = [arrays.xy, arrays.central_arm, arrays.eccentric_arm, plane.disabled, arrays.stuck, arrays.obstacles]

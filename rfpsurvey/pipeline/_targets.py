@@ -204,9 +204,10 @@ class FieldBuilder:
         self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
         if made is not None:
             self.left = self.wanted - np.minimum(source.to_slots(made), self.wanted)
-        if science is not None and (options.counts or marked is not None):
+        uses_others = bool(options.counts or options.distributions)
+        if science is not None and (uses_others or marked is not None):
             self.spends, self.reusable = science, ~science & (visits > 0)
-            if not options.counts:
+            if not uses_others:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.left)
 

@@ -245,7 +245,7 @@ def _draw_fibers(ax, tile):
         if own.any():
             look = {"color": COLLISION, "hatch": HATCH, "edgecolor": "white", "linewidth": 0, "label": "in collision"}
             lost = ax.bar(x, own, 0.92 * width, bottom=free, **look)
-        if minimum and not in_all:
+        if minimum and not in_all and per in ("tile", "spectrograph"):
             ends = (x[0] - width / 2, x[0] + width / 2) if len(names) == 1 else (-0.6, len(names) - 0.4)
             ax.hlines(minimum, *ends, colors=OUTLINE, linestyles="--", linewidths=1.2, zorder=3)
             required.append(minimum)

@@ -8,7 +8,7 @@ from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetCol
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import Arms, CollisionReport
 from rfpsurvey.constraints import KINDS, Rule, count_verdicts, sentences
-from rfpsurvey.errors import InputError, check_fiber_type, warn
+from rfpsurvey.errors import InputError, warn
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import Applied, FieldTargets, apply_constraints
@@ -108,10 +108,6 @@ def find_constraints(
             )
         if one.margin_rad and "exclusion" in one.parts and not isinstance(one, Rule):  # the verdict of a rule states it
             warn(f"the constraint '{one}' is checked only with the targets that have a fiber; the table has no others")
-    for one in options.counts:
-        if one.fiber_type:
-            what = f"fiber type of the requirement {str(one)!r}"
-            check_fiber_type(one.fiber_type, instrument.focal_plane.fiber_types, what)
     kind, category = (find.labels(role) for role in ("kind", "category"))
     kind = _kinds_of(category) if kind is None else kind
     priority = find.numbers("priority")

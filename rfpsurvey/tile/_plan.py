@@ -183,7 +183,7 @@ def plan_tile(
     instrument, allocation = plan.instrument, plan.allocation
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
-        what = "target" if options.counts else "science target"
+        what = "target" if options.counts or options.distributions else "science target"
         raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
     verdicts = [*allocation.counts, *plan.verdicts()]
     summary = {

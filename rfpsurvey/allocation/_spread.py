@@ -1,0 +1,133 @@
+"""Optimal plans that follow rules on the distribution of fibers, with bounds from the problem without these rules."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from rfpsurvey.allocation import _search
+from rfpsurvey.allocation._answer import AllocationAnswer, Level
+from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
+from rfpsurvey.allocation._clusters import edges_within, improve_by_clusters, values_of_others
+from rfpsurvey.allocation._idle import separate_idle_arms
+from rfpsurvey.allocation._lexicographic import Solution, pursue
+from rfpsurvey.allocation._local_plans import AT_LEAST, LOCAL, plan_of, repaired_plan, values_of
+from rfpsurvey.allocation._local_search import pick, repair_collisions
+from rfpsurvey.allocation._methods import with_cost
+from rfpsurvey.allocation._milp import Program
+from rfpsurvey.allocation._objectives import (
+    conditional_bounds,
+    levels_of,
+    matching_limits,
+    offset_of,
+    with_used_classes,
+)
+from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.focal_plane import elbow_names
+
+# Fractions of the remaining time: for the problem without the rules, for clusters before the integer program of all
+# positioners, and for this program.
+FOR_FREE, FOR_CLUSTERS, FOR_PROGRAM = 0.4, 0.5, 0.7
+# Problems with more candidates are divided into clusters before the integer program of all positioners.
+SMALL = 2000
+
+
+def decide(problem: AllocationProblem, *, collide: bool, **options) -> AllocationAnswer:
+    """Return the best plan found within the time limit, with bounds; the parameters are those of `_search.decide`.
+
+    If ``collide`` is true, the plan follows the rules on the distribution of fibers. The number of science fibers that
+    lack neighbors counts like the number of fibers that requirements lack.
+    """
+    if not problem.distributions:
+        return _search.decide(problem, collide=collide, **options)
+    free = replace(problem, options=problem.options.without_distributions())
+    if not collide:
+        return _search.decide(free, collide=False, **options)
+    answer = _search.decide(replace(free, deadline=share(problem.deadline, FOR_FREE)), collide=True, **options)
+    levels = list(answer.levels)
+    if not free.groups:
+        levels.insert(problem.level_names.index("requirements"), Level("requirements", 0.0, 0.0))
+    values = np.array([level.value for level in levels])
+    if (problem.level_values(answer.target_of_positioner) == values).all():
+        return answer._replace(levels=levels)
+    bounds, k = np.array([level.bound for level in levels]), problem.level_names.index("requirements")
+    if values[k] < bounds[k]:
+        bounds[k + 1 :] = np.inf  # without the rules, a plan with these values may lack fewer fibers
+    return _follow(problem, answer, values, bounds, **options)
+
+
+def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAnswer:
+    """Return the best plan that follows the rules; ``free`` is a plan without the rules, with values and bounds."""
+    given, deadline = problem, problem.deadline
+    problem = with_cost(problem)
+    everything, whole = _search._candidates_in_time(problem, collide=True, squared_cost=squared_cost)
+    repaired = repaired_plan(given, everything, whole)
+    problem, everything, kept = with_used_classes(problem, everything)
+    offset = offset_of(given)
+    rows = np.concatenate([np.arange(offset), offset + kept, np.arange(offset + len(given.classes), len(values))])
+    known, limits = [(values[rows], bounds[rows])], matching_limits(problem, everything if whole else None)
+    upper = partial(_upper, problem, limits, known)
+
+    def is_best(plan):
+        found = values_of(everything, plan)
+        return bool((found >= upper(found)).all())
+
+    side = np.where(free.handedness == "left", -1.0, 1.0)
+    plans = [
+        repair_collisions(everything, pick(everything, free.target_of_positioner, side), deadline)[0],
+        plan_of(everything, repaired, deadline)[0],
+    ]
+    chosen = max(plans, key=lambda plan: tuple(values_of(everything, plan)))
+    if len(everything) > SMALL:
+        chosen = improve_by_clusters(everything, chosen, share(deadline, FOR_CLUSTERS), is_best, upper)
+    meta = {**LOCAL, "n_open": int((np.diff(everything.options.start) > 1).sum()), "n_parts": 1}
+    if squared_cost or not is_best(chosen):
+        found = _solve(everything, chosen, upper, share(deadline, FOR_PROGRAM), squared_cost)
+        if found is not None:
+            meta |= {"model": "integer program", "n_programs": found.n_programs}
+            if found.chosen is not None:
+                chosen = chosen.copy()
+                chosen[everything.options.own[found.chosen]] = found.chosen
+            if whole and not everything.preselection.n_left_out:
+                known.append((found.values, found.bounds))
+        if not is_best(chosen):
+            chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper)
+    if everything.idle_pairs.size:
+        chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
+    target_of, side = everything.options.target[chosen], everything.side[chosen]
+    if tuple(problem.level_values(repaired.target_of)) > tuple(values_of(everything, chosen)):
+        target_of, side = repaired  # this plan uses a candidate that was left out
+    values = problem.level_values(target_of)
+    levels = levels_of(given, offset, kept, values, np.maximum(upper(values), values))
+    meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
+    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
+
+
+def _upper(problem: AllocationProblem, limits: np.ndarray, known: list, values: np.ndarray) -> np.ndarray:
+    """Return an upper bound of each objective, given the values of all earlier objectives.
+
+    ``known`` contains values of plans, and bounds of each objective for plans with the same earlier values.
+    """
+    found = conditional_bounds(problem, values, limits, 0)
+    for reached, bounds in known:
+        same = np.append(True, np.cumprod(values == reached)[:-1] > 0)
+        found = np.where(same, np.minimum(found, bounds), found)
+    return found
+
+
+def _solve(everything: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> Solution | None:
+    """Return the plan of the integer program of all positioners; None if the program is too large."""
+    options, problem = everything.options, everything.problem
+    is_open = np.diff(options.start) > 1
+    rows, fixed = np.flatnonzero(is_open[options.own]), chosen[~is_open]
+    if len(rows) > _search.LARGEST or left(deadline) == 0:
+        return None
+    base = values_of_others(problem, np.where(is_open, -1, options.target[chosen]))
+    settings = {"integral": True, "squared_cost": squared_cost, "upper": lambda values: upper(values + base) - base}
+    try:
+        program = Program(everything, rows, fixed, edges_within(options, rows), deadline)
+        found = pursue(program, chosen[is_open], deadline, None, **settings)
+    except OutOfTimeError:
+        return None
+    return found._replace(values=found.values + base, bounds=found.bounds + base)
