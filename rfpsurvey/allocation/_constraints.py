@@ -16,6 +16,7 @@ def abilities_of(method) -> Abilities:
         EXACTLY if method.avoids_collisions else ONLY_CHECKED,
         AS_GOAL if method.uses("required") else ONLY_CHECKED,
         COUNTS[method.counts],
+        EXACTLY if method.avoids_collisions else ONLY_CHECKED,
     )
 
 

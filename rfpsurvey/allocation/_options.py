@@ -229,6 +229,11 @@ class AllocationOptions:
         return tuple(dict.fromkeys(count for one in self.all_constraints for count in one.counts))
 
     @cached_property
+    def motion_law(self) -> str:
+        """Law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
+        return next((one.motion_law for one in self.all_constraints if one.motion_law), "")
+
+    @cached_property
     def required_ids(self) -> tuple:
         """Identifiers of the targets that take precedence according to any constraint."""
         return tuple(dict.fromkeys(name for one in self.all_constraints for name in one.required_ids))

@@ -11,6 +11,7 @@ from rfpsurvey import allocation  # its names are used later, because the option
 from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
+from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.constraints import Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
@@ -150,6 +151,11 @@ class AllocationProblem:
     def parked_obstacles(self) -> bool:
         """Whether idle positioners with two arms of equal length are obstacles."""
         return self.options.parked_obstacles
+
+    @cached_property
+    def motion(self) -> Motion | None:
+        """The motion of the arms, if a constraint requires that they unfold without collisions; otherwise None."""
+        return Motion(self) if self.options.motion_law else None
 
     @cached_property
     def any_required(self) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rfpsurvey._units import values_at
+from rfpsurvey.constraints._abilities import EXACTLY, LEVELS, ONLY_CHECKED, Abilities
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.projection import FieldProjection
@@ -16,29 +17,8 @@ from rfpsurvey.projection import FieldProjection
 if TYPE_CHECKING:
     from rfpsurvey.instrument import Instrument
 
-EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
-LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
 MOST_LISTED = 5
 NO_CIRCLES = np.empty((0, 3))
-
-
-@dataclass(frozen=True)
-class Abilities:
-    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
-
-    Parameters
-    ----------
-    obstacles : str
-        Whether arms avoid obstacles.
-    precedence : str
-        Whether some targets take precedence over all other targets.
-    counts : str
-        Whether minimum and maximum numbers of targets are met.
-    """
-
-    obstacles: str = ONLY_CHECKED
-    precedence: str = ONLY_CHECKED
-    counts: str = ONLY_CHECKED
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +179,8 @@ class Constraint:
     """Identifiers of targets that take precedence over all other targets."""
     counts: tuple = ()
     """The requirements (`~rfpsurvey.Requirement`) on numbers of targets that the constraint consists of."""
+    motion_law: str = ""
+    """Law of time by which arms must unfold without collisions; empty text if the constraint does not require it."""
     uses_targets: ClassVar[bool] = True
     """Whether the methods of the constraint use the positions of targets on the focal plane, or targets around the
     field; if not, these are not computed."""
@@ -359,9 +341,10 @@ class Constraint:
 
     @cached_property
     def parts(self) -> frozenset[str]:
-        """Parts of the interface that the constraint uses: ``exclusion``, ``obstacles``, ``precedence``, ``counts``."""
+        """Parts of the interface that the constraint uses: the names in `Abilities`, and ``exclusion``."""
         own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
-        own |= {part for part, given in (("precedence", self.required_ids), ("counts", self.counts)) if given}
+        given = ("precedence", self.required_ids), ("counts", self.counts), ("motion", self.motion_law)
+        own |= {part for part, value in given if value}
         return frozenset(own)
 
     @cached_property
