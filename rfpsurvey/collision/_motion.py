@@ -112,6 +112,15 @@ def find_motion(
     MotionReport
         The pairs that collide, and the positioners that need a path planner.
 
+    Raises
+    ------
+    InputError
+        If the law of time is unknown, or if poses or an allocation belong to another focal plane.
+
+    See Also
+    --------
+    rfpsurvey.constraints.Motion : The constraint that no arms collide during this motion.
+
     Examples
     --------
     >>> import astropy.units as u
