@@ -17,7 +17,7 @@ def decide(one, two, separation, out):
 
 def random_arms(rng, n):
     length = rng.uniform(1, 20, n)
-    inner = np.where(rng.random(n) < 0.15, length, 0.0)
+    inner = np.where(rng.random(n) < 0.3, length * np.minimum(rng.uniform(0, 2, n), 1), 0.0)
     turn = rng.uniform(0, np.pi, n) * rng.choice([-1, 1], n) * (rng.random(n) < 0.9)
     return np.column_stack([rng.uniform(-20, 20, (n, 2)), rng.uniform(-np.pi, np.pi, n), turn, inner, length])
 

@@ -1,6 +1,10 @@
 """Distances of moving arms, sampled at many times with plain numpy."""
 
+from typing import NamedTuple
+
+import astropy.units as u
 import numpy as np
+from outlined import placed
 
 
 def ends(x, y, angle, inner, length):
@@ -66,3 +70,66 @@ def least_distance(one, two, *, same_speed=False, n=10_000, rounds=0, gap=None):
         found = at(t)
         best = min(best, found.min())
     return best
+
+
+class MovingArm(NamedTuple):
+    """An arm of a small scene: its elbow, its direction and angle to the fold, and the segment that can collide."""
+
+    x: float
+    y: float
+    angle: float
+    turn: float
+    inner: float
+    length: float
+    own: int
+
+
+def moving_arm(plane, i, theta, phi, *, fiber="", moves=True):
+    """Return an arm that folds from the angles theta and phi in radians, by plain geometry.
+
+    ``plane`` has neither zero points nor limits of each positioner.
+    """
+    unit = plane.positioner
+    x, y = plane.xy[i].to_value(u.mm)
+    l1, l2 = unit.central_arm.to_value(u.mm), unit.eccentric_arm.to_value(u.mm)
+    offset, length, inner = 0.0, l2, 0.0
+    if unit.arm_model in ("capsule", "outline"):
+        given = unit.arm_angle
+        given = given.get(fiber, 0 * u.deg) if isinstance(given, dict) else given
+        offset = 0.0 if given is None else given.to_value(u.rad)
+        length = (unit.arm_length if unit.outline is None else unit.outline.length).to_value(u.mm)
+    elif unit.arm_model == "fiber_tip":
+        inner = l2
+    side = -1 if phi < 0 or (phi == 0 and unit.handedness == "left") else 1
+    fold = side * np.pi - offset
+    if unit.phi_range is not None:
+        fold = np.clip(fold, *unit.phi_range.to_value(u.rad))
+    turn = fold - phi if moves else 0.0
+    return MovingArm(x + l1 * np.cos(theta), y + l1 * np.sin(theta), theta + phi + offset, turn, inner, length, i)
+
+
+def arms_distance(plane, one, two, **options):
+    """Return the least distance of two `MovingArm`, refined; arms with outlines are shapes of shapely."""
+    if plane.positioner.outline is None:
+        return least_distance(one[:6], two[:6], rounds=3, **options)
+
+    def shapes(arm, angles):
+        center, elbow = plane.xy[arm.own].to_value(u.mm), np.array([arm.x, arm.y])
+        return [placed(plane.positioner, center, elbow, elbow + [np.cos(a), np.sin(a)]) for a in angles]
+
+    def gap(first, second):
+        first, second = np.broadcast_arrays(np.atleast_1d(first), np.atleast_1d(second))
+        found = []
+        for (eccentric, central), (other, body) in zip(shapes(one, first), shapes(two, second), strict=True):
+            found.append(min(eccentric.distance(other), eccentric.distance(body), central.distance(other)))
+        return np.array(found)
+
+    reach = plane.positioner.outline.reach[0]
+    moved = (arm[:5] + (reach,) for arm in (one, two))
+    return least_distance(*moved, rounds=3, gap=gap, **options)
+
+
+def circle_distance(arm, circle, n=2001):
+    """Return the least distance of an arm without an outline from a circle (x, y, radius), sampled and refined."""
+    point = (circle[0], circle[1], 0.0, 0.0, 0.0, 0.0)
+    return least_distance(arm[:6], point, n=n, rounds=3) - circle[2]
