@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
-from outlined import placed
+import shapely
 
 
 def ends(x, y, angle, inner, length):
@@ -108,21 +108,43 @@ def moving_arm(plane, i, theta, phi, *, fiber="", moves=True):
     return MovingArm(x + l1 * np.cos(theta), y + l1 * np.sin(theta), theta + phi + offset, turn, inner, length, i)
 
 
+def outline_parts(plane, arm, angles):
+    """Return shapes of the parts of an outline at each direction of the eccentric arm, and their radii."""
+    outline, center = plane.positioner.outline, plane.xy[arm.own].to_value(u.mm)
+    body = np.full_like(angles, np.arctan2(arm.y - center[1], arm.x - center[0]))
+    found = []
+    for k, (vertices, radius) in enumerate(outline.parts):
+        eccentric = k < outline.n_eccentric
+        origin, turn = ((arm.x, arm.y), angles) if eccentric else (center, body)
+        c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        x, y = vertices.T
+        points = np.stack([origin[0] + c * x - s * y, origin[1] + s * x + c * y], axis=-1)
+        make = {1: lambda p: shapely.points(p[:, 0]), 2: shapely.linestrings}.get(len(vertices), shapely.polygons)
+        found.append((make(points), radius, eccentric))
+    return found
+
+
+def outline_distance(plane, one, two, first, second):
+    """Return the distances of two outlines whose eccentric arms have the directions ``first`` and ``second``."""
+    return np.min(
+        [
+            np.maximum(shapely.distance(a, b) - r - q, 0.0)
+            for a, r, moves in outline_parts(plane, one, first)
+            for b, q, other_moves in outline_parts(plane, two, second)
+            if moves or other_moves
+        ],
+        axis=0,
+    )
+
+
 def arms_distance(plane, one, two, **options):
     """Return the least distance of two `MovingArm`, refined; arms with outlines are shapes of shapely."""
     if plane.positioner.outline is None:
         return least_distance(one[:6], two[:6], rounds=3, **options)
 
-    def shapes(arm, angles):
-        center, elbow = plane.xy[arm.own].to_value(u.mm), np.array([arm.x, arm.y])
-        return [placed(plane.positioner, center, elbow, elbow + [np.cos(a), np.sin(a)]) for a in angles]
-
     def gap(first, second):
         first, second = np.broadcast_arrays(np.atleast_1d(first), np.atleast_1d(second))
-        found = []
-        for (eccentric, central), (other, body) in zip(shapes(one, first), shapes(two, second), strict=True):
-            found.append(min(eccentric.distance(other), eccentric.distance(body), central.distance(other)))
-        return np.array(found)
+        return outline_distance(plane, one, two, first, second)
 
     reach = plane.positioner.outline.reach[0]
     moved = (arm[:5] + (reach,) for arm in (one, two))
