@@ -21,7 +21,7 @@ def hexagon(pitch, l1, l2, d, positioner=None, **options):
 
 
 STUCK = np.full((7, 2), np.nan)
-STUCK[3] = 30, 60
+STUCK[3] = 60, 120  # the folded arms of its neighbors can turn to all directions
 SCENES = {
     "equal arms": (lambda: hexagon(18, 8.25, 8.25, 2.25), "same_duration"),
     "long arms": (lambda: hexagon(25, 8, 17, 2), "same_duration"),
