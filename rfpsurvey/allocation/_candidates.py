@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import conflicts, reduce
+from rfpsurvey._kernels import conflicts, motion, reduce
 from rfpsurvey._kernels.collisions import halve
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
@@ -17,6 +17,8 @@ from rfpsurvey.collision import arms_closer_exactly, touching
 ROOM = 1 << 18
 # Number of tests of two candidates for a collision before the clock is read again.
 BATCH = 10_000_000
+# Ratio of the times of tests of moving and of resting arms.
+SLOWER = 20
 # Number of comparisons of candidates before the clock is read again, while candidates are removed.
 COMPARED = 10_000_000
 
@@ -78,11 +80,19 @@ class Candidates:
         o = self.options
         return place_segments(self.problem, o.own, o.target, self.side, o.start[1:] - 1)
 
+    @cached_property
+    def moves(self) -> "tuple[motion.Moves, bool] | None":
+        """Motion of the arms, and whether they unfold with the same speed; None if no constraint requires it."""
+        o, moving = self.options, self.problem.motion
+        if moving is None:
+            return None
+        return moving.moves(o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
+
     def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
         """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
         o, is_idle = self.options, np.zeros(len(self), dtype=bool)
         is_idle[o.start[1:] - 1] = True
-        pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs)
+        pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs, self.moves)
         # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
         both = is_idle[pairs[0]] & is_idle[pairs[1]]
         idle_pairs, pairs = o.own[pairs[:, both]], np.ascontiguousarray(pairs[:, ~both])
@@ -126,6 +136,8 @@ def find_candidates(
         return found
     keep = np.ones(len(own), dtype=bool)
     keep[obstacle_hits(problem.focal_plane, start, found.segments)[:, 0]] = False
+    if problem.motion is not None:
+        keep &= problem.motion.allowed(own, target, side)
     keep[start[1:] - 1] = True
     found = found if keep.all() else found.where(keep)
     return found.with_collisions(seconds, most_pairs) if most_pairs else found
@@ -190,8 +202,11 @@ def obstacle_hits(plane, start, segments):
     return touching(plane, segments, rows, owner)[0]
 
 
-def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
-    """Return pairs of candidates that collide, shape (2, m); borderline pairs are tested in exact arithmetic."""
+def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf, moves=None):
+    """Return pairs of candidates that collide, shape (2, m); borderline pairs are tested in exact arithmetic.
+
+    If ``moves`` contains the motion of the arms, the pairs are those that collide while the arms unfold.
+    """
     columns, pairs = plane.arrays, plane.arrays.neighbors
     halves = np.empty_like(segments)
     halve(segments, halves)
@@ -202,13 +217,18 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf):
     owner = np.repeat(np.arange(len(size)), size)
     outlined = columns.limits.outline.start.size > 1
     work = np.cumsum(size[pairs[:, 0]] * size[pairs[:, 1]])
+    batch = BATCH if moves is None else BATCH // SLOWER
     p, found, total, begin = 0, [], 0, now()
     while p < len(pairs):
-        part = pairs[: int(np.searchsorted(work, (work[p - 1] if p else 0) + BATCH)) + 1]
-        n, p = conflicts.list_conflicts(
-            part, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
-        )
-        if outlined:
+        part = pairs[: int(np.searchsorted(work, (work[p - 1] if p else 0) + batch)) + 1]
+        if moves is not None:
+            n, p = motion.list_meeting(part, p, start, *moves, columns.limits, first, second)
+            borderline[:n] = False
+        else:
+            n, p = conflicts.list_conflicts(
+                part, p, columns.geometry, start, segments, halves, columns.limits, first, second, borderline
+            )
+        if outlined and moves is None:
             n = conflicts.keep_outlined(n, owner, segments, columns.limits, first, second, borderline)
         part = np.array([first[:n], second[:n]])
         edge = np.flatnonzero(borderline[:n])

@@ -17,6 +17,7 @@ def abilities_of(method) -> Abilities:
         AS_GOAL if method.uses("required") else ONLY_CHECKED,
         COUNTS[method.counts],
         COUNTS[method.distribution],
+        EXACTLY if method.avoids_collisions else ONLY_CHECKED,
     )
 
 

@@ -222,8 +222,7 @@ class AllocationOptions:
         """All constraints: those of ``requirements``, ``required`` and ``keep_out``, then ``constraints``."""
         counts = () if self._of_instrument else self.requirements
         required = [Required(self.required)] if self.required else []
-        keep_out = [KeepOut(self.keep_out)] if self.keep_out else []
-        return (*counts, *required, *keep_out, *self.constraints)
+        return (*counts, *required, *([KeepOut(self.keep_out)] if self.keep_out else []), *self.constraints)
 
     @cached_property
     def counts(self) -> tuple[Requirement, ...]:
@@ -241,6 +240,11 @@ class AllocationOptions:
     def needs(self) -> tuple[Requirement | Distribution, ...]:
         """The requirements with a minimum, and the rules that the allocator follows, which need targets of a kind."""
         return (*(one for one in self.counts if one.minimum), *self.distributions)
+
+    @cached_property
+    def motion_law(self) -> str:
+        """Law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
+        return next((one.motion_law for one in self.all_constraints if one.motion_law), "")
 
     @cached_property
     def required_ids(self) -> tuple:

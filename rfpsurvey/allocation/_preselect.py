@@ -48,6 +48,8 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
         For each positioner, the target that is always kept, or -1 if there is no such target.
     """
     plane, reach = problem.focal_plane, problem.pairs
+    if collide and problem.motion is not None:
+        reach = problem.motion.reachable(reach)
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)

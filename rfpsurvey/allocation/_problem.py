@@ -12,6 +12,7 @@ from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._distribution import is_possible, lack_of
+from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.constraints import Distribution, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
@@ -151,6 +152,11 @@ class AllocationProblem:
     def parked_obstacles(self) -> bool:
         """Whether idle positioners with two arms of equal length are obstacles."""
         return self.options.parked_obstacles
+
+    @cached_property
+    def motion(self) -> Motion | None:
+        """The motion of the arms, if a constraint requires that they unfold without collisions; otherwise None."""
+        return Motion(self) if self.options.motion_law else None
 
     @cached_property
     def any_required(self) -> bool:
@@ -361,14 +367,10 @@ class AllocationProblem:
         found = []
         for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
             one = group.requirement
-            if n < one.minimum:
-                possible = self._possible(group)
-                hint = self._hint(group, possible)
-                found.append(Shortfall(one, group.spectrograph, one.minimum, n, possible, hint, group.place))
-            elif one.maximum is not None and n > one.maximum:
-                found.append(
-                    Shortfall(one, group.spectrograph, one.maximum, n, self._possible(group), place=group.place)
-                )
+            if n < one.minimum or (one.maximum is not None and n > one.maximum):
+                limit, possible = one.minimum if n < one.minimum else one.maximum, self._possible(group)
+                hint = self._hint(group, possible) if n < one.minimum else ""
+                found.append(Shortfall(one, group.spectrograph, limit, n, possible, hint, group.place))
         used = target_of[target_of >= 0]
         if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
             possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
@@ -378,17 +380,15 @@ class AllocationProblem:
     def _hint(self, group: Group, possible: int) -> str:
         """Return the reason why a minimum is not met: an unknown name or too few fibers; otherwise, empty text."""
         if group.targets.any():
-            enough = possible >= group.requirement.minimum
             asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
             text = f"all requirements together need {asked} fibers, but only {there} fibers are usable"
-            return text if asked > there and enough else ""
+            return text if asked > there and possible >= group.requirement.minimum else ""
         return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
 
     def _possible(self, group: Group) -> int:
         """Return the number of targets of a group that are in reach of the fibers of the group."""
         own, target = self.pairs.owner, self.pairs.target
-        held = group.holds(target, self.spectrograph_of(own, target), own)
-        n = len(np.unique(target[held]))
+        n = len(np.unique(target[group.holds(target, self.spectrograph_of(own, target), own)]))
         if self.watched is not None:
             stuck = np.flatnonzero(self.watched >= 0)
             n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck]), stuck).sum())

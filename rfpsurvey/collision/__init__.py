@@ -5,22 +5,39 @@ from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_s
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, CollisionMethod, Configuration, Found, keep_closer, near_pairs
+from rfpsurvey.collision._motion import LAWS, MotionReport, find_motion
+from rfpsurvey.collision._moves import (
+    Folded,
+    Turning,
+    idle_moves,
+    joined,
+    solve_moves,
+    touching_folds,
+    unfolding_obstacles,
+)
 from rfpsurvey.collision._report import CollisionReport
 
 __all__ = [
+    "LAWS",
     "METHODS",
     "Arms",
     "CollisionCounts",
     "CollisionMethod",
     "CollisionReport",
     "Configuration",
+    "Folded",
     "Found",
+    "MotionReport",
+    "Turning",
     "arms_closer_exactly",
     "check_plane",
     "closer_exactly",
     "count_collisions",
     "distance_exactly",
     "find_collisions",
+    "find_motion",
+    "idle_moves",
+    "joined",
     "keep_closer",
     "make_setup",
     "make_workspace",
@@ -28,5 +45,8 @@ __all__ = [
     "nearest_distance",
     "place_arms",
     "queue_segments",
+    "solve_moves",
     "touching",
+    "touching_folds",
+    "unfolding_obstacles",
 ]

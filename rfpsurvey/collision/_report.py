@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._display import to_html
+from rfpsurvey.collision._motion import MotionReport
 from rfpsurvey.errors import number_of
 
 
@@ -37,6 +38,8 @@ class CollisionReport:
         arithmetic decides the result for two arms if the method is ``exact`` or ``cuda``, and for an arm and an
         obstacle in all methods. The number is None if the method has no proven error limit. If no two arms can touch,
         the number is never None and includes only pairs with an obstacle.
+    motion : MotionReport, optional
+        Collisions while the arms move, if a constraint of the plan refers to the motion.
 
     Examples
     --------
@@ -57,6 +60,7 @@ class CollisionReport:
     assigned: np.ndarray
     counted: np.ndarray
     n_borderline: int | None = None
+    motion: MotionReport | None = None
 
     @property
     def rate(self) -> float:

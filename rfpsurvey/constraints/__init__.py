@@ -1,6 +1,7 @@
 """Constraints on the plans of fields: excluded targets, obstacles, targets that take precedence, and counts."""
 
-from rfpsurvey.constraints._constraint import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities, Constraint, ConstraintField
+from rfpsurvey.constraints._abilities import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
+from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._distribution import Distribution
 from rfpsurvey.constraints._group import Group
 from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text

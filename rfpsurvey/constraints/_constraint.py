@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rfpsurvey._units import values_at
+from rfpsurvey.constraints._abilities import EXACTLY, LEVELS, ONLY_CHECKED, Abilities
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.projection import FieldProjection
@@ -16,29 +17,7 @@ from rfpsurvey.projection import FieldProjection
 if TYPE_CHECKING:
     from rfpsurvey.instrument import Instrument
 
-EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
-LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
 MOST_LISTED, NO_CIRCLES = 5, np.empty((0, 3))
-
-
-@dataclass(frozen=True)
-class Abilities:
-    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
-
-    Parameters
-    ----------
-    obstacles : str
-        Whether arms avoid obstacles.
-    precedence : str
-        Whether some targets take precedence over all other targets.
-    counts, distribution : str
-        Whether numbers of targets are met, and whether science fibers have enough neighbors.
-    """
-
-    obstacles: str = ONLY_CHECKED
-    precedence: str = ONLY_CHECKED
-    counts: str = ONLY_CHECKED
-    distribution: str = ONLY_CHECKED
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +179,8 @@ class Constraint:
     """The requirements (`~rfpsurvey.Requirement`) on numbers of targets that the constraint consists of."""
     distributions: tuple = ()
     """The rules (`Distribution`) on the neighbors of fibers that the constraint consists of."""
+    motion_law: str = ""
+    """Law of time by which arms must unfold without collisions; empty text if the constraint does not require it."""
     uses_targets: ClassVar[bool] = True
     """Whether methods use positions of targets on the focal plane or around the field, which are otherwise omitted."""
     before_fibers: ClassVar[bool] = False
@@ -361,9 +342,10 @@ class Constraint:
 
     @cached_property
     def parts(self) -> frozenset[str]:
-        """Parts that are used, of ``exclusion``, ``obstacles``, ``precedence``, ``counts`` and ``distribution``."""
+        """Parts of the interface that the constraint uses: the names in `Abilities`, and ``exclusion``."""
         own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
         given = {"precedence": self.required_ids, "counts": self.counts, "distribution": self.distributions}
+        given["motion"] = self.motion_law
         return frozenset(own | {part for part, values in given.items() if values})
 
     @cached_property

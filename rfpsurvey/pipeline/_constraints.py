@@ -94,7 +94,11 @@ class Applied:
         own, obstacle = report.obstacle_pairs.T
         first = len(self.instrument.focal_plane.arrays.obstacles) - len(self.obstacle_of)
         maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
-        return field, owner, [len(np.unique(own[maker == k])) for k in range(len(self.constraints))]
+        n_covering = [
+            report.motion.n_planner if "motion" in one.parts else len(np.unique(own[maker == k]))
+            for k, one in enumerate(self.constraints)
+        ]
+        return field, owner, n_covering
 
 
 def apply_constraints(

@@ -1,6 +1,7 @@
 """Plan a field: project unit vectors of targets, assign the targets to fibers, and find the colliding arms."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from rfpsurvey.allocation import (
     tie_order,
     to_subpriorities,
 )
-from rfpsurvey.collision import Arms, CollisionReport, find_collisions
+from rfpsurvey.collision import Arms, CollisionReport, find_collisions, find_motion
 from rfpsurvey.constraints import Verdict
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.instrument import Instrument
@@ -194,6 +195,11 @@ def plan_field(
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
     report = find_collisions(instrument.focal_plane, arms)
+    if options.motion_law:
+        moved = find_motion(
+            instrument.focal_plane, arms, law=options.motion_law, parked_obstacles=options.parked_obstacles
+        )
+        report = replace(report, motion=moved)
     seconds = {**allocation.seconds, "arms": middle - begin, "collisions": perf_counter() - middle}
     positioner = np.flatnonzero(allocation.target_of_positioner >= 0)
     target = allocation.target_of_positioner[positioner]

@@ -170,6 +170,7 @@ def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monke
         "guide_stars",
         "keep_out",
         "magnitude",
+        "motion",
         "required",
     ]
     assert rs.constraints.KeepOut is rs.KeepOut

@@ -1,0 +1,167 @@
+"""Find the arms that collide while they unfold, and the positioners that cannot move by this simple motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey._kernels import motion
+from rfpsurvey.collision._arms import Arms, check_arms, check_plane, place_arms
+from rfpsurvey.collision._moves import (
+    Folded,
+    Turning,
+    find_moves,
+    idle_moves,
+    joined,
+    split_phi,
+    touching_folds,
+    unfolding_obstacles,
+    unfolding_pairs,
+)
+from rfpsurvey.errors import check_choice, check_keywords, check_switch, number_of
+from rfpsurvey.focal_plane import FocalPlane
+
+LAWS = ("same_duration", "same_speed")
+"""Laws of time by which arms unfold."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionReport:
+    """Collisions of arms that fold, turn and unfold.
+
+    Parameters
+    ----------
+    pairs : ndarray of int, shape (k, 2)
+        Pairs of positioners i < j whose arms collide at some time while all arms unfold (or fold), sorted. Pairs that
+        collide at their targets are among them.
+    obstacle_pairs : ndarray of int, shape (m, 2)
+        Pairs of a positioner and an obstacle (row numbers) that collide while the arm unfolds (or folds).
+    blocked : ndarray of bool, shape (n,)
+        Whether the folded arm of each positioner cannot turn to its direction without touching a broken arm or an
+        obstacle.
+    touching : ndarray of int, shape (l, 2)
+        Pairs of positioners whose folded arms can touch each other when they turn.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
+    >>> found = rs.collision.find_motion(plane, [[16, -12], [14, 12]] * u.mm)
+    >>> found.pairs.tolist(), found.n_planner
+    ([[0, 1]], 2)
+    """
+
+    pairs: np.ndarray
+    obstacle_pairs: np.ndarray
+    blocked: np.ndarray
+    touching: np.ndarray
+
+    @property
+    def needs_planner(self) -> np.ndarray:
+        """Whether each positioner can reach its target only on a path that a path planner finds, if at all."""
+        found = self.blocked.copy()
+        found[self.pairs] = found[self.touching] = found[self.obstacle_pairs[:, 0]] = True
+        return found
+
+    @property
+    def n_planner(self) -> int:
+        """Number of positioners that need a path planner."""
+        return int(self.needs_planner.sum())
+
+    def __repr__(self):
+        pairs = f"{number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles"
+        return f"<MotionReport: {pairs}, {number_of(self.n_planner, 'positioner')} to plan paths for>"
+
+
+@check_keywords
+def find_motion(
+    focal_plane: FocalPlane,
+    arms: object,
+    *,
+    before: object = None,
+    law: str = "same_duration",
+    parked_obstacles: bool = True,
+) -> MotionReport:
+    """Find the arms that collide if all arms fold, folded arms turn, and all arms then unfold.
+
+    The motion needs no path planner: all arms fold at the same time, until each eccentric arm lies over its central arm
+    (or as close to it as the joint limits allow). The folded arms turn to the directions of their new targets, in any
+    order. All arms then unfold at the same time; folding is the exact time reversal of unfolding. Arms that come closer
+    to each other than the minimum separation plus 1e-6 mm at some time collide; the other arms are certainly never
+    closer than the minimum separation. Broken arms do not move. An idle arm goes to its parked pose if this pose is an
+    obstacle in static tests, and remains folded otherwise.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    arms : Arms, Allocation or Quantity, shape (n, 2)
+        The poses at the end of the motion, as in `~rfpsurvey.find_collisions`.
+    before : Arms, Allocation or Quantity, optional
+        The poses at its begin; the collisions on the way back from these poses are also found. By default, the arms are
+        folded at the begin, and can be turned to any direction in the arc of the parked pose.
+    law : {"same_duration", "same_speed"}, optional
+        Law of time. With ``same_duration``, all arms unfold in the same time, each at a constant rate; with
+        ``same_speed``, they begin at the same time and unfold with the same angular speed.
+    parked_obstacles : bool, optional
+        Whether idle positioners are obstacles, as in `~rfpsurvey.find_collisions`; folded idle arms count as well.
+
+    Returns
+    -------
+    MotionReport
+        The pairs that collide, and the positioners that need a path planner.
+
+    Raises
+    ------
+    InputError
+        If the law of time is unknown, or if poses or an allocation belong to another focal plane.
+
+    See Also
+    --------
+    rfpsurvey.constraints.Motion : The constraint that no arms collide during this motion.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
+    >>> rs.collision.find_motion(plane, [[-16, -12], [40, 12]] * u.mm)
+    <MotionReport: 0 pairs of arms, 0 with obstacles, 0 positioners to plan paths for>
+    """
+    check_plane(focal_plane)
+    check_choice(law, LAWS, "law of time")
+    check_switch(parked_obstacles, "parked_obstacles")
+    columns = focal_plane.arrays
+    folded = Folded.of(columns)
+    turning = Turning(columns, folded, idle_moves(columns, parked_obstacles))
+    idle = idle_moves(columns, parked_obstacles, turning)
+    parts = [_motion_of(focal_plane, arms, idle)]
+    if before is not None:
+        parts.append(_motion_of(focal_plane, before, idle))
+    pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, _, _ in parts]
+    own, near = np.arange(len(focal_plane)), columns.obstacle_pairs
+    hits = [near[unfolding_obstacles(focal_plane, moves, own, near)] for moves, _, _ in parts]
+    theta, moved = parts[0][1], np.any([part[2] for part in parts], axis=0)
+    free = turning.allows(own, theta, None if before is None else parts[1][1])
+    touching = touching_folds(columns, folded)
+    touching = touching[moved[touching].any(axis=1)]
+    unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
+    return MotionReport(*unique, moved & ~free & columns.usable, touching)
+
+
+def _motion_of(plane, given, idle):
+    """Return the motion of all arms, their directions theta, and which arms have targets or recorded poses."""
+    if hasattr(given, "place_arms"):
+        given = given.place_arms(plane)
+    posed = given if isinstance(given, Arms) else place_arms(plane, given)
+    check_arms(plane, posed)
+    columns = plane.arrays.using(posed.fiber)
+    own, fiber = np.arange(len(plane)), columns.fiber_index
+    theta, phi = (np.array(value, dtype=float) for value in columns.from_joints(posed.theta, posed.phi))
+    moved = posed.assigned | (False if posed.recorded is None else posed.recorded)
+    moves = find_moves(columns, own, fiber, theta, split_phi(columns, phi), moving=columns.usable)
+    rows = np.flatnonzero(~moved)
+    direction = np.where(moved, theta, plane.arrays.from_joints(*plane.arrays.home)[0])
+    return joined(moves, rows, motion.Moves(*(value[..., rows] for value in idle))), direction, moved

@@ -1,0 +1,327 @@
+"""The motion of arms between folded poses and their targets, and the turning of folded arms, in numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rfpsurvey._kernels import arms, motion
+from rfpsurvey._units import to_radian
+from rfpsurvey.focal_plane import FocalPlane
+
+MUCH = 0.1
+"""An arm folds to the other side if the joint limits stop it so early that the cosine of phi is larger by this."""
+N_BINS = 3600
+"""Number of directions of a folded arm that are tested; between them, the arm is known not to come too close."""
+BIN = 2 * np.pi / N_BINS
+
+
+def find_moves(columns, own, fiber, theta, phi, *, moving: np.ndarray | bool = True) -> motion.Moves:
+    """Return the motion of arms from given angles, in the convention of the kernels, to the folded pose.
+
+    ``own`` and ``fiber`` are the rows of the positioners and the indices of the fiber types. Arms for which ``moving``
+    is false remain at the given angles.
+    """
+    geometry, outline = columns.geometry_of(own, fiber), columns.plane.positioner.outline
+    has_axis = columns.model == arms.CAPSULE
+    offset = np.arctan2(*columns.angles_of(own, fiber)[::-1]) if has_axis else 0.0
+    length = np.full(len(own), columns.length) if has_axis else geometry.l2.copy()
+    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(own))
+    turn = np.where(moving, _to_fold(columns, own, fiber, phi, offset), 0.0)
+    x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
+    angle, reach = theta + phi + offset, length if outline is None else np.full(len(own), outline.reach[0])
+    circle = np.empty((3, len(own)))
+    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle)
+    if outline is not None:
+        circle = _around_both(circle, geometry, outline.reach[1])
+    return motion.Moves(x, y, angle, turn, inner, length, reach, circle)
+
+
+def _to_fold(columns, own, fiber, phi, offset):
+    """Return the angle by which phi changes from its value at the target until the arm is folded.
+
+    The folded arm lies over the central arm, or as close to it as the joint limits allow. ``phi`` is between -pi and
+    pi, and ``offset`` is the angle from the fiber to the axis of the arm.
+    """
+    side = np.where(np.signbit(phi), -1.0, 1.0)
+    turn = side * np.pi - (phi + offset)
+    low, high, zero = phi_limits(columns, own, fiber)
+    if np.isinf(low).all():
+        return turn
+    with np.errstate(invalid="ignore"):
+        joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
+        joint = np.where(np.isinf(low), phi - zero, joint)
+    one, other = (np.clip(joint + way, low, high) - joint for way in (turn, turn - 2 * np.pi * side))
+    return np.where(np.cos(phi + offset + other) < np.cos(phi + offset + one) - MUCH, other, one)
+
+
+def _limits(columns, own, k, name):
+    if columns.joints is not None:
+        return columns.joints.limits[2 * k, own], columns.joints.limits[2 * k + 1, own]
+    given = getattr(columns.plane.positioner, name)
+    low, high = (-np.inf, np.inf) if given is None else to_radian(given, name)
+    return np.full(len(own), low), np.full(len(own), high)
+
+
+def phi_limits(columns, own, fiber):
+    """Return the joint limits of phi, and the value of phi in the convention of the kernels at the joint angle 0."""
+    zero = 0.0 if columns.joints is None else columns.joints.zeros(own, fiber)[1]
+    return *_limits(columns, own, 1, "phi_range"), zero
+
+
+def _around_both(circle, geometry, radius):
+    """Return circles that contain the given circles and the circles around the centers of the positioners."""
+    dx, dy = circle[0] - geometry.cx, circle[1] - geometry.cy
+    apart = np.hypot(dx, dy)
+    size = np.maximum(0.5 * (apart + radius + circle[2]), np.maximum(radius, circle[2]))
+    part = np.clip((size - radius) / np.maximum(apart, 1e-300), 0.0, 1.0)
+    return np.array([geometry.cx + part * dx, geometry.cy + part * dy, size])
+
+
+def solve_moves(columns, own, fiber, points, side) -> motion.Moves:
+    """Return the motion of the arms with which positioners reach points (mm); ``side`` is 1 (right) or -1 (left)."""
+    theta, phi = np.empty((2, len(own)))
+    arms.solve(points, columns.geometry_of(own, fiber), side, theta, phi)
+    return find_moves(columns, own, fiber, theta, phi)
+
+
+def split_phi(columns, phi):
+    """Return phi in the range from -pi to pi; the sign of a folded or extended arm is that of the usual handedness."""
+    phi = np.mod(phi + np.pi, 2 * np.pi) - np.pi
+    usual = -1.0 if columns.plane.positioner.handedness == "left" else 1.0
+    straight = np.abs(np.sin(phi)) < 1e-9
+    return np.where(straight, usual * np.abs(phi), phi)
+
+
+def idle_moves(columns, parked_obstacles: bool, turning: "Turning | None" = None) -> motion.Moves:
+    """Return the motion of the arms without a target, one for each positioner.
+
+    Broken arms do not move. The other arms go to their parked pose if it is an obstacle in static tests; otherwise they
+    remain folded, at the theta of the parked pose. If ``parked_obstacles`` is false, they are absent.
+    """
+    first = columns.plane.arrays
+    own, fiber = np.arange(len(columns.plane)), first.first_index
+    home = np.where(first.is_stuck, first.stuck.T, first.home)
+    theta, phi = (np.array(v, dtype=float) for v in first.from_joints(*home, own, fiber))
+    parked = first.idle(parked_obstacles).parked
+    stays = first.usable & ~parked
+    if turning is not None:
+        for k, value in turning.theta.items():
+            theta[k] = value if stays[k] else theta[k]
+    phi = np.where(first.is_stuck, phi, split_phi(first, phi))
+    found = find_moves(first, own, fiber, theta, split_phi(first, phi), moving=first.usable)
+    folded = np.where(stays, found.angle + found.turn, found.angle)
+    turn = np.where(stays, 0.0, found.turn)
+    gone = first.usable & (not parked_obstacles)
+    return found._replace(x=np.where(gone, np.nan, found.x), angle=folded, turn=turn)
+
+
+def joined(moves: motion.Moves, rows: np.ndarray, others: motion.Moves) -> motion.Moves:
+    """Return a copy of the motion of arms in which the arms in ``rows`` have the motion of ``others``."""
+    columns = [value.copy() for value in moves]
+    for column, other in zip(columns, others, strict=True):
+        column[..., rows] = other
+    return motion.Moves(*columns)
+
+
+def unfolding_pairs(plane: FocalPlane, moves: motion.Moves, same_speed: bool) -> np.ndarray:
+    """Return the pairs of positioners whose arms collide while they unfold, sorted; one motion per positioner."""
+    pairs = plane.arrays.neighbors
+    first, second = np.empty((2, max(len(pairs), 1)), dtype=np.int64)
+    start = np.arange(len(plane) + 1)
+    n, _ = motion.list_meeting(pairs, 0, start, moves, same_speed, plane.arrays.limits, first, second)
+    return np.column_stack([first[:n], second[:n]])
+
+
+def unfolding_obstacles(plane: FocalPlane, moves: motion.Moves, owner: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Return which pairs (arm, obstacle) collide while the arm unfolds; ``owner`` is the positioner of each arm."""
+    out, columns = np.zeros(len(pairs), dtype=bool), plane.arrays
+    if len(pairs):
+        motion.obstacles_meeting(moves, owner, columns.limits, pairs, columns.obstacles, columns.clearance, out)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Folded:
+    """The sizes of folded arms: distances (mm) from the center to the farthest points of the arms while they turn."""
+
+    eccentric: np.ndarray
+    central: np.ndarray
+    poses: list
+    """For each handedness and fiber type, the fiber index and phi of folded arms, in the convention of the kernels."""
+
+    @classmethod
+    def of(cls, columns) -> "Folded":
+        """Return the sizes of all folded arms, for all fibers and each handedness that plans may use."""
+        return _fold(columns)
+
+
+def _fold(columns) -> Folded:
+    plane, n = columns.plane, len(columns.plane)
+    own, outline = np.arange(n), plane.positioner.outline
+    sides = {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]
+    kinds = [columns.first_index] if columns.fibers is None else range(len(plane.fiber_types))
+    eccentric, central, poses = np.zeros(n), np.zeros(n), []
+    if outline is not None and len(outline.parts) > outline.n_eccentric:
+        central += outline.reach[1]
+    for side in sides:
+        for kind in kinds:
+            fiber = np.broadcast_to(kind, n)
+            # any pose of this handedness leads to the same fold; the arm is at a right angle here
+            start = np.full(n, side * np.pi / 2)
+            low, high, zero = phi_limits(columns, own, fiber)
+            start = zero + np.where(np.isinf(low), start - zero, np.clip(start - zero, low, high))
+            start = split_phi(columns, start)
+            moves = find_moves(columns, own, fiber, np.zeros(n), start)
+            angle, x = moves.angle + moves.turn, columns.central_arm
+            if outline is None:
+                size = np.hypot(x + moves.length * np.cos(angle), moves.length * np.sin(angle))
+                size = size if columns.model == arms.FIBER_TIP else np.maximum(size, x)
+                eccentric = np.maximum(eccentric, size)
+            for vertices, radius in () if outline is None else outline.parts[: outline.n_eccentric]:
+                for vx, vy in vertices:
+                    c, s = np.cos(angle), np.sin(angle)
+                    eccentric = np.maximum(eccentric, np.hypot(x + c * vx - s * vy, s * vx + c * vy) + radius)
+            poses.append((fiber, start + moves.turn))
+    return Folded(eccentric, central, poses)
+
+
+def touching_folds(columns, folded: Folded) -> np.ndarray:
+    """Return the pairs of usable positioners whose folded arms can touch each other when they turn, shape (k, 2)."""
+    pairs = columns.neighbors[columns.usable[columns.neighbors].all(axis=1)]
+    (a, b), (p, q) = folded.eccentric[pairs].T, folded.central[pairs].T
+    apart = np.hypot(*(columns.xy[pairs[:, 0]] - columns.xy[pairs[:, 1]]).T)
+    size = np.maximum(a + b, np.maximum(a + q if q.any() else 0.0, b + p if p.any() else 0.0))
+    return pairs[size + columns.separation + motion.TOLERANCE > apart]
+
+
+class Turning:
+    """The directions to which the folded arms can turn beside broken arms and obstacles.
+
+    Only positioners that are near to broken arms or obstacles are examined. The directions in which the folded arm of
+    such a positioner certainly collides with none of them form arcs; within an arc, the arm can turn in the direction
+    that remains in the arc. The arc of the parked pose (or the longest arc, if the parked arm collides) is the *usual*
+    arc.
+
+    Attributes
+    ----------
+    theta : dict of int to float
+        For each examined positioner whose parked arm collides, the midpoint of its usual arc (NaN if there is no arc).
+    """
+
+    def __init__(self, columns, folded: Folded, broken: motion.Moves):
+        first = columns.plane.arrays
+        self._lines, self._usual, self.theta = {}, {}, {}
+        home = first.from_joints(*first.home, np.arange(len(first.usable)), first.first_index)[0]
+        for i, (others, obstacles) in _near(first, folded, broken).items():
+            free = np.ones(N_BINS, dtype=bool)
+            for fiber, phi in folded.poses:
+                free &= _free_bins(first, i, fiber, phi, folded.eccentric[i], broken, others, obstacles)
+            self._lines[i] = _line(first, i, free)
+            labels = self.labels(i, np.array([home[i]]))[:, 0]
+            self._usual[i] = labels[labels > 0]
+            if not len(self._usual[i]):
+                origin, label = self._lines[i]
+                sizes = np.bincount(label, minlength=2)[1:]
+                best = 1 + int(np.argmax(sizes))
+                self._usual[i] = np.array([best])
+                bins = np.flatnonzero(label == best)
+                self.theta[i] = origin + BIN * (bins[len(bins) // 2] + 0.5) if len(bins) else np.nan
+
+    @property
+    def examined(self) -> list[int]:
+        """The examined positioners, sorted."""
+        return sorted(self._lines)
+
+    def labels(self, i: int, theta: np.ndarray) -> np.ndarray:
+        """Return the arcs (from 1; 0 for none) that contain directions of positioner i, shape (2, n).
+
+        There are two rows because the joint range can contain a direction twice.
+        """
+        origin, label = self._lines[i]
+        k = np.minimum((np.mod(theta - origin, 2 * np.pi) / BIN).astype(np.int64), N_BINS - 1)
+        padded = np.append(label, np.zeros(2 * N_BINS, dtype=np.int64))
+        return np.array([padded[k], padded[k + N_BINS]])
+
+    def allows(self, own: np.ndarray, theta: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
+        """Return whether folded arms can turn to the directions ``theta``, in the convention of the kernels.
+
+        They turn from the directions ``before`` or, by default, from anywhere in the usual arc. ``own`` must be
+        sorted.
+        """
+        allowed = np.ones(len(own), dtype=bool)
+        for i in self._lines:
+            rows = slice(*np.searchsorted(own, [i, i + 1]))
+            found = self.labels(i, theta[rows])
+            if before is None:
+                allowed[rows] = np.isin(found, self._usual[i]).any(axis=0)
+            else:
+                old = self.labels(i, before[rows])
+                allowed[rows] = ((found[:, None] == old[None]) & (found[:, None] > 0)).any(axis=(0, 1))
+        return allowed
+
+
+def _near(columns, folded, broken):
+    """Return the broken positioners and the obstacles that the folded arm of each usable positioner can touch."""
+    found: dict = {}
+    pairs = columns.neighbors[columns.usable[columns.neighbors].sum(axis=1) == 1]
+    for a, b in pairs.tolist():
+        i, j = (a, b) if columns.usable[a] else (b, a)
+        x, y, radius = broken.circle[:, j]
+        size = max(folded.eccentric[i], folded.central[i]) + radius + columns.separation + motion.TOLERANCE
+        if np.hypot(x - columns.xy[i, 0], y - columns.xy[i, 1]) <= size:
+            found.setdefault(i, ([], []))[0].append(j)
+    for i, j in columns.obstacle_pairs.tolist():
+        if not columns.usable[i]:
+            continue
+        n = len(columns.obstacles)
+        points = columns.obstacles[j : j + 1, :2] if j < n else columns.obstacle_polygons[j - n]
+        radius = columns.obstacles[j, 2] if j < n else np.hypot(*np.ptp(points, axis=0))
+        apart = np.hypot(*(points - columns.xy[i]).T).min() - radius
+        if apart <= max(folded.eccentric[i], folded.central[i]) + columns.clearance + motion.TOLERANCE:
+            found.setdefault(i, ([], []))[1].append(j)
+    return found
+
+
+def _free_bins(columns, i, fiber, phi, size, broken, others, obstacles):
+    """Return the ranges of directions in which a folded arm is certainly clear of broken arms and obstacles."""
+    theta = (np.arange(N_BINS) + 0.5) * BIN
+    own = np.full(N_BINS, i)
+    moves = find_moves(columns, own, np.full(N_BINS, fiber[i]), theta, np.full(N_BINS, phi[i]), moving=False)
+    c, s = np.cos(moves.angle), np.sin(moves.angle)
+    near = [moves.x + moves.inner * c, moves.y + moves.inner * s]
+    segments = np.array([*near, moves.x + moves.length * c, moves.y + moves.length * s])
+    outline = columns.plane.positioner.outline
+    slack = 0.5 * BIN * max(size, 0.0 if outline is None else outline.reach[1]) + motion.TOLERANCE
+    gaps = np.full(N_BINS, np.inf)
+    fixed = np.array(
+        [
+            broken.x + broken.inner * np.cos(broken.angle),
+            broken.y + broken.inner * np.sin(broken.angle),
+            broken.x + broken.length * np.cos(broken.angle),
+            broken.y + broken.length * np.sin(broken.angle),
+        ]
+    )
+    for j in others:
+        both = np.ascontiguousarray(np.hstack([segments, fixed[:, [j]]]))
+        found = np.empty(N_BINS)
+        motion.gaps_to_one(both, N_BINS, i, j, columns.limits, found)
+        gaps = np.minimum(gaps, found - columns.separation)
+    for j in obstacles:
+        found = np.empty(N_BINS)
+        motion.gaps_to_obstacle(segments, i, j, columns.limits, columns.obstacles, found)
+        gaps = np.minimum(gaps, found - columns.clearance)
+    return gaps > slack
+
+
+def _line(columns, i, free):
+    """Return the direction at which the joint range of theta begins, and the arc of each bin from there (0: none)."""
+    low, high = (float(v[0]) for v in _limits(columns, np.array([i]), 0, "theta_range"))
+    if np.isfinite(low):
+        zero = 0.0 if columns.joints is None else columns.joints.zeros(i, columns.first_index[i])[0]
+        first, last = int(np.floor((low + zero) / BIN)), int(np.ceil((high + zero) / BIN))
+    else:  # the line begins at a direction that is not free, or anywhere
+        first = int(np.argmin(free))
+        last = first + N_BINS
+    line = free[np.arange(first, min(last, first + 2 * N_BINS)) % N_BINS]
+    begins = line & ~np.append(False, line[:-1])
+    return first * BIN, np.where(line, np.cumsum(begins), 0)
