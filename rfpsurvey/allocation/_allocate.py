@@ -13,6 +13,7 @@ from rfpsurvey._units import to_dimensionless, to_generator, to_numbers, to_plai
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
+from rfpsurvey.allocation._given import from_allocation, from_tile, is_plan, with_changes
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
@@ -224,6 +225,8 @@ def assign(
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
     answer = find_allocator(options.allocator).function(problem)
+    if is_plan(options.start) and options.method.improves:
+        answer = with_changes(problem, answer)
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
@@ -317,26 +320,9 @@ def _make_start(
     start = problem.options.start
     if isinstance(start, str):
         return find_allocator(start).function(problem)
-    rows = slice(None) if order is None else order
-    plane, points = problem.focal_plane, problem.xy[:n_given]
-    same = (len(start.target_of_positioner), start.n_given) == (len(plane), n_given)
-    same = same and np.array_equal(start.in_reach[rows], in_reach)
-    same = same and np.array_equal(start.xy_mm[:n_given][rows], points, equal_nan=True)
-    if same:
-        own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
-        columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
-        r = np.hypot(*(start.tips_mm[own] - columns.xy[own]).T)
-        slack, (inner, outer) = columns.reach_slack, columns.edges
-        same = not ((r > outer[own] + slack) | (r < inner[own] - slack)).any()
-        side = np.where(start.handedness[own] == "left", -1.0, 1.0)
-        tips = start.tips_mm[own]
-        same = same and (columns.poses_free or columns.poses_allowed(own, tips, side).all())
-    if not same:
-        raise InputError("start must be an allocation of the same targets to the same focal plane")
-    target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)
-    if order is not None:
-        target_of = np.append(_scatter(np.arange(n_given), order), -1)[target_of]
-    return AllocationAnswer(target_of, start.handedness)
+    if hasattr(start, "table"):
+        return from_tile(start.table, problem)
+    return from_allocation(start, problem, n_given, in_reach, order)
 
 
 def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:

@@ -11,6 +11,7 @@ from rfpsurvey._methods import describe_methods
 from rfpsurvey._plugins import name_of
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation._constraints import recorded
+from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, Allocator
 from rfpsurvey.allocation._plugin import find_allocator, find_improving
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
@@ -43,10 +44,8 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.region import Region
 
-SEPARATION = (
-    "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky such as "
-    "10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
-)
+SEPARATION = "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky "
+SEPARATION += "such as 10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
 OBJECTIVES = ("priority", "count")
 ONLY_SOME = ("objective", "time_limit", "start")
 """Options that have their default values in the record of a plan whose allocator does not use them."""
@@ -88,9 +87,10 @@ class AllocationOptions:
     time_limit : Quantity, optional
         Time after which ``network_flow`` and ``optimal`` return the best plan that they have found, with its gap; 60 s
         by default. The limit also applies if ``start`` is ``network_flow`` or ``optimal``.
-    start : Allocation or str, optional
-        Plan from which ``repair`` starts, or the name of the allocator that makes this plan (any allocator except
-        ``repair``). Allocators of other packages can also use this plan.
+    start : Allocation, Tile or str, optional
+        Plan from which ``repair`` starts, or the name of the allocator that makes this plan (any except ``repair``). A
+        tile can have other targets. ``optimal`` uses plans, but no names: of all plans of equal value, it returns the
+        one with the fewest changed fibers, whose number is ``summary["search"]["n_changed"]``.
     parked_obstacles : bool, optional
         Whether idle positioners are obstacles; only positioners with two arms of equal length can be obstacles.
     required : array_like of int or str, optional
@@ -168,9 +168,9 @@ class AllocationOptions:
         for name in ("allocator", "start"):
             object.__setattr__(self, name, present_name(getattr(self, name), METHODS, "allocator"))
         find_allocator(self.allocator)
-        if not hasattr(self.start, "target_of_positioner"):
+        if not is_plan(self.start):
             if not isinstance(self.start, str):
-                raise refusal("start must be an Allocation or the name of an allocator", self.start, str)
+                raise refusal("start must be an Allocation, a Tile or the name of an allocator", self.start, str)
             starts = {name: one for name, one in METHODS.items() if not one.improves}
             find_allocator(self.start, what="allocator to start with", known=starts)
         check_choice(self.objective, OBJECTIVES, "objective")
@@ -178,9 +178,9 @@ class AllocationOptions:
         if self.sky_separation is not None:
             if not isinstance(self.sky_separation, u.Quantity):
                 raise InputTypeError(f"{SEPARATION}, got {short(self.sky_separation)} without a unit")
-            if not (_is_angle(self.sky_separation) or self.sky_separation.unit.is_equivalent(u.mm)):
+            unit = self.sky_separation.unit
+            if not (_is_angle(self.sky_separation) or unit.is_equivalent(u.mm)):
                 raise InputUnitsError(f"{SEPARATION}, got {short(self.sky_separation)}")
-            unit = self.sky_separation.unit if _is_angle(self.sky_separation) else u.mm
             to_scalar(self.sky_separation, unit, "sky_separation", low=0)
         if not self._of_instrument:
             object.__setattr__(self, "requirements", as_requirements(self.requirements))
@@ -369,10 +369,9 @@ class AllocationOptions:
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
-        requirements = self.requirements
         return {
             "allocator": self.name,
-            "requirements": requirements if self._of_instrument else [str(one) for one in requirements],
+            "requirements": self.requirements if self._of_instrument else [str(one) for one in self.requirements],
             f"sky_separation_{unit}": None if separation is None else float(separation.to_value(unit)),
             "objective": self.objective,
             "time_limit_s": self.seconds,
@@ -387,12 +386,12 @@ class AllocationOptions:
 
 
 def as_options(given: object) -> AllocationOptions:
-    """Return the given options; if only an allocator is given, return the default options with this allocator."""
+    """Return options; if only an allocator is given, return the default options with this allocator."""
     return given if isinstance(given, AllocationOptions) else AllocationOptions(given)
 
 
 def _shown(value: object) -> str:
-    """Return the text of a value; for a long list, the text contains only the first values."""
+    """Return the text of a value, with only the first values of a long list."""
     return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from rfpsurvey._plugins import Plugin, find_function, find_plugin
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation._answer import AllocationAnswer
+from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.constraints import named_plugins
@@ -37,6 +38,8 @@ def find_allocator(given: str | Callable, *, what: str = "allocator", known: dic
 def find_improving(given: str | Callable, start: object) -> Allocator:
     """Return an allocator; if it improves the plan of another allocator, it also has the properties of the other."""
     found = find_allocator(given)
+    if found.keeps_plan and is_plan(start):
+        return replace(found, options=(*found.options, "start"))
     if not (found.improves and isinstance(start, str)):
         return found
     other = find_allocator(start)

@@ -189,7 +189,7 @@ def test_bad_input_is_named(arguments, message):
             "sky_separation=3.0 arcsec can be used only with an instrument",
         ),
         ({"sky_separation": 3 * u.s}, "or a length on the focal plane such as 0.5 .* got <Quantity 3. s>"),
-        ({"start": 5}, "start must be an Allocation or the name of an allocator, got 5"),
+        ({"start": 5}, "start must be an Allocation, a Tile or the name of an allocator, got 5"),
         ({"objective": "most"}, "unknown objective 'most'"),
         ({"time_limit": 5}, "time_limit must be a Quantity"),
         ({"allocator": "greedy"}, "unknown allocator 'greedy'"),

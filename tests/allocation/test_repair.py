@@ -189,7 +189,9 @@ def test_a_start_that_does_not_fit_is_an_error():
         with pytest.raises(rs.InputError, match=f"unknown allocator to start with {name!r}; choose one of: balanced,"):
             rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=name))
     for value in (5, None, start.target_of_positioner.tolist()):
-        with pytest.raises(rs.InputError, match="start must be an Allocation or the name of an allocator, got "):
+        with pytest.raises(
+            rs.InputError, match="start must be an Allocation, a Tile or the name of an allocator, got "
+        ):
             rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=value))
 
 
