@@ -241,6 +241,10 @@ Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
 SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyAllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Rule = Annotated[dict, Part(rs.survey.VisitRule)]
+CadenceTable = Annotated[
+    Path | None,
+    "Table of cadences; the catalog must have the column cadence, and the tiles the column time, date or mjd.",
+]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", 0]
 Epoch = Annotated[

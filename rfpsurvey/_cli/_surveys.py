@@ -18,7 +18,7 @@ from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import warn_no_effect
 from rfpsurvey.report import survey_facts
-from rfpsurvey.survey import SurveyState, VisitRule
+from rfpsurvey.survey import Cadences, SurveyState, VisitRule
 from rfpsurvey.tiling import warn_of_targets
 
 __all__ = ["check_replan", "read_tiles", "run", "targets_of", "tiles_of", "visits_of", "workers"]
@@ -50,8 +50,12 @@ def check_replan(keys) -> None:
         )
 
 
-def visits_of(keys, targets) -> "SurveyState | VisitRule | int | None":
-    """Return the parameter ``visits`` of `plan_survey`: the state of a survey that is planned again, or a rule."""
+def visits_of(keys, targets) -> "SurveyState | VisitRule | Cadences | int | None":
+    """Return the parameter ``visits`` of `plan_survey`: the state of a survey, a rule, cadences or a number."""
+    if keys.cadences is not None:
+        if keys.rule or keys.catalog.visits is not None or keys.output.replan:
+            raise rs.InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
+        return Cadences(keys.cadences)
     folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
     if keys.output.replan:
         return SurveyState.read(folder, targets, rule=rule, visits=visits)

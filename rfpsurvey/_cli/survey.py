@@ -1,6 +1,6 @@
 """The command ``rfpsurvey survey``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -51,6 +51,7 @@ class SurveyKeys(_groups.WorkerKeys):
     conditions: _groups.Conditions
     output: SurveyOutputKeys
     order: _groups.Order = "color"
+    cadences: _groups.CadenceTable = None
     epoch: _groups.Epoch = None
     lost_in_collision: _groups.Lost = True
     rng: _groups.Seed = 0
@@ -66,11 +67,13 @@ class SurveyKeys(_groups.WorkerKeys):
 def survey(keys: SurveyKeys, given: Given) -> None:
     """Plan the tiles of a survey so that as many targets as possible are observed the requested number of times."""
     _surveys.check_replan(keys)
-    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
+    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.cadences
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
     catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
+    if keys.cadences is not None:
+        catalog = replace(catalog, keep=[*dict.fromkeys([*(catalog.keep or ()), "cadence"])])
     targets = _surveys.targets_of(catalog, model, keys.rng)
     options = {
         "allocator": _app.allocator_of(keys.options, keys.joint, keys.order),

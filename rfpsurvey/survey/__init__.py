@@ -1,5 +1,6 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
+from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._history import SurveyState, VisitRule
 from rfpsurvey.survey._history._diff import diff_surveys
 from rfpsurvey.survey._history._status import survey_status
@@ -12,6 +13,7 @@ from rfpsurvey.survey._work import Job, reach_of, work
 
 __all__ = [
     "JOINT",
+    "Cadences",
     "Job",
     "JointOptions",
     "Request",

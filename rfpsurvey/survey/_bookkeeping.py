@@ -58,9 +58,12 @@ class Bookkeeping:
         Number of passes.
     in_turn : bool
         Whether the passes are planned one after the other.
+    windows : Windows, optional
+        The windows of cadences.
     """
 
-    def __init__(self, builder: FieldBuilder, *, n_passes: int, in_turn: bool):
+    def __init__(self, builder: FieldBuilder, *, n_passes: int, in_turn: bool, windows=None):
+        self.windows = windows
         self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
         priority, category = (builder.source.by_slot(name) for name in ("priority", "category"))
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
@@ -77,12 +80,35 @@ class Bookkeeping:
             for tally in self.tallies.values():
                 tally.begin(self.done(), made[self.left[made] == 0])
 
-    def enter(self, field: FieldRows, in_reach: np.ndarray, slot: np.ndarray, observed: np.ndarray, number: int) -> int:
+    def open_job(self, request, tile: int, *, as_file: bool):
+        """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""
+        job = request.job(tile, self.left, as_file=as_file)
+        if self.windows is None:
+            return job
+        slot = job.field.slot
+        closed = slot[~self.windows.state(slot, tile)[0]]
+        closed = closed if self.spends is None else closed[self.spends[closed]]
+        left, self.left[closed] = self.left[closed], 0
+        job = request.job(tile, self.left, as_file=as_file)
+        self.left[closed] = left
+        targets = job.field.targets
+        columns = targets.columns._replace(subpriority=-self.windows.state(job.field.slot, tile)[1])
+        return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
+
+    def enter(
+        self,
+        field: FieldRows,
+        in_reach: np.ndarray,
+        slot: np.ndarray,
+        observed: np.ndarray,
+        number: int,
+        tile: int | None = None,
+    ) -> int:
         """Record the visits of a tile, and return the number of successful visits to science targets.
 
-        ``number`` is the index of the pass of the tile. ``in_reach`` states whether a positioner reaches each target of
-        the field. ``slot`` is the slot of the target of each visit (-1 for blank sky), and ``observed`` states whether
-        each visit was successful.
+        ``number`` is the index of the pass of the tile, and ``tile`` its row, which windows require. ``in_reach``
+        states whether a positioner reaches each target of the field. ``slot`` is the slot of the target of each visit
+        (-1 for blank sky), and ``observed`` states whether each visit was successful.
         """
         self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
         slot, observed = slot[slot >= 0], observed[slot >= 0]
@@ -91,8 +117,12 @@ class Bookkeeping:
         self.flags[slot] |= DONE
         if self.spends is not None:
             slot = slot[self.spends[slot]]
-        self.left[slot] -= 1
-        complete, last = slot[self.left[slot] == 0], number
+        if self.windows is None:
+            self.left[slot] -= 1
+        else:
+            slot = self.windows.enter(slot, tile)
+            np.subtract.at(self.left, slot, 1)
+        complete, last = np.unique(slot[self.left[slot] == 0]), number
         if self._last is not None:
             self._last[slot] = np.maximum(self._last[slot], number)
             last = self._last[complete]

@@ -15,7 +15,8 @@ from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_l
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
-from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits
+from rfpsurvey.survey._cadences import Cadences
+from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits, in_memory
 from rfpsurvey.survey._joint import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
@@ -35,7 +36,7 @@ def plan_survey(
     tiles: Tiling | Table | SkyCoord,
     *,
     allocator: AllocationOptions | JointOptions | str | Callable = DEFAULT_ALLOCATOR,
-    visits: int | np.ndarray | SurveyState | VisitRule | None = None,
+    visits: int | np.ndarray | SurveyState | VisitRule | Cadences | None = None,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
@@ -69,13 +70,14 @@ def plan_survey(
         `JointOptions`, all tiles are planned together, which increases the number of visits. If worker
         processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
         the search of an allocator ends at its time limit, the plan may not be reproducible.
-    visits : int, array_like of int of shape (n_targets,), SurveyState or VisitRule, optional
+    visits : int, array_like of int of shape (n_targets,), SurveyState, VisitRule or Cadences, optional
         Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
         catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
         assigned, except required targets. A tile observes a target at most once. For a
         `~rfpsurvey.catalog.PartitionedCatalog`, the values must be in the order in which its method ``read`` returns
         the targets. With a `~rfpsurvey.survey.SurveyState`, observed tiles keep their plans, and the other tiles are
         planned for the visits that remain. A `~rfpsurvey.survey.VisitRule` determines the visits of the first plan.
+        With `~rfpsurvey.survey.Cadences`, the tiles have dates, and targets are observed in windows of time.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
@@ -189,6 +191,12 @@ def prepare_request(
     state = visits if isinstance(visits, SurveyState) else None
     if isinstance(visits, VisitRule):
         catalog, visits = first_visits(catalog, visits)
+    cadences = visits if isinstance(visits, Cadences) else None
+    if cadences is not None:
+        catalog = in_memory(catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog), "cadences")
+        cadences, visits = (cadences, cadences.of(catalog)), cadences.visits(catalog)
+        if catalog.subpriority is not None:
+            warn("the subpriorities of the catalog have no effect on a survey with cadences")
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested
@@ -218,6 +226,8 @@ def prepare_request(
             for one in (state.first, state.before(0).catalog):  # without and with the rule
                 yield InMemory(one if used is None else one.at_epoch(used))
 
+    if cadences is not None and joint is not None:
+        raise InputError("cadences must be used with tiles that are planned one after the other, got a joint plan")
     if joint is not None:
         first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
         if first.subpriority is not None:
@@ -239,6 +249,7 @@ def prepare_request(
         lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
         joint=joint,
         state=state,
+        cadences=cadences,
         first_sources=first_sources,
     )
     if request.source.has_repeated_ids:

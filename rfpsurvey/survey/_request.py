@@ -17,6 +17,7 @@ from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.survey._cadences import days_of, windows_of
 from rfpsurvey.survey._history import SurveyState
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -64,6 +65,8 @@ class Request:
     """The state of the survey, if events were recorded."""
     first_sources: Callable | None = None
     """Function that yields the possible catalogs of the first plan; None if this catalog is ``source``."""
+    cadences: tuple | None = None
+    """The cadences, and the row of the cadence of each target in the order of the catalog."""
     first: dict = field(default_factory=dict)
     """Tiles and passes before the recorded events, in the form of `identity`."""
 
@@ -95,9 +98,16 @@ class Request:
     @cached_property
     def rounds(self) -> list[np.ndarray]:
         """Rows of the tiles of each round; the tiles of a round share no targets and can be planned simultaneously."""
-        return make_rounds(
-            self.tiling.vectors, 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9), self.number, self.order
-        )
+        reach = 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9)
+        if self.cadences is None:
+            return make_rounds(self.tiling.vectors, reach, self.number, self.order)
+        in_time = np.argsort(self.days, kind="stable")
+        return [in_time[rows] for rows in make_rounds(self.tiling.vectors[in_time], reach, self.number, "given")]
+
+    @cached_property
+    def days(self) -> np.ndarray:
+        """Time of each tile (MJD), for cadences."""
+        return days_of(self.tiling)
 
     @cached_property
     def model(self) -> Model:
@@ -106,7 +116,9 @@ class Request:
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
-        return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=self.order == "color")
+        windows = None if self.cadences is None else windows_of(self.cadences[0], self, self.cadences[1])
+        in_turn = self.order == "color" and windows is None
+        return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=in_turn, windows=windows)
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
@@ -142,6 +154,7 @@ class Request:
             "rng": self.seed,
             "lost_in_collision": self.lost_in_collision,
             "radius_deg": float(np.rad2deg(self.radius_rad)),
+            **({} if self.cadences is None else {"cadences": self.cadences[0].record}),
             **({} if self.joint is None else {"joint": self.joint.record}),
             **({} if self.conditions is None else {"conditions": self.tiling.table.meta["conditions"]}),
         }
@@ -176,6 +189,8 @@ class Request:
             "visits": (number_of(int(self.builder.visits.sum()), "visit"), digest(self.builder.visits)),
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
+        if self.cadences is not None:
+            about["dates"] = (number_of(len(self.days), "tile"), digest(self.days))
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         about["tiles"] = tiles_digest(self.tiling, self.conditions)
         first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}

@@ -46,6 +46,8 @@ OUTCOME = {
     "requested": "number of requested visits",
     "observed": "number of successful visits",
     "outcome": f"code of the outcome: {', '.join(f'{k} {name}' for k, name in enumerate(OUTCOMES))}",
+    "n_epochs": "number of completed epochs of the cadence",
+    "released": "whether the window of the next epoch has closed, so that the cadence cannot be completed",
 }
 
 
@@ -115,6 +117,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
             *_never_observed(request.source, missed, why),
         ],
         **({"rules": rule_records(lacking, np.asarray(request.tiling.table["tile"]), kept)} if lacking else {}),
+        **({} if state.windows is None else {"n_released": int(state.windows.released.sum())}),
         **({} if request.moved is None else {"epoch": request.moved}),
         **({} if request.state is None else request.state.summary),
         "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
@@ -164,5 +167,8 @@ def outcome_table(request, state: Bookkeeping) -> QTable:
     table = QTable({"target_id": source.ids()}, copy=False)
     table["requested"], table["observed"] = source.by_row(state.wanted), source.by_row(state.done())
     table["outcome"] = source.by_row(state.outcomes())
+    if state.windows is not None:
+        table["n_epochs"] = source.by_row(state.windows.n_epochs).astype(np.int16)
+        table["released"] = source.by_row(state.windows.released)
     table.meta = {"outcome": {str(k): name for k, name in enumerate(OUTCOMES)}}
     return describe(table, OUTCOME)

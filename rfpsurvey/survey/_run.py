@@ -65,7 +65,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                 results = in_order(executor, work, _jobs_of(request, tiles, state, folder))
                 for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
                     slot = np.append(job.field.slot, -1)[done.target]
-                    kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile])
+                    kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile], tile)
                     if is_new and folder is not None:
                         folder.put_part(tile, done.part)
                     parts[tile] = done.visits
@@ -73,6 +73,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                         counts[name][tile] = value
                     finished += 1
                     tell(finished, new=is_new)
+        if state.windows is not None:
+            state.windows.close()
         outcomes = outcome_table(request, state)
         tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
         if joint is not None:
@@ -129,7 +131,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
 def _jobs_of(request, tiles, state, folder) -> Iterator:
     """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any."""
     for tile in tiles.tolist():
-        job = request.job(tile, state.left, as_file=folder is not None)
+        job = state.open_job(request, tile, as_file=folder is not None)
         yield job, job.bare(), None if folder is None else _read(folder, tile, job)
 
 

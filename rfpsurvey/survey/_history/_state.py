@@ -136,6 +136,8 @@ class SurveyState:
         if not isinstance(rule, VisitRule):
             raise refusal("rule must be a VisitRule", rule)
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
+        if "cadences" in read_request(_io.to_path(folder)):
+            raise InputError(f"{folder} holds a survey with cadences, which cannot be continued from what was observed")
         if visits is None and not rule.record:
             _check_visits(_io.to_path(folder), catalog)
         until = None if until is None else to_date(until)

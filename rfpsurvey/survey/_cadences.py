@@ -1,0 +1,270 @@
+"""Cadences: visits of targets in epochs with windows of time and limits of the sky brightness."""
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from astropy.table import Table
+from astropy.time import Time
+
+from rfpsurvey import _io
+from rfpsurvey.catalog import Catalog, as_table
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of
+from rfpsurvey.tiling import Tiling
+
+NIGHT = 0.5
+"""Largest time between the exposures of an epoch in days."""
+COLUMNS = ("delta_min", "delta_max", "n_exp", "skybrightness")
+MOST_VISITS = 255
+NEVER = 1e9
+"""Closing time (MJD) of windows that do not close."""
+
+
+@check_keywords
+@dataclass(frozen=True, eq=False)
+class Cadences:
+    """The cadences of targets, as a value of the parameter ``visits`` of `plan_survey`.
+
+    A cadence consists of epochs. Each epoch has a number of exposures, which are tiles of the same night: all of them
+    are within 0.5 days of the first. The time between the first exposures of successive epochs has a lower and an upper
+    limit, and the sky must not be brighter than a limit. Tiles are planned in the order of their times. A tile can
+    observe only targets whose window is open. Of targets with the same priority, those whose window closes first come
+    first (as subpriorities). The visits of an epoch count when its last exposure is made; the exposures of an epoch
+    that is not completed in its night are lost, and the epoch begins again. A target whose window has closed is
+    released: it is not observed any more.
+
+    Parameters
+    ----------
+    table : Table, QTable or path-like
+        Table with a row for each cadence, or its file. Columns: ``cadence`` (the name), and one value per epoch of
+        ``delta_min`` and ``delta_max`` (days since the previous epoch; negative numbers stand for no limit),
+        ``n_exp`` (exposures), and ``skybrightness`` (largest allowed brightness; optional). Several values are
+        separated by blanks, or are a column with several values per row. A cadence without epochs, such as those of
+        SDSS-V for calibration, has no visits.
+    column : str, optional
+        Further column of the catalog with the name of the cadence of each target; targets with empty text are observed
+        once, at any time.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, or if a value is not valid.
+
+    Examples
+    --------
+    >>> from astropy.table import Table
+    >>> import rfpsurvey as rs
+    >>> table = Table({"cadence": ["twice"], "delta_min": ["0 20"], "delta_max": ["0 40"], "n_exp": ["1 1"]})
+    >>> rs.survey.Cadences(table).names
+    ['twice']
+    """
+
+    table: Table | str | os.PathLike
+    column: str = "cadence"
+    names: list = field(init=False, repr=False)
+
+    def __post_init__(self):
+        given = self.table
+        table = _io.read_table(given) if isinstance(given, str | os.PathLike) else as_table(given)[0]
+        if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in table.colnames]:
+            raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")
+        names = [str(name) for name in table["cadence"].tolist()]
+        if len(set(names)) < len(names):
+            name = next(name for name in names if names.count(name) > 1)
+            raise InputError(f"the name of a cadence must be unique, got {names.count(name)} rows for {name!r}")
+        object.__setattr__(self, "table", table)
+        object.__setattr__(self, "names", names)
+        _ = self._epochs  # raises errors
+
+    @cached_property
+    def _epochs(self) -> list[np.ndarray]:
+        """The values of ``COLUMNS`` for each epoch, one array per cadence."""
+        found = []
+        for row, name in zip(self.table, self.names, strict=True):
+            values = [_numbers(row[one], f"{one} of cadence {name!r}") for one in COLUMNS if one in row.colnames]
+            if len(values) < len(COLUMNS):
+                values.append(np.full(len(values[0]), np.inf))
+            if len({len(one) for one in values}) > 1:
+                raise InputError(f"the columns of cadence {name!r} must have one value per epoch, got other numbers")
+            low, high, n, _ = values = np.array(values)
+            closed = (high >= 0) & (high < low)
+            closed[:1] = False
+            if closed.any():
+                k = np.flatnonzero(closed)[0]
+                raise InputError(
+                    f"delta_max of cadence {name!r} must be at least delta_min, got {high[k]:g} and {low[k]:g} in "
+                    f"epoch {k + 1}: the window never opens"
+                )
+            if ((n < 1) | (n % 1 > 0)).any() or n.sum() > MOST_VISITS:
+                raise InputError(
+                    f"n_exp of cadence {name!r} must be whole numbers from 1, at most {MOST_VISITS} in all, got "
+                    f"{listed(n)}"
+                )
+            found.append(values)
+        return found
+
+    @property
+    def record(self) -> str:
+        """A digest of the cadences, which surveys record."""
+        text = repr([self.column, self.names, [one.tolist() for one in self._epochs]])
+        return f"{number_of(len(self.names), 'cadence')}, digest {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+    def of(self, catalog: Catalog) -> np.ndarray:
+        """Return the row of the cadence of each target; -1 for targets without a cadence, and for other kinds.
+
+        Parameters
+        ----------
+        catalog : Catalog
+            The targets.
+
+        Returns
+        -------
+        ndarray of int, shape (n_targets,)
+            One row per target.
+
+        Raises
+        ------
+        InputError
+            If the catalog lacks the column, or if a name is unknown.
+        """
+        extra = catalog.arrays.extra
+        if self.column not in extra:
+            raise InputError(
+                f"the catalog must have the column {self.column!r} with the cadence of each target, got the further "
+                f"columns {listed(extra)} (Catalog.read reads the columns that its parameter keep names)"
+            )
+        text = np.char.strip(np.asarray(extra[self.column]).astype(str))
+        names, place = np.unique(text, return_inverse=True)
+        row_of = {name: k for k, name in enumerate(self.names)} | {"": -1}
+        if unknown := [name for name in names.tolist() if name not in row_of]:
+            raise InputError(f"the cadence of a target must be in the table of cadences, got {unknown[0]!r}")
+        found = np.array([row_of[name] for name in names.tolist()], dtype=np.int64)[place.reshape(-1)]
+        return found if catalog.kind is None else np.where(catalog.kind == "science", found, -1)
+
+    def visits(self, catalog: Catalog) -> np.ndarray:
+        """Return the number of visits of each target: the exposures of all epochs of its cadence.
+
+        Parameters
+        ----------
+        catalog : Catalog
+            The targets.
+
+        Returns
+        -------
+        ndarray of uint8, shape (n_targets,)
+            The numbers; 1 for targets without a cadence.
+        """
+        totals = np.array([*(one[2].sum() for one in self._epochs), 1], dtype=np.uint8)
+        return totals[self.of(catalog)]
+
+
+class Windows:
+    """The epochs that targets have completed, and their open windows, while the tiles are planned.
+
+    Parameters
+    ----------
+    cadences : Cadences
+        The cadences.
+    row : ndarray of int
+        Row of the cadence of each target, in the order of slots; -1 for none.
+    days, brightness : ndarray of float, shape (n_tiles,)
+        Time (MJD) and sky brightness of each tile.
+    """
+
+    def __init__(self, cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray):
+        epochs = [*cadences._epochs, np.array([[-1.0], [-1.0], [1.0], [np.inf]])]
+        self._n = np.array([one.shape[1] for one in epochs])
+        self._values = np.full((4, len(epochs), self._n.max()), np.nan)
+        for k, one in enumerate(epochs):
+            self._values[:, k, : one.shape[1]] = one
+        self._row, self._days, self._brightness = row, days, brightness
+        self._epoch, self._made = np.zeros(len(row), dtype=np.int64), np.zeros(len(row), dtype=np.int64)
+        self._begin, self._previous = np.full(len(row), np.nan), np.full(len(row), np.nan)
+        self.released = np.zeros(len(row), dtype=bool)
+
+    @property
+    def n_epochs(self) -> np.ndarray:
+        """Number of completed epochs of each target, in the order of slots."""
+        return self._epoch
+
+    def state(self, slot: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether the window of each target is open at a tile, and when it closes (MJD)."""
+        now, row, epoch = self._days[tile], self._row[slot], self._epoch[slot]
+        done = epoch >= self._n[row]
+        low, high, _, limit = self._values[:, row, np.minimum(epoch, self._n[row] - 1)]
+        since = now - self._previous[slot]
+        is_late = (self._made[slot] > 0) & (now - self._begin[slot] > NIGHT)
+        self._made[slot[is_late]] = 0  # the exposures of an epoch that was not completed in its night are lost
+        begun, first = self._made[slot] > 0, epoch == 0
+        with np.errstate(invalid="ignore"):
+            too_late = ~first & ~begun & (high >= 0) & (since > high)
+            is_open = begun | first | ((since >= low) & ~too_late)
+        self.released[slot[too_late & ~done]] = True
+        closing = np.where(first | (high < 0), NEVER, self._previous[slot] + high)
+        closing = np.where(begun, self._begin[slot] + NIGHT, closing)
+        return is_open & ~done & (self._brightness[tile] <= limit), closing
+
+    def enter(self, slot: np.ndarray, tile: int) -> np.ndarray:
+        """Record exposures; return the targets whose epochs are complete, repeated for each visit of the epoch."""
+        now, row = self._days[tile], self._row[slot]
+        first = self._made[slot] == 0
+        self._begin[slot[first]] = now
+        self._made[slot] += 1
+        needed = self._values[2, row, self._epoch[slot]].astype(np.int64)
+        complete = self._made[slot] >= needed
+        slot, needed = slot[complete], needed[complete]
+        self._previous[slot], self._made[slot] = self._begin[slot], 0
+        self._epoch[slot] += 1
+        return np.repeat(slot, needed)
+
+    def close(self) -> None:
+        """Release the targets whose windows have closed at the time of the last tile."""
+        if len(self._days):
+            self.state(np.arange(len(self._row)), int(np.argmax(self._days)))
+
+
+def days_of(tiling: Tiling) -> np.ndarray:
+    """Return the time of each tile (MJD) from its column ``time``, ``date`` or ``mjd``."""
+    name = next((one for one in ("mjd", "time", "date") if one in tiling.table.colnames), None)
+    if name is None:
+        raise InputError(
+            "tiles of a survey with cadences must have the column time, date or mjd, got "
+            f"{listed(tiling.table.colnames)}"
+        )
+    column = tiling.table[name]
+    try:
+        days = np.asarray(column, dtype=float) if name == "mjd" else Time(np.asarray(column).astype(str)).mjd
+    except ValueError as error:
+        raise InputError(f"the {name} of tiles must be times such as 2026-01-03T05:00: {error}") from None
+    if not np.isfinite(days).all():
+        raise InputError(f"the {name} of every tile must be known, got {int((~np.isfinite(days)).sum())} without")
+    return days
+
+
+def windows_of(cadences: Cadences, request, row: np.ndarray) -> Windows:
+    """Return the windows of all targets of a survey before the first tile."""
+    table, n, days = request.tiling.table, len(request.tiling), request.days
+    name = next((one for one in ("skybrightness", "sky_brightness") if one in table.colnames), None)
+    brightness = np.zeros(n) if name is None else np.asarray(table[name], dtype=float)
+    if name is None and any(np.isfinite(one[3]).any() for one in cadences._epochs):
+        raise InputError(
+            "tiles of a survey with cadences that limit the sky brightness must have the column skybrightness, got "
+            f"{listed(table.colnames)}"
+        )
+    return Windows(cadences, request.source.to_slots(row), days, brightness)
+
+
+def _numbers(value: object, name: str) -> np.ndarray:
+    """Return the numbers in a value: text with blanks, an array, or one number; none for missing values."""
+    if value is np.ma.masked:
+        return np.empty(0)
+    try:
+        parts = str(value).split() if isinstance(value, str) else np.ma.filled(np.ma.asarray(value, float), np.nan)
+        numbers = np.atleast_1d(np.array(parts, dtype=float))
+    except ValueError:
+        raise InputError(f"{name} must be numbers, got {str(value)!r}") from None
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{name} must be finite numbers, got {str(value)!r}")
+    return numbers

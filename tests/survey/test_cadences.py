@@ -1,0 +1,257 @@
+"""Surveys with cadences: visits in windows of time, compared with a second implementation."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+from living import content, instrument
+
+import rfpsurvey as rs
+from rfpsurvey.survey import Cadences
+
+CENTER = SkyCoord(120 * u.deg, 30 * u.deg)
+NAMES = ["once", "twice", "pairs", "thrice", "dark"]
+TABLE = Table(
+    {
+        "cadence": NAMES,
+        "delta_min": ["0", "0 3", "0 2", "0 1 5", "0 -1"],
+        "delta_max": ["0", "0 6", "0 30", "0 4 9", "0 -1"],
+        "n_exp": ["1", "1 1", "2 2", "1 2 1", "1 1"],
+        "skybrightness": ["1", "1 1", "1 1", "1 0.5 1", "0.35 0.35"],
+    }
+)
+
+
+def scene(seed, n=80, n_tiles=40):
+    """Return targets with cadences, and tiles in random order; nights have up to three tiles."""
+    rng = np.random.default_rng(seed)
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=n, rng=seed)
+    extra = QTable({"cadence": rng.choice([*NAMES, ""], n), "kind_of": rng.integers(0, 9, n)})
+    catalog = rs.Catalog(sky.coord, id=1000 + np.arange(n), priority=rng.integers(1, 3, n), extra=extra)
+    night = np.sort(rng.integers(0, n_tiles, n_tiles))
+    table = QTable({"tile": np.arange(n_tiles), "mjd": 60000 + night + rng.permutation(n_tiles) / 100})
+    offset = [CENTER.spherical_offsets_by(*(rng.uniform(-0.02, 0.02, 2) * u.deg)) for _ in range(n_tiles)]
+    table["ra"], table["dec"] = [[getattr(one, name).deg for one in offset] * u.deg for name in ("ra", "dec")]
+    table["skybrightness"] = rng.choice([0.2, 1.0], n_tiles)
+    return catalog, rs.Tiling.from_table(table[rng.permutation(n_tiles)])
+
+
+class Naive:
+    """The exposures of one target, in the order of time."""
+
+    def __init__(self, name):
+        row = TABLE[NAMES.index(name)] if name else None
+        columns = ("delta_min", "delta_max", "n_exp", "skybrightness")
+        values = [[float(x) for x in row[one].split()] for one in columns] if name else [[-1], [-1], [1], [9]]
+        self.epochs, self.starts, self.now = list(zip(*values, strict=True)), [], []
+
+    def allows(self, day, brightness):
+        """Return whether the target may be observed, and when its window closes."""
+        if self.now and day - self.now[0] > 0.5:
+            self.now = []
+        if len(self.starts) == len(self.epochs):
+            return False, np.inf
+        low, high, _, limit = self.epochs[len(self.starts)]
+        closes, fits = np.inf, True
+        if self.now:
+            closes = self.now[0] + 0.5
+        elif self.starts:
+            since = day - self.starts[-1]
+            fits = (low < 0 or since >= low) and (high < 0 or since <= high)
+            closes = self.starts[-1] + high if high >= 0 else np.inf
+        return fits and brightness <= limit, closes
+
+    def observe(self, day):
+        self.now.append(day)
+        if len(self.now) == self.epochs[len(self.starts)][2]:
+            self.starts.append(self.now[0])
+            self.now = []
+
+    def is_released(self, day):
+        self.allows(day, 0)
+        if self.now or not self.starts or len(self.starts) == len(self.epochs):
+            return False
+        high = self.epochs[len(self.starts)][1]
+        return high >= 0 and day - self.starts[-1] > high
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "repair", "optimal"])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 101))])
+def test_every_visit_is_in_an_open_window(allocator, seed):
+    """Each visit is allowed, each tile reaches no open target that a free fiber could observe, and all sums agree."""
+    catalog, tiling = scene(seed)
+    survey = rs.plan_survey(catalog, instrument(), tiling, visits=Cadences(TABLE), allocator=allocator)
+    targets = [Naive(str(name)) for name in catalog.extra["cadence"]]
+    days, brightness = np.asarray(tiling.table["mjd"]), np.asarray(tiling.table["skybrightness"])
+    n_open, n_all = [], 0
+    for tile in np.argsort(days).tolist():
+        visits = survey._visits(tile)
+        rows = np.asarray(visits["target_row"])
+        allowed = [one.allows(days[tile], brightness[tile])[0] for one in targets]
+        assert all(allowed[row] for row in rows), tile
+        field = survey.tiles["n_in_field"][tile]
+        apart = catalog.coord.separation(SkyCoord(tiling.table["ra"][tile], tiling.table["dec"][tile]))
+        assert field == sum(np.array(allowed) & (apart <= survey_radius()))
+        for row, observed in zip(rows, np.asarray(visits["observed"]), strict=True):
+            if observed:
+                targets[row].observe(days[tile])
+                n_all += 1
+        n_open.append(sum(allowed))
+    done = np.array([sum(int(one.epochs[k][2]) for k in range(len(one.starts))) for one in targets])
+    assert (survey.outcomes["observed"] == done).all()
+    assert (survey.outcomes["n_epochs"] == [len(one.starts) for one in targets]).all()
+    assert (survey.outcomes["released"] == [one.is_released(days.max()) for one in targets]).all()
+    assert survey.summary["n_released"] == survey.outcomes["released"].sum()
+    assert survey.summary["n_visits_observed"] == done.sum() == survey.tiles["n_observed"].sum() <= n_all
+    assert survey.summary["n_complete"] == (done == survey.outcomes["requested"]).sum()
+    assert (survey.outcomes["requested"] == [int(sum(e[2] for e in one.epochs)) for one in targets]).all()
+
+
+def survey_radius():
+    return instrument().field_radius
+
+
+def test_the_window_that_closes_first_has_precedence():
+    """With one fiber, the choice of every tile is known."""
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    one = rs.Instrument("one", rs.FocalPlane([[0, 0]] * u.mm, robot), plate_scale=200 * u.mm / u.deg)
+    names = ["twice", "thrice", "twice", "dark"]
+    sky = SkyCoord(120 + np.array([0.01, 0.02, -0.02, 0.03]), [30.0] * 4, unit="deg")
+    catalog = rs.Catalog(sky, id=np.arange(4), extra=QTable({"cadence": names}))
+    days = 60000.0 + np.array([0, 1, 2, 3.5, 4.5, 5, 9])
+    table = QTable({"tile": np.arange(7), "ra": [120.0] * 7 * u.deg, "dec": [30.0] * 7 * u.deg, "mjd": days})
+    table["skybrightness"] = 0.3
+    table["position_angle"] = np.arange(7) * u.deg
+    survey = rs.plan_survey(catalog, one, rs.Tiling.from_table(table), visits=Cadences(TABLE), allocator="nearest")
+    targets, expected = [Naive(name) for name in names], []
+    for tile, day in enumerate(days.tolist()):
+        found = [(closes, k) for k, t in enumerate(targets) for ok, closes in [t.allows(day, 0.3)] if ok]
+        row = int(survey._visits(tile)["target_row"][0])
+        assert min(found)[0] == next(closes for closes, k in found if k == row)
+        targets[row].observe(day)
+        expected.append(row)
+    assert len(set(expected)) > 2
+
+
+def test_other_orders_workers_and_interruptions(tmp_path):
+    from concurrent.futures import ThreadPoolExecutor
+
+    catalog, tiling = scene(5)
+    options = {"visits": Cadences(TABLE), "allocator": "nearest"}
+    first = rs.plan_survey(catalog, instrument(), tiling, folder=tmp_path / "a", **options)
+    with ThreadPoolExecutor(2) as executor:
+        rs.plan_survey(catalog, instrument(), tiling, folder=tmp_path / "b", executor=executor, **options)
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+    for name in ("tiles.fits", "completeness.ecsv", "outcomes.fits", *(f"tiles/000/{k:06d}.fits" for k in (3, 9))):
+        (tmp_path / "b" / name).unlink()
+    with pytest.warns(rs.RfpsurveyWarning, match="is planned again"):
+        rs.plan_survey(catalog, instrument(), tiling, folder=tmp_path / "b", resume=True, **options)
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+    order = np.random.default_rng(3).permutation(len(tiling))
+    again = rs.plan_survey(catalog, instrument(), rs.Tiling(tiling.table[order]), **options)
+    assert (again.outcomes["observed"] == first.outcomes["observed"]).all()
+    other = Cadences(TABLE[TABLE["cadence"] != "none"][::-1])
+    with pytest.raises(rs.InputError, match="cadences"):
+        rs.plan_survey(
+            catalog, instrument(), tiling, folder=tmp_path / "b", resume=True, visits=other, allocator="nearest"
+        )
+    with pytest.raises(rs.InputError, match="holds a survey with cadences, which cannot be continued"):
+        first.state(catalog)
+
+
+def changed(**columns):
+    table = TABLE.copy()
+    for name, value in columns.items():
+        table[name] = value
+    return table
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (
+            changed(delta_max=["0", "0 2", "0 30", "0 4 9", "0 -1"]),
+            "delta_max of cadence 'twice' must be at least delta_min",
+        ),
+        (
+            changed(n_exp=["1", "1", "2 2", "1 2 1", "1 1"]),
+            "the columns of cadence 'twice' must have one value per epoch",
+        ),
+        (changed(n_exp=["0", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be whole numbers from 1"),
+        (changed(n_exp=["300", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be whole numbers from 1"),
+        (changed(n_exp=["x", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be numbers, got 'x'"),
+        (
+            changed(delta_min=["nan", "0 3", "0 2", "0 1 5", "0 -1"]),
+            "delta_min of cadence 'once' must be finite numbers",
+        ),
+        (
+            changed(cadence=["once", "once", "pairs", "thrice", "dark"]),
+            "the name of a cadence must be unique, got 2 rows for",
+        ),
+        (TABLE["cadence", "delta_min"], "a table of cadences must have the column delta_max"),
+        (TABLE[:2], "the cadence of a target must be in the table of cadences, got"),
+    ],
+)
+def test_bad_cadences(table, message):
+    catalog, tiling = scene(1)
+    with pytest.raises(rs.InputError, match=message):
+        rs.plan_survey(catalog, instrument(), tiling, visits=Cadences(table), allocator="nearest")
+
+
+def test_bad_catalogs_and_tiles(tmp_path):
+    catalog, tiling = scene(1)
+    cadences = Cadences(TABLE)
+
+    def refuse(message, catalog=catalog, tiling=tiling, **options):
+        with pytest.raises(rs.InputError, match=message):
+            rs.plan_survey(catalog, instrument(), tiling, **{"visits": cadences, "allocator": "nearest", **options})
+
+    refuse("the catalog must have the column 'other'", visits=Cadences(TABLE, column="other"))
+    refuse("cadences must be used with tiles that are planned one after the other", allocator="joint")
+    without = [name for name in tiling.table.colnames if name not in ("mjd", "skybrightness")]
+    refuse(
+        "tiles of a survey with cadences must have the column time, date or mjd",
+        tiling=rs.Tiling(tiling.table[without]),
+    )
+    bare = tiling.table[[*without, "mjd"]]
+    refuse("must have the column skybrightness", tiling=rs.Tiling(bare))
+    table = tiling.table.copy()
+    table["mjd"] = np.where(np.arange(len(table)) == 3, np.nan, table["mjd"])
+    refuse("the mjd of every tile must be known, got 1 without", tiling=rs.Tiling(table))
+    table = tiling.table[without]
+    table["date"] = "soon"
+    refuse("the date of tiles must be times", tiling=rs.Tiling(table))
+
+
+def test_the_cadences_of_sdssv(real_data):
+    """All published cadences are read, and their targets need as many visits as the table states."""
+    path = real_data("sdssv_rules/cadences.ecsv")
+    cadences, table = Cadences(path), Table.read(path)
+    assert len(cadences.names) == 243
+    n = len(table)
+    sky = SkyCoord(np.linspace(0, 10, n), np.zeros(n), unit="deg")
+    catalog = rs.Catalog(sky, extra=QTable({"cadence": np.asarray(table["cadence"])}))
+    expected = [0 if one is np.ma.masked else sum(map(int, one.split())) for one in table["n_exp"]]
+    assert cadences.visits(catalog).tolist() == expected
+    assert max(expected) > 20
+    assert expected.count(0) == 2
+
+
+def test_the_command(tmp_path, run):
+    catalog, tiling = scene(2)
+    table = Table({"id": catalog.id, "ra": catalog.coord.ra, "dec": catalog.coord.dec, "priority": catalog.priority})
+    table["cadence"] = np.asarray(catalog.extra["cadence"])
+    table.write(tmp_path / "targets.ecsv")
+    TABLE.write(tmp_path / "cadences.ecsv")
+    tiling.write(tmp_path / "tiles.ecsv")
+    words = ["survey", tmp_path / "targets.ecsv", "--tiles", tmp_path / "tiles.ecsv", "--instrument", "moons"]
+    words += ["--allocator", "nearest", "--set", f"cadences={tmp_path / 'cadences.ecsv'}", "--folder"]
+    code, _, err = run(*words, tmp_path / "survey")
+    assert code == 0, err
+    survey = rs.Survey.read(tmp_path / "survey")
+    own = rs.plan_survey(catalog, "moons", tiling, visits=Cadences(TABLE), allocator="nearest")
+    assert survey.summary["n_visits_observed"] == own.summary["n_visits_observed"] > 0
+    code, _, err = run(*words, tmp_path / "other", "--set", "catalog.visits=2")
+    assert code == 2
+    assert "cadences must be used without catalog.visits" in err
