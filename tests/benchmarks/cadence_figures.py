@@ -1,0 +1,81 @@
+"""Measure completed cadences on a field of 30 dated SDSS-V tiles with the published cadences of SDSS-V.
+
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/cadence_figures.py [--targets 1500] [--tiles 30]
+
+Each allocator plans the tiles in the order of their dates; targets whose windows close first have precedence, or, for
+comparison, random subpriorities decide. The bound is the number of targets whose cadences the dates and the brightness
+of the tiles allow, if every target in the field could be observed on every tile.
+"""
+
+import argparse
+import os
+from pathlib import Path
+from time import process_time
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
+
+import rfpsurvey as rs
+from rfpsurvey.survey import Cadences
+from rfpsurvey.survey._cadences import Windows
+
+CENTER = SkyCoord("6h20m +23d")
+ALLOCATORS = ("nearest", "lamost_rule", "repair", "optimal")
+
+
+def dated_tiles(n, rng):
+    """Return tiles in two of three nights, up to three in a night; two of three nights are dark."""
+    night = np.sort(rng.integers(0, 2 * n, n))
+    table = QTable({"tile": np.arange(n), "mjd": 61000.0 + night + np.arange(n) % 3 / 30})
+    places = [CENTER.spherical_offsets_by(*(rng.uniform(-0.05, 0.05, 2) * u.deg)) for _ in range(n)]
+    table["ra"], table["dec"] = [u.Quantity([getattr(one, name) for one in places]) for name in ("ra", "dec")]
+    table["skybrightness"] = np.where(night % 3 < 2, 0.3, 0.9)
+    return rs.Tiling.from_table(table)
+
+
+def bound(cadences, row, tiling):
+    """Return the number of targets that complete their cadences if fibers are unlimited."""
+    days = np.asarray(tiling.table["mjd"])
+    windows = Windows(cadences, row, days, np.asarray(tiling.table["skybrightness"]))
+    for tile in np.argsort(days, kind="stable").tolist():
+        slot = np.arange(len(row))
+        windows.enter(slot[windows.state(slot, tile)[0]], tile)
+    return windows.n_epochs
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--targets", type=int, default=1500)
+    parser.add_argument("--tiles", type=int, default=30)
+    options = parser.parse_args()
+    table = Table.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "sdssv_rules/cadences.ecsv")
+    table = table[table["n_epochs"] > 0]
+    rng, apo = np.random.default_rng(1), rs.Instrument.preset("sdss_apo")
+    tiling, cadences = dated_tiles(options.tiles, rng), Cadences(table)
+    sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=options.targets, rng=2)
+    name = rng.choice(np.asarray(table["cadence"]), len(sky))
+    catalog = rs.Catalog(sky.coord, extra=QTable({"cadence": name}))
+    n = cadences.visits(catalog)
+    row = cadences.of(catalog)
+    whole = np.array([len(str(table["n_exp"][k]).split()) for k in row])
+    most = bound(cadences, row, tiling)
+    inside = catalog.coord.separation(CENTER) < 1.4 * u.deg
+    print(f"{len(tiling)} tiles, {len(catalog)} targets, {n.sum()} visits of {whole.sum()} epochs")
+    print(f"if fibers were unlimited: {(most == whole)[inside].sum()} complete at most, {most[inside].sum()} epochs")
+    for allocator in ALLOCATORS:
+        for subpriority, words in ((None, "window that closes first"), (1, "random")):
+            begin, own = process_time(), rs.AllocationOptions(allocator, subpriority=subpriority)
+            survey = rs.plan_survey(catalog, apo, tiling, visits=cadences, allocator=own)
+            found = survey.summary
+            print(
+                f"{allocator:12} {words:25} {found['n_complete']} complete, "
+                f"{survey.outcomes['n_epochs'].sum()} epochs, "
+                f"{found['n_released']} released, {process_time() - begin:.1f} s",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
