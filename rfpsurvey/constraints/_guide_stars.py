@@ -128,23 +128,8 @@ class GuideStars(StarRule):
             object.__setattr__(found, "margin_rad", float(np.clip(margin, 0, np.pi)))
         return found
 
-    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the smallest (or, if there are too many stars, the largest) number of stars on a camera.
-
-        Parameters
-        ----------
-        field : ConstraintField
-            The field.
-        has_fiber : ndarray of bool
-            Whether each target of the field has a fiber; not used.
-        n_covering : int, optional
-            Number of arms that cover obstacles; not used.
-
-        Returns
-        -------
-        Verdict
-            The verdict; its note states the numbers, and how close a camera without enough stars is to the limits.
-        """
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the smallest (or, if there are too many stars, the largest) number of stars on a camera."""
         if self.stars is None and not field.is_complete:
             return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
         if field.projection is None:
