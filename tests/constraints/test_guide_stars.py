@@ -211,6 +211,10 @@ def test_a_survey_names_the_tiles_without_guide_stars(in_folder, one, tmp_path):
     rule = "guide_stars g 10.0 15.0 1"
     assert survey.tiles["unmet"].tolist() == ["", f"{rule}: 1 violation", f"{rule}: 1 violation"]
     assert any(f"constraint {rule}: 2 violations in 2 of 3 tiles (1, 2)" in text for text in told)
+    if in_folder:  # a finished survey is read, and its fields are not checked again
+        with pytest.warns(rs.RfpsurveyWarning, match="2 violations") as caught:
+            rs.plan_survey(sky, one, tiles, allocator=allocator, folder=folder, resume=True)
+        assert not any("cannot meet" in str(w.message) for w in caught)
 
 
 @pytest.mark.parametrize(
