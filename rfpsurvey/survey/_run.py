@@ -203,6 +203,8 @@ def _done_of(part: bytes, job) -> Done:
     visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
     lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
     counted = cards_of(job.model.options)
+    # files of earlier versions do not state whether constraints are checkable
+    cards = {card: 1 for card, (name, _) in counted.items() if name.startswith(UNKNOWN)} | cards
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")
