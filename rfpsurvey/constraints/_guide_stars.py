@@ -30,7 +30,8 @@ class GuideStars(StarRule):
 
     The rule depends on field center, position angle and stars only, so that plans state violations before fibers are
     assigned. Magnitudes that equal a limit are outside the limits. The images of stars are those of the first fiber
-    type; radial maps are continued by 10 % beyond their largest field angle, because cameras can be there.
+    type; radial maps are continued by 10 % beyond their largest field angle, because cameras can be there. Rows at the
+    same position are one star.
 
     Parameters
     ----------
@@ -141,7 +142,8 @@ class GuideStars(StarRule):
         m, xy = m[near], field.projection.beyond(BEYOND).project(vectors[near])
         apart = {name: distances(xy, corners) for name, corners in self._cameras.items()}
         fits = (m > self.brightest) & (m < self.faintest)
-        counts = {name: int((fits & (d == 0)).sum()) for name, d in apart.items()}
+        # a star can have several rows, such as one for each fiber type
+        counts = {name: len(np.unique(xy[fits & (d == 0)], axis=0)) for name, d in apart.items()}
         wrong = {name: n for name, n in counts.items() if not self.minimum <= n <= self.maximum}
         found = wrong or counts
         largest, smallest = max(found.values()), min(found.values())
@@ -185,8 +187,8 @@ def distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
     x, y = points[rows].T
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2)
-        along = np.clip(along, 0, 1)
+        squared = (x1 - x0) ** 2 + (y1 - y0) ** 2 or 1.0  # a corner can be repeated, as in a closed polygon
+        along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / squared, 0, 1)
         found[rows] = np.minimum(found[rows], np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0)))
         crosses = (y0 > y) != (y1 > y)
         if y1 != y0:
