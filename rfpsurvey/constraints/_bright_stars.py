@@ -138,24 +138,8 @@ class BrightStars(StarRule):
         no_positions = len(field.id) and not np.isfinite(field.vectors).any()
         return "the plan does not have positions on the sky" if no_positions else super()._lacks(field, what)
 
-    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the number of fibers in circles around stars.
-
-        Parameters
-        ----------
-        field : ConstraintField
-            The field.
-        has_fiber : ndarray of bool
-            Whether each target of the field has a fiber.
-        n_covering : int, optional
-            Number of arms that cover obstacles; not used.
-
-        Returns
-        -------
-        Verdict
-            The verdict. If the stars are targets, but only the targets with a fiber are known, the plan fails or is
-            not checkable.
-        """
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the number of fibers in circles; not checkable without fibers there if not all stars are known."""
         if why := self._lacks(field, ""):
             return self._not_checkable(why)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)

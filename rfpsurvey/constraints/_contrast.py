@@ -55,23 +55,8 @@ class Contrast(Rule):
         check_text(self.order, "the column with the order on the slit")
         check_number(self.largest, "the largest contrast", 0, 1e3)
 
-    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the largest difference of magnitude between neighbors on the slit.
-
-        Parameters
-        ----------
-        field : ConstraintField
-            The field.
-        has_fiber : ndarray of bool
-            Whether each target of the field has a fiber.
-        n_covering : int, optional
-            Number of arms that cover obstacles; not used.
-
-        Returns
-        -------
-        Verdict
-            The verdict; its note contains the number of pairs of neighbors with magnitudes.
-        """
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the largest difference of magnitude between neighbors on the slit, and the number of pairs."""
         if why := self._lacks(field, ""):
             return self._not_checkable(why)
         if self.order not in field.extra or field.is_complete:  # the numbers in a catalog are not those of the fibers

@@ -30,7 +30,8 @@ class GuideStars(StarRule):
 
     The rule depends on field center, position angle and stars only, so that plans state violations before fibers are
     assigned. Magnitudes that equal a limit are outside the limits. The images of stars are those of the first fiber
-    type; radial maps are continued by 10 % beyond their largest field angle, because cameras can be there.
+    type; radial maps are continued by 10 % beyond their largest field angle, because cameras can be there. Rows at the
+    same position are one star.
 
     Parameters
     ----------
@@ -128,23 +129,8 @@ class GuideStars(StarRule):
             object.__setattr__(found, "margin_rad", float(np.clip(margin, 0, np.pi)))
         return found
 
-    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the smallest (or, if there are too many stars, the largest) number of stars on a camera.
-
-        Parameters
-        ----------
-        field : ConstraintField
-            The field.
-        has_fiber : ndarray of bool
-            Whether each target of the field has a fiber; not used.
-        n_covering : int, optional
-            Number of arms that cover obstacles; not used.
-
-        Returns
-        -------
-        Verdict
-            The verdict; its note states the numbers, and how close a camera without enough stars is to the limits.
-        """
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the smallest (or, if there are too many stars, the largest) number of stars on a camera."""
         if self.stars is None and not field.is_complete:
             return self._not_checkable("the plan contains only stars that have a fiber; give a catalog of stars")
         if field.projection is None:
@@ -156,7 +142,8 @@ class GuideStars(StarRule):
         m, xy = m[near], field.projection.beyond(BEYOND).project(vectors[near])
         apart = {name: distances(xy, corners) for name, corners in self._cameras.items()}
         fits = (m > self.brightest) & (m < self.faintest)
-        counts = {name: int((fits & (d == 0)).sum()) for name, d in apart.items()}
+        # a star can have several rows, such as one for each fiber type
+        counts = {name: len(np.unique(xy[fits & (d == 0)], axis=0)) for name, d in apart.items()}
         wrong = {name: n for name, n in counts.items() if not self.minimum <= n <= self.maximum}
         found = wrong or counts
         largest, smallest = max(found.values()), min(found.values())
@@ -200,8 +187,8 @@ def distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
     x, y = points[rows].T
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2)
-        along = np.clip(along, 0, 1)
+        squared = (x1 - x0) ** 2 + (y1 - y0) ** 2 or 1.0  # a corner can be repeated, as in a closed polygon
+        along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / squared, 0, 1)
         found[rows] = np.minimum(found[rows], np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0)))
         crosses = (y0 > y) != (y1 > y)
         if y1 != y0:

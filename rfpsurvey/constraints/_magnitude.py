@@ -89,23 +89,8 @@ class MagnitudeLimits(Rule):
         found = self._concerns(field, self.what)
         return found if self.what else found & (field.kind != "sky")
 
-    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
-        """Return the number of fibers whose targets are outside the limits.
-
-        Parameters
-        ----------
-        field : ConstraintField
-            The field.
-        has_fiber : ndarray of bool
-            Whether each target of the field has a fiber.
-        n_covering : int, optional
-            Number of arms that cover obstacles; not used.
-
-        Returns
-        -------
-        Verdict
-            The verdict; its note states how many magnitudes are known.
-        """
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the number of fibers whose targets are outside the limits; its note states the known magnitudes."""
         if why := self._lacks(field, self.what):
             return self._not_checkable(why)
         mine = has_fiber & self._concerned(field)

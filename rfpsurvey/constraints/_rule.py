@@ -72,6 +72,10 @@ class Rule(Constraint):
         Verdict
             The verdict.
         """
+        return self._verdict(field, has_fiber)
+
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the verdict; built-in rules override this method instead of ``verdict``."""
         raise NotImplementedError
 
     def check(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:

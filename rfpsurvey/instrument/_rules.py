@@ -18,7 +18,7 @@ class WithRules:
     def cameras(self) -> dict[str, np.ndarray]:
         """Corners of the guide and focus cameras on the focal plane in mm, by the name of the camera."""
         found = {name.partition(".")[2]: one for name, one in self.values.items() if name.startswith(f"{CAMERAS}.")}
-        return {name: np.array(one["value"]) * u.Unit(one["unit"]).to(u.mm) for name, one in found.items()}
+        return {name: np.array(one["value"]) * u.Unit(one.get("unit", "mm")).to(u.mm) for name, one in found.items()}
 
     def rules(self, name: str) -> tuple[str, ...]:
         """Return the rules that an observatory publishes for the plans of an instrument, as texts of constraints.

@@ -10,7 +10,14 @@ from rfpsurvey.pipeline._constraints import Applied, apply_constraints, early_vi
 from rfpsurvey.pipeline._field import FieldPlan, FieldReach, FieldTargets, field_radius_rad, find_reach, plan_field
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._project import project_field
-from rfpsurvey.pipeline._targets import PLANNED_COLUMNS, CatalogTargets, FieldBuilder, FieldRows, SelectedRows
+from rfpsurvey.pipeline._targets import (
+    PLANNED_COLUMNS,
+    CatalogTargets,
+    FieldBuilder,
+    FieldRows,
+    SelectedRows,
+    separation_rad,
+)
 
 __all__ = [
     "OUTCOMES",
@@ -34,4 +41,5 @@ __all__ = [
     "plan_field",
     "priority_classes",
     "project_field",
+    "separation_rad",
 ]

@@ -14,9 +14,12 @@ from rfpsurvey._units import to_visits
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex, move_vectors
 from rfpsurvey.constraints import mark_required
+from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._field import FieldTargets
 
+SCALE_VARIES = 1.5
+"""Factor by which the plate scale at the center of a field can exceed that at its edge."""
 PLANNED_COLUMNS = ("priority", "kind", "category", "fiber_type", "subpriority")
 """Optional columns of a catalog that allocators use."""
 
@@ -102,7 +105,7 @@ class CatalogTargets:
         radius_rad: float,
         left: np.ndarray,
         *,
-        rest: bool = False,
+        rest_rad: float | None = None,
         by_row: bool = False,
         years: float = 0.0,
         margin_rad: float = 0.0,
@@ -110,24 +113,30 @@ class CatalogTargets:
     ) -> FieldRows:
         """Return the targets in a circle for which ``left`` is not 0.
 
-        ``left`` is in the order of slots or, if ``by_row`` is true, in the order of rows. If ``rest`` is true, the
-        field also contains the directions of all other targets in the circle, as ``targets.others``. The targets are
-        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``. If ``around_rad``
-        is given, ``targets.around`` contains all other targets in a circle whose radius is larger by this angle.
+        ``left`` is in the order of slots or, if ``by_row`` is true, in the order of rows. If ``rest_rad`` is given, the
+        field also contains the directions of all other targets in a circle whose radius is larger by this angle, as
+        ``targets.others``. The targets are moved by their proper motions in a number of ``years``, by at most the angle
+        ``margin_rad``. If ``around_rad`` is given, ``targets.around`` contains all other targets in a circle whose
+        radius is larger by this angle.
         """
         left, others = self.to_slots(left) if by_row else left, None
-        slot = self.index.near(center, radius_rad + margin_rad, None if rest else left)
-        if years:
-            apart = np.linalg.norm(self._vectors(slot, years) - center, axis=1)
-            slot = slot[apart <= 2 * np.sin(radius_rad / 2)]
-        if rest:
-            others = self._vectors(slot[left[slot] == 0], years)
+        slot = self._near(center, radius_rad, years, margin_rad, left if rest_rad is None else None)
+        if rest_rad is not None:
+            wide = self._near(center, radius_rad + rest_rad, years, margin_rad)
             slot = slot[left[slot] > 0]
+            others = self._vectors(wide[~np.isin(wide, slot)], years)
         around = None
         if around_rad is not None:
             near = self.index.near(center, radius_rad + margin_rad + around_rad)
             around = self._targets(near[~np.isin(near, slot)], years)
         return FieldRows(slot, self.index.order[slot], self._targets(slot, years, others, around))
+
+    def _near(self, center, radius_rad: float, years: float, margin_rad: float, left=None) -> np.ndarray:
+        """Return the slots of the targets in a circle after a number of years, except those for which ``left`` is 0."""
+        slot = self.index.near(center, radius_rad + margin_rad, left)
+        if not years:
+            return slot
+        return slot[np.linalg.norm(self._vectors(slot, years) - center, axis=1) <= 2 * np.sin(radius_rad / 2)]
 
     def _targets(self, slot: np.ndarray, years: float, others=None, around=None) -> FieldTargets:
         row, catalog = self.index.order[slot], self.catalog
@@ -136,6 +145,17 @@ class CatalogTargets:
         extra = {name: values[row] for name, values in catalog.arrays.extra.items()}
         vectors = self._vectors(slot, years)
         return FieldTargets(vectors, catalog.id[row], columns, others, extra, catalog.numbered, around)
+
+
+def separation_rad(options: AllocationOptions, instrument: Instrument) -> float | None:
+    """Return an upper limit of the angle within which targets exclude added sky positions; None if none are added.
+
+    All targets count, also those outside of the field and those without remaining visits.
+    """
+    if options.sky_separation is None:
+        return None
+    scale = instrument.plate_scale.to_value(u.mm / u.rad)
+    return SCALE_VARIES * options.sky_separation.to_value(u.mm) / scale
 
 
 class FieldBuilder:
@@ -152,6 +172,8 @@ class FieldBuilder:
         The targets.
     options : AllocationOptions
         Options, as `AllocationOptions.for_instrument` returns them.
+    instrument : Instrument
+        The instrument.
     visits : int or ndarray of int, optional
         Requested number of visits of each target, in the order of the catalog; by default, the column ``visits`` of the
         catalog or, without this column, 1.
@@ -184,9 +206,17 @@ class FieldBuilder:
     """
 
     def __init__(
-        self, source, options: AllocationOptions, visits=None, *, subpriority: bool = True, made=None, dropped=None
+        self,
+        source,
+        options: AllocationOptions,
+        instrument: Instrument,
+        visits=None,
+        *,
+        subpriority: bool = True,
+        made=None,
+        dropped=None,
     ):
-        self.source, self.options, self._subpriority = source, options, subpriority
+        self.source, self.options, self._instrument, self._subpriority = source, options, instrument, subpriority
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
         self.around_rad = max(margins, default=None)
         marked = mark_required(options.required_ids, source.ids_by_part())
@@ -244,11 +274,9 @@ class FieldBuilder:
         FieldRows
             The targets.
         """
-        # blank sky positions must not be close to any target, including targets without remaining visits
-        rest, left = self.options.sky_separation is not None, self.left if left is None else left
-        field = self.source.field(
-            center, radius_rad, left, rest=rest, years=years, margin_rad=margin_rad, around_rad=self.around_rad
-        )
+        left, rest_rad = self.left if left is None else left, separation_rad(self.options, self._instrument)
+        more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": self.around_rad}
+        field = self.source.field(center, radius_rad, left, **more)
         columns = field.targets.columns
         if self.is_required is not None:
             columns = columns._replace(is_required=self.is_required[field.slot])

@@ -23,7 +23,6 @@ from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._work import early_sentences
 from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_programs, warn_of_targets
 
 log = logging.getLogger("rfpsurvey")
@@ -160,8 +159,6 @@ def plan_survey(
         executor=executor,
         rng=rng,
     )
-    for text in early_sentences(request):
-        warn(text)
     survey = run(request, folder, executor, progress, resume=resume)
     if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")

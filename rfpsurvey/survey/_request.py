@@ -262,6 +262,6 @@ def make_request(
         )
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
     # joint plans ignore subpriorities
-    builder = FieldBuilder(source, options, visits, subpriority=joint is None, made=made, dropped=dropped)
+    builder = FieldBuilder(source, options, instrument, visits, subpriority=joint is None, made=made, dropped=dropped)
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)

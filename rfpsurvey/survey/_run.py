@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey import _io
 from rfpsurvey._executors import submit
 from rfpsurvey._progress import Progress
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
@@ -20,7 +20,7 @@ from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import UNKNOWN
-from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, reach_of, work
+from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, early_sentences, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
@@ -49,6 +49,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
             return found
+        for text in early_sentences(request):
+            warn(text)
         state = request.open_state()
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]
@@ -203,6 +205,8 @@ def _done_of(part: bytes, job) -> Done:
     visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
     lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
     counted = cards_of(job.model.options)
+    # files of earlier versions do not state whether constraints are checkable
+    cards = {card: 1 for card, (name, _) in counted.items() if name.startswith(UNKNOWN)} | cards
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")

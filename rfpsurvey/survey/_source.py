@@ -97,23 +97,21 @@ class Partitioned:
         radius_rad: float,
         left: np.ndarray,
         *,
-        rest: bool = False,
+        rest_rad: float | None = None,
         years: float = 0.0,
         margin_rad: float = 0.0,
         around_rad: float | None = None,
     ) -> FieldRows:
-        """Return the targets in a circle that still require a visit.
+        """Return the targets in a circle that still require a visit, as in `CatalogTargets.field`.
 
-        ``left`` is the number of remaining visits of each target, in the order of slots. If ``rest`` is true, the field
-        also contains the directions of the targets without remaining visits, as ``targets.others``. The targets are
-        moved by their proper motions in a number of ``years``, by at most the angle ``margin_rad``. If ``around_rad``
-        is given, ``targets.around`` contains all other targets in a circle whose radius is larger by this angle.
+        ``left`` is the number of remaining visits of each target, in the order of slots.
         """
-        found, more = [], {"years": years, "margin_rad": margin_rad, "around_rad": around_rad}
-        for k in self._parts.near(center, radius_rad + margin_rad + self._margin_rad + (around_rad or 0.0)).tolist():
+        more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": around_rad}
+        found, wider = [], margin_rad + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
+        for k in self._parts.near(center, radius_rad + wider).tolist():
             first, last = self._first[k : k + 2]
-            field = self._part(k).field(center, radius_rad, left[first:last], rest=rest, by_row=True, **more)
-            if len(field.row) or rest or around_rad is not None or not found:
+            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, **more)
+            if len(field.row) or rest_rad is not None or around_rad is not None or not found:
                 found.append(field._replace(slot=field.row + first, row=field.row + first))
         if not found:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8), around_rad=around_rad)

@@ -35,6 +35,7 @@ from rfpsurvey.pipeline import (
     early_violations,
     field_radius_rad,
     plan_field,
+    separation_rad,
 )
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._field import warn_of_north, where
@@ -145,7 +146,7 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     everything, radius = catalog, field_radius_rad(instrument, plain)
     warn_of_lacks(asked, partial(getattr, catalog))  # not of those of the instrument
-    margin = max([one.margin_rad for one in options.all_constraints], default=0.0)
+    margin = max([one.margin_rad for one in options.all_constraints] + [separation_rad(options, instrument) or 0.0])
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
         near = catalog.arrays.rows_near(center, radius + margin, used)
@@ -163,7 +164,7 @@ def plan_tile(
     vectors = catalog.arrays.vectors.take(wider, axis=0)
     selected = SelectedRows(wider if used is None else near[wider], vectors, radius, len(rows))
     source = CatalogTargets(everything, selected)
-    builder = FieldBuilder(source, options)
+    builder = FieldBuilder(source, options, instrument)
     slot, _, targets = builder.field(to_vectors(center, "center", one=True)[0], radius)
     if len(slot) == 0:
         _refuse_empty(builder, len(rows))

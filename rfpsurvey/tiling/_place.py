@@ -198,7 +198,7 @@ def place_tiles(
         warn_of_unused_options([options], model.focal_plane, rng)
         options = options.for_instrument(model)
     index = SkyIndex(catalog.arrays.vectors)
-    builder = FieldBuilder(CatalogTargets(catalog, index), options, visits)
+    builder = FieldBuilder(CatalogTargets(catalog, index), options, model, visits)
     wanted, n_away, n_beyond = _wanted(builder, exclude, where.limits, radius_rad)
     n_tiles = None if n_tiles is None else check_whole(n_tiles, "n_tiles")
     if completeness is not None and not (isinstance(completeness, int | float) and 0 < completeness <= 1):

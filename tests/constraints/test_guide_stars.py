@@ -10,9 +10,11 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from configurations import places, stars_around
+from shapely import Point, Polygon
 
 import rfpsurvey as rs
 from rfpsurvey.constraints import GuideStars
+from rfpsurvey.constraints._guide_stars import distances
 
 CENTER = SkyCoord("6h20m +23d")
 HALF = 13.5e-3 * 1024
@@ -169,6 +171,25 @@ def test_a_violation_is_stated_before_fibers_are_assigned(dy, mags, rule, number
     assert sum(text in sentence for sentence in seen) == (verdict == "fail")
 
 
+def test_a_star_with_several_rows_counts_once(one):
+    """Catalogs of SDSS-V have a row for each fiber type of a target."""
+    tile, _ = rules_of(catalog([0, 0, 1], [12, 12, 12]), one, "guide_stars g 10 15 1")
+    assert tile.rules["number"].tolist() == [2]
+
+
+def test_distances_from_polygons_equal_those_of_shapely():
+    """Polygons can be concave, can have any orientation, and can be closed."""
+    rng = np.random.default_rng(5)
+    for n in (3, 4, 7):
+        turn = np.sort(rng.uniform(0, 2 * np.pi, n))
+        corners = rng.uniform(2, 9, n)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        points = rng.uniform(-12, 12, (300, 2))
+        for given in (corners, corners[::-1], np.vstack([corners, corners[:1]])):
+            expected = [Polygon(corners).distance(Point(point)) for point in points]
+            np.testing.assert_allclose(distances(points, given), expected, atol=1e-9)
+    assert np.isinf(distances(np.array([[np.nan, 0.0]]), corners)).all()
+
+
 def test_a_catalog_without_magnitudes_is_not_checkable(one):
     tile, told = rules_of(rs.Catalog(CENTER[None], extra=QTable({"g": [np.nan]})), one, "guide_stars g 10 15 1")
     assert tile.rules["verdict"].tolist() == ["not checkable"]
@@ -211,6 +232,10 @@ def test_a_survey_names_the_tiles_without_guide_stars(in_folder, one, tmp_path):
     rule = "guide_stars g 10.0 15.0 1"
     assert survey.tiles["unmet"].tolist() == ["", f"{rule}: 1 violation", f"{rule}: 1 violation"]
     assert any(f"constraint {rule}: 2 violations in 2 of 3 tiles (1, 2)" in text for text in told)
+    if in_folder:  # a finished survey is read, and its fields are not checked again
+        with pytest.warns(rs.RfpsurveyWarning, match="2 violations") as caught:
+            rs.plan_survey(sky, one, tiles, allocator=allocator, folder=folder, resume=True)
+        assert not any("cannot meet" in str(w.message) for w in caught)
 
 
 @pytest.mark.parametrize(

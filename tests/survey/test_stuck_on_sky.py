@@ -1,5 +1,6 @@
 """Stuck fibers that observe sky: stars move by their proper motions between the dates of the tiles."""
 
+import warnings
 from dataclasses import replace
 
 import astropy.units as u
@@ -61,3 +62,41 @@ def test_a_stuck_fiber_is_on_sky_at_the_dates_at_which_no_star_is_in_front_of_it
         conditions = rs.ObservingConditions("kitt peak", time=time)
         tile = rs.plan_tile(rs.Catalog(sky, visits=n), worn, CENTER, conditions=conditions, allocator=allocator)
         assert (tile.table["kind"][STUCK] == "sky") == expected
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("way", ["tile", "memory", "partitioned"])
+def test_stars_beyond_the_edge_of_the_field_keep_sky_positions_away(small, way, moving, tmp_path):
+    """Regression: only targets in the field were avoided, so that sky positions at its edge could be close to stars."""
+    plane, separation = small.focal_plane, 300 * u.arcsec
+    far = int(np.argmax(np.hypot(*plane.arrays.xy.T)))
+    angle = np.arctan2(*plane.arrays.xy[far][::-1]) * u.rad
+    pose = np.where(np.arange(37)[:, None] == far, u.Quantity([angle, 0 * u.deg]).to_value(u.deg), np.nan) * u.deg
+    worn = replace(small, focal_plane=replace(plane, stuck=pose))
+    turn = np.arange(0, 360, 3) * u.deg
+    ring = CENTER.directional_offset_by(turn, 1.002 * worn.field_radius)
+    ra, dec = np.append(ring.ra.deg, 95.0), np.append(ring.dec.deg, 23.0)
+    years, motion = (TIMES[1].jyear - 2016) * u.yr, 10 * u.arcsec / u.yr
+    if moving:  # the stars are at the ring at the second time
+        dec = dec - (motion * years).to_value(u.deg)
+    pm = {"pm_ra_cosdec": np.zeros(len(ra)) * motion, "pm_dec": np.full(len(ra), 1.0) * motion} if moving else {}
+    time = {"obstime": Time(2016.0, format="jyear")} if moving else {}
+    catalog = rs.Catalog(SkyCoord(ra, dec, unit="deg", **pm, **time))
+    allocator = rs.AllocationOptions("network_flow", requirements="sky=40", sky_separation=separation)
+    conditions = rs.ObservingConditions("kitt peak", time=TIMES[1]) if moving else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rs.RfpsurveyWarning)  # there are too few positions
+        if way == "tile":
+            rows = rs.plan_tile(catalog, worn, CENTER, conditions=conditions, allocator=allocator).table
+            stuck = rows["kind"][far] == "sky"
+        else:
+            given = rs.catalog.partition_catalog(catalog, tmp_path / "parts", order=6) if way != "memory" else catalog
+            table = QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg})
+            tiles = rs.Tiling.from_table(table).with_conditions(conditions)
+            rows = rs.plan_survey(given, worn, tiles, allocator=allocator).tile(0)
+            stuck = (rows["positioner"] == worn.focal_plane.id[far]).any()
+    assert not stuck
+    sky = rows[rows["kind"] == "sky"]
+    apart = SkyCoord(sky["ra"], sky["dec"])[:, None].separation(ring[None])
+    assert len(sky) > 20
+    assert apart.min() > 0.99 * separation

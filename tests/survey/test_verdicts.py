@@ -7,6 +7,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey.survey import _unmet, _work
 
 CENTER = SkyCoord("6h20m +23d")
 LIMIT, NEAR, COUNT = "magnitude mag 12.0 20.0 standard '' allowed", "distribution sky 1 80.0 20.0 ''", "sky=4"
@@ -71,6 +72,27 @@ def test_each_tile_has_the_verdicts_of_the_same_tile_alone(case, small, way, tmp
     assert set(found[ORDER]) == {"not checkable"}
     assert found[COUNT][1] == "fail"
     assert "pass" in found[LIMIT]
+
+
+@pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+def test_tiles_of_earlier_versions_are_not_checkable_if_their_files_do_not_state_it(case, small, tmp_path, monkeypatch):
+    """The files of these tiles are kept, and rules that they do not violate do not count as passed."""
+    folder, cards = tmp_path / "survey", _unmet.shortfall_cards
+
+    def earlier_cards(options):
+        return {name: value for name, value in cards(options).items() if not name.startswith("NOTC")}
+
+    with monkeypatch.context() as earlier:
+        for module in (_unmet, _work):
+            earlier.setattr(module, "shortfall_cards", earlier_cards)
+        plan(case, small, folder=folder)
+    (folder / "tiles.fits").unlink()
+    before = {path.name: path.read_bytes() for path in folder.rglob("0*.fits")}
+    survey = plan(case, small, folder=folder, resume=True)
+    assert {path.name: path.read_bytes() for path in folder.rglob("0*.fits")} == before
+    rows = {row["rule"]: row for row in survey.rules}
+    assert [rows[LIMIT][name] for name in ("pass", "fail", "not checkable")] == [0, 0, 3]
+    assert rows[COUNT]["not checkable"] == 0
 
 
 def test_a_survey_without_constraints_has_no_table_of_rules(case, small):
