@@ -1,11 +1,13 @@
 """The integer program for positioners that have several candidates, with variables, constraints and objectives."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover
-from rfpsurvey.allocation._distribution import SpreadRows
+from rfpsurvey.allocation._distribution import Spread, pairs_within
 from rfpsurvey.allocation._solver import maximize
 
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
@@ -13,6 +15,71 @@ from rfpsurvey.allocation._solver import maximize
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 # Rounding error of sums of percentages.
 ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class SpreadRows:
+    """The part of an integer program that describes a rule, with a variable for each science target.
+
+    The variable of a target is 1 if the target has a fiber and enough neighbors. It is not necessary for targets that
+    have enough neighbors, or too few, in every plan of the program.
+    """
+
+    k: int
+    fraction: float
+    science: np.ndarray
+    """Columns of the candidates that are science fibers."""
+    always: np.ndarray
+    """Columns of the candidates that are science fibers and have enough neighbors in every plan."""
+    n_fixed: int
+    n_served: int
+    """Number of science fibers outside the program, and how many of them have enough neighbors in every plan."""
+    own: csr_array
+    """Columns of the candidates of the target of each variable, as ones; empty for targets with a fixed fiber."""
+    near: csr_array
+    """Columns of the candidates that are neighbors of the target of each variable, as ones."""
+    is_fixed: np.ndarray
+    n_near: np.ndarray
+    """Number of fixed neighbors of the target of each variable."""
+
+    @classmethod
+    def of(cls, candidates, spread: Spread, rows: np.ndarray, others: np.ndarray) -> "SpreadRows":
+        """Return the rows for the candidates ``rows``; the candidates ``others`` are in use in every plan."""
+        xy, target, (rule, science, near) = candidates.problem.xy, candidates.options.target, spread
+        column, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
+        fixed = target[others[science[others]]]
+        targets, first = np.unique(np.append(target[rows[column]], fixed), return_index=True)
+        is_fixed = first >= len(column)
+        place, at = np.unique(target[rows[neighbors]], return_inverse=True)
+        t, p = pairs_within(xy[targets], xy[place], rule.distance_mm)
+        shape = len(targets), len(rows)
+        near = csr_array((np.ones(len(t)), (t, p)), shape=(len(targets), len(place)))
+        near = near @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
+        own = csr_array((np.ones(len(column)), (np.searchsorted(targets, target[rows[column]]), column)), shape=shape)
+        t, _ = pairs_within(xy[targets], xy[target[others[spread.near[others]]]], rule.distance_mm)
+        n_near = np.bincount(t, minlength=len(targets))
+        enough, possible = n_near >= rule.k, n_near + near.sum(axis=1) >= rule.k
+        kept = np.flatnonzero(possible & ~enough)
+        return cls(
+            rule.k,
+            rule.percent / 100,
+            column,
+            column[enough[np.searchsorted(targets, target[rows[column]])]],
+            len(fixed),
+            int((is_fixed & enough).sum()),
+            own[kept],
+            near[kept],
+            is_fixed[kept],
+            n_near[kept],
+        )
+
+    def __len__(self):
+        return len(self.n_near)
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Return the variables of the targets for a plan, from the variables of the candidates."""
+        n = self.own.shape[1]
+        return (self.is_fixed | (self.own @ x[:n] > 0.5)) & (self.near @ x[:n] + self.n_near > self.k - 0.5)
 
 
 class Program:

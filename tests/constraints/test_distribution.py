@@ -10,12 +10,13 @@ from astropy.table import QTable
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 import rfpsurvey as rs
-from brute import bodies_of, conflicts_of, options_of
+from brute import best_plan, bodies_of, conflicts_of, options_of
+from rfpsurvey.allocation import _clusters, _search, _spread
 from rfpsurvey.constraints import BrightStars, Distribution, MagnitudeLimits
 
 MM = u.mm
 CENTER = SkyCoord("6h20m +23d")
-CHUNK, N_SCENES = 24, 500
+CHUNK, N_SCENES = 25, 500
 EXHAUSTIVE = pytest.mark.exhaustive
 
 
@@ -23,7 +24,7 @@ class Scene:
     """A small focal plane with groups, targets with magnitudes, and rules of all kinds, from a seed."""
 
     def __init__(self, seed, rings=None):
-        rng = np.random.default_rng(seed)
+        self.seed, rng = seed, np.random.default_rng(seed)
         rings = int(rng.integers(1, 3)) if rings is None else rings
         shape = rng.choice(["equal", "unequal", "both", "fibers"])
         units = {
@@ -71,6 +72,12 @@ class Scene:
             MagnitudeLimits("mag", *self.limits, "science"),
             BrightStars("mag", [(10.0, 300.0)]),
         ]
+
+    def keep(self, rows):
+        """Remove all other targets."""
+        for name in ("sky", "coord", "kind", "mag", "priority", "xy"):
+            setattr(self, name, getattr(self, name)[rows])
+        self.fiber = None if self.fiber is None else self.fiber[rows]
 
     def options(self, allocator, **others):
         return rs.AllocationOptions(allocator, constraints=self.constraints, **others)
@@ -226,6 +233,22 @@ def checked(scene, tile):
     return scene.objectives(plan, scene.possible(choices))
 
 
+def compare(scene, tile, values, best):
+    """Test that the values that a tile states are those of the plan, and that no bound is too small."""
+    assert values <= best, scene.seed
+    rows = {name: (value, bound) for name, value, bound in tile.summary["objectives"]}
+    # without goals that can be met, and without other targets than science targets, there are fewer objectives
+    assert len(scene.names) - 2 <= len(rows)
+    assert {*rows} <= {*scene.names}
+    for k, name in enumerate(scene.names):
+        value, bound = rows.get(name, (values[k], values[k]))
+        assert value == values[k], (scene.seed, name)
+        assert values[:k] != best[:k] or bound >= best[k], (scene.seed, name, bound)
+    proven = all(value == bound for value, bound in rows.values())
+    assert proven == (tile.summary["gap"] == 0)
+    assert not proven or values == best, (scene.seed, values, best)
+
+
 @pytest.mark.filterwarnings("ignore:no target of the catalog is")
 @pytest.mark.few(1)
 @pytest.mark.parametrize("chunk", range(-(-N_SCENES // CHUNK)))
@@ -237,19 +260,8 @@ def test_optimal_is_as_good_as_an_independent_integer_program(chunk):
         tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options("optimal"))
         values, best = checked(scene, tile), scene.best()
         assert values is not None, seed
-        assert values <= best, seed
-        rows = {name: (value, bound) for name, value, bound in tile.summary["objectives"]}
-        # without goals that can be met, and without other targets than science targets, there are fewer objectives
-        assert len(scene.names) - 2 <= len(rows)
-        assert {*rows} <= {*scene.names}
-        for k, name in enumerate(scene.names):
-            value, bound = rows.get(name, (values[k], values[k]))
-            assert value == values[k], (seed, name)
-            assert values[:k] != best[:k] or bound >= best[k], (seed, name, bound)
-        proven = all(value == bound for value, bound in rows.values())
-        assert proven == (tile.summary["gap"] == 0)
-        assert not proven or values == best, (seed, values, best)
-        n_proven += proven
+        compare(scene, tile, values, best)
+        n_proven += tile.summary["gap"] == 0
         quick = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options("repair"))
         local = checked(scene, quick)
         assert local is not None, seed
@@ -259,3 +271,112 @@ def test_optimal_is_as_good_as_an_independent_integer_program(chunk):
         n_changed += list(without.table["target_id"]) != list(tile.table["target_id"])
     assert n_changed > CHUNK // 4
     assert n_proven > 0.9 * CHUNK
+
+
+@pytest.mark.filterwarnings("ignore:no target of the catalog is")
+@pytest.mark.parametrize("seed", range(8))
+def test_optimal_is_the_best_of_all_plans(seed):
+    scene = Scene(seed, rings=1)
+    few = np.random.default_rng(seed).permutation(len(scene.kind))[:12]
+    scene.keep(few)
+    choices, pairs, barred = scene.choices()
+    possible = scene.possible(choices)
+
+    def value(options):
+        plan = [(i, o[0]) for i, o in enumerate(options) if o is not None]
+        return scene.objectives(plan, possible)
+
+    best = best_plan(choices, pairs, barred, value, lambda _: 0)[0]
+    tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options("optimal"))
+    assert checked(scene, tile) == best == scene.best()
+    assert tile.summary["gap"] == 0
+
+
+@pytest.mark.filterwarnings("ignore:no target of the catalog is")
+@pytest.mark.parametrize("largest", [20_000, 0])
+def test_bounds_are_valid_if_the_program_is_divided(monkeypatch, largest):
+    """The program of all positioners is not solved if ``largest`` is 0, as in large fields."""
+    monkeypatch.setattr(_spread, "SMALL", 0)
+    monkeypatch.setattr(_clusters, "SIZE", 40)
+    monkeypatch.setattr(_clusters, "LARGEST", 40)
+    n_best = 0
+    for seed in range(12, 24):
+        scene = Scene(seed)
+        with monkeypatch.context() as patch:
+            patch.setattr(_search, "LARGEST", largest)
+            tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options("optimal"))
+        values, best = checked(scene, tile), scene.best()
+        compare(scene, tile, values, best)
+        n_best += values == best
+        if largest:
+            assert values == best
+    assert n_best > 8
+
+
+@pytest.fixture(scope="module")
+def field(small):
+    """Return science targets of which few are close to one of the sky positions of the catalog."""
+    sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=400, rng=3)
+    kind = np.where(
+        np.random.default_rng(4).random(400) < np.where(sky.coord.ra > CENTER.ra, 0.3, 0.02), "sky", "science"
+    )
+    return rs.Catalog(sky.coord, kind=kind)
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+def test_added_sky_positions_are_neighbors_in_tiles_and_surveys(field, small, allocator):
+    science = field[field.kind == "science"]
+    rules, where = ["distribution sky 1 90 30"], {"sky_separation": 10 * u.arcsec}
+    asked = rs.AllocationOptions(allocator, constraints=rules, **where)
+    tile = rs.plan_tile(science, small, CENTER, allocator=asked)
+    survey = rs.plan_survey(science, small, CENTER, allocator=asked)
+    for table in (tile.table[tile.table["status"] == "assigned"], survey.tile(0)):
+        coord, sky = SkyCoord(table["ra"], table["dec"]), ~np.isin(table["target_id"], science.id)
+        xy = small.projection(CENTER).to_focal_plane(coord).to_value(MM)
+        apart = np.hypot(*(xy[~sky][:, None] - xy[sky][None]).transpose(2, 0, 1)).min(axis=1)
+        assert np.mean(apart <= 30) >= 0.9
+        assert 2 < sky.sum() < 20
+    assert tile.rules["verdict"].tolist() == ["pass"]
+    assert survey.tiles["unmet"].tolist() == [""]
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "network_flow"])
+def test_other_allocators_only_check_the_rule(field, small, allocator):
+    """The plan is the same as without the rule, and a warning names the allocators that follow the rule."""
+    rules = ["distribution sky 2 95 20"]
+    with pytest.warns(rs.RfpsurveyWarning, match=r"except that plans are checked; optimal, repair can honor it"):
+        tile = rs.plan_tile(field, small, CENTER, allocator=rs.AllocationOptions(allocator, constraints=rules))
+    free = rs.plan_tile(field, small, CENTER, allocator=allocator)
+    assert tile.table["target_id"].tolist() == free.table["target_id"].tolist()
+    assert tile.rules["verdict"].tolist() == ["fail"]
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+def test_a_rule_that_no_plan_can_follow_changes_nothing(field, small, allocator):
+    """Otherwise, ``optimal`` would assign no science targets, because a rule on no fibers is met."""
+    kind = np.where(np.arange(len(field)) == np.flatnonzero(field.kind == "sky")[0], "sky", "science")
+    sky = rs.Catalog(field.coord, kind=kind)
+    found = []
+    for rules in (["distribution sky 2 50 60"], []):
+        options = rs.AllocationOptions(allocator, constraints=[*rules, "sky=1"])
+        found.append(rs.plan_tile(sky, small, CENTER, allocator=options))
+    assert found[0].table["target_id"].tolist() == found[1].table["target_id"].tolist()
+    assert found[0].rules["verdict"].tolist() == ["pass", "fail"]
+    assert found[0].summary["gap"] == found[1].summary["gap"]
+
+
+def test_the_rule_is_followed_in_crowded_fields(small):
+    """Candidates are omitted, and the bounds are those of the plan without the rule."""
+    sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=12_000, rng=3)
+    rng = np.random.default_rng(4)
+    kind = np.where(rng.random(12_000) < 0.01, "sky", "science")
+    catalog = rs.Catalog(sky.coord, kind=kind, priority=rng.integers(0, 3, 12_000))
+    found = {}
+    for rules in ([], ["distribution sky 1 95 30"]):
+        options = rs.AllocationOptions("optimal", constraints=rules, time_limit=5 * u.s)
+        found[len(rules)] = rs.plan_tile(catalog, small, CENTER, allocator=options)
+    assert found[1].rules["verdict"].tolist() == ["pass"]
+    free, rows = found[0].summary["objectives"], found[1].summary["objectives"]
+    assert rows[0] == ["requirements", 0.0, 0.0]
+    for (name, value, bound), (_, _, most) in zip(rows[1:2], free, strict=False):
+        assert value <= bound <= most, name

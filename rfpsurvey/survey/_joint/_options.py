@@ -155,4 +155,6 @@ def _check_first(options: AllocationOptions) -> None:
             )
     for one in options.constraints:
         if not one.parts <= {"obstacles", "exclusion"}:
-            raise InputError(f"a joint plan must have no constraints with counts, distributions or required targets, got '{one}'")
+            raise InputError(
+                f"a joint plan must have no constraints with counts, distributions or required targets, got '{one}'"
+            )
