@@ -97,7 +97,7 @@ def _solve_cluster(matrix, rows, start, value, deadline):
 
 
 def improve_by_clusters(
-    candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None, upper=None
+    candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None, upper=None, size: int = SIZE
 ) -> np.ndarray:
     """Improve a plan with an integer program for each cluster of positioners, while all other arms are fixed.
 
@@ -117,6 +117,8 @@ def improve_by_clusters(
         Function that takes a plan in the form of ``chosen``, and returns whether this plan is known to be optimal.
     upper : callable, optional
         Function that returns an upper bound of each objective from the values of all earlier objectives.
+    size : int, optional
+        Number of candidates of the first clusters.
 
     Returns
     -------
@@ -127,7 +129,7 @@ def improve_by_clusters(
     now, blocked, holder = stand(candidates, chosen)
     open_ones = np.flatnonzero(np.diff(options.start) > 1)
     best_rank = np.minimum.reduceat(options.rank, options.start[:-1]) if len(now) else options.rank
-    size, quiet, turn = SIZE, 0, 0
+    quiet, turn = 0, 0
     while len(open_ones) and left(deadline) > 0 and not (is_best is not None and is_best(now)):
         label = _partition(candidates, open_ones, size, turn * ANGLE)
         turn += 1
@@ -152,6 +154,15 @@ def improve_by_clusters(
             size, quiet = 2 * size, 0
         if not in_time and size == SMALLEST and not improved and (quiet := quiet + 1) > 2:
             break
+    return now
+
+
+def improve_members(
+    candidates: Candidates, chosen: np.ndarray, members: np.ndarray, deadline: float, upper
+) -> np.ndarray:
+    """Improve a plan with one integer program for the positioners ``members``, as in `improve_by_clusters`."""
+    now, blocked, holder = stand(candidates, chosen)
+    _improve_cluster(candidates, members, now, blocked, holder, deadline, upper)
     return now
 
 

@@ -35,6 +35,12 @@ class Scene:
         }
         n = 3 * rings * (rings + 1) + 1
         columns = {"groups": {"petal": rng.integers(0, 3, n)}}
+        if rng.random() < 0.3:
+            columns["disabled"] = rng.random(n) < 0.15
+        if rng.random() < 0.3:
+            stuck = np.full((n, 2), np.nan)
+            stuck[rng.integers(n)] = rng.uniform(-180, 180), rng.uniform(20, 90)
+            columns["stuck"] = stuck * u.deg
         if shape == "fibers":
             columns["fiber_type"] = np.where(np.arange(n) % 3, "A+B", "B")
         pitch = 22.4 if shape in ("unequal", "fibers") else 25.0
