@@ -1,6 +1,6 @@
 """Plans that follow rules on the distribution of fibers, compared with an independent integer program."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import astropy.units as u
 import numpy as np
@@ -12,6 +12,10 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 import rfpsurvey as rs
 from brute import best_plan, bodies_of, conflicts_of, options_of
 from rfpsurvey.allocation import _clusters, _search, _spread
+from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._clusters import program_of
+from rfpsurvey.allocation._distribution import drop_neighbors
+from rfpsurvey.allocation._local_search import repair_collisions, stand
 from rfpsurvey.constraints import BrightStars, Distribution, MagnitudeLimits
 
 MM = u.mm
@@ -386,3 +390,37 @@ def test_the_rule_is_followed_in_crowded_fields(small):
     assert rows[0] == ["requirements", 0.0, 0.0]
     for (name, value, bound), (_, _, most) in zip(rows[1:2], free, strict=False):
         assert value <= bound <= most, name
+
+
+@pytest.mark.filterwarnings("ignore:no target of the catalog is")
+def test_programs_of_some_positioners_count_the_neighbors_of_all_fibers():
+    """Science fibers outside of a program can have neighbors in it, and the other way around."""
+    found = set()
+
+    def allocator(problem):
+        everything = find_candidates(problem)
+        options, rng = everything.options, np.random.default_rng(seed)
+        first = np.array([rng.integers(a, b) for a, b in pairwise(options.start)])
+        chosen = repair_collisions(everything, first)[0]
+        if rng.random() < 0.5:
+            chosen = drop_neighbors(everything, chosen)
+        members = np.flatnonzero(rng.random(len(chosen)) < rng.choice([0.2, 0.5, 1.0]))
+        state = stand(everything, chosen)
+        if problem.distributions and (state[1][chosen] == 0).all() and len(members):
+            program = program_of(everything, members, *state, np.inf)
+            x = program.variables(chosen[members])
+            missing = program.reaches(x)[0]
+            assert program.holds(x)
+            assert missing == problem.level_values(options.target[chosen])[0], seed
+            if missing < 0:  # one missing fiber fewer is not possible
+                x[program.short[np.argmax(x[program.short])]] -= 1
+                assert not program.holds(x)
+            found.add((len(members) == len(chosen), missing == 0, program.spreads[0].is_fixed.any()))
+        return np.full(len(chosen), -1)
+
+    allocator.distribution = "goal"
+    for seed in range(60):
+        scene = Scene(seed)
+        scene.constraints = [*scene.rules, "sky=0-90"]
+        rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options(allocator))
+    assert len(found) > 4
