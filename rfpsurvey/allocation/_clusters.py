@@ -1,6 +1,6 @@
 """Find plans and upper bounds for many positioners by integer programs for clusters of neighboring positioners."""
 
-from functools import partial
+from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,7 +14,6 @@ from rfpsurvey.allocation._lexicographic import pursue
 from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
-from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._solver import choose_one_each
 
 # Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
@@ -172,10 +171,8 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=
     limit = share(deadline, FOR_ONE)
     try:
         program = program_of(candidates, members, now, blocked, holder, limit)
-        if upper is not None:
-            base = values_of_others(candidates.problem, np.where(now < 0, -1, options.target[now]))
-            upper = partial(_upper_of_part, upper, base)
-        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=upper)
+        part = None if upper is None else upper_of_part(candidates, now, upper)[0]
+        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
     except OutOfTimeError:
         pass
     better = False
@@ -189,18 +186,15 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=
     return better, found is not None and bool((found.values >= found.bounds).all())
 
 
-def values_of_others(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Return what the positioners outside of a program add to the values of the objectives of the program.
+def upper_of_part(candidates: Candidates, now: np.ndarray, upper: Callable) -> tuple[Callable, np.ndarray]:
+    """Return the function ``upper`` for a program, and the values that positioners outside of the program add.
 
-    The objective of the requirements already contains the contributions of all positioners.
+    ``now`` is -1 for the positioners of the program. The objective of the requirements of the program already contains
+    the contributions of all positioners.
     """
-    base = problem.level_values(target_of)
-    base[int(problem.any_required)] = 0.0
-    return base
-
-
-def _upper_of_part(upper, base, values):
-    return upper(values + base) - base
+    base = candidates.problem.level_values(np.where(now < 0, -1, candidates.options.target[now]))
+    base[int(candidates.problem.any_required)] = 0.0
+    return lambda values: upper(values + base) - base, base
 
 
 def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder, deadline: float) -> Program:

@@ -9,7 +9,7 @@ from rfpsurvey.allocation import _search
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
-from rfpsurvey.allocation._clusters import improve_by_clusters, improve_members, program_of, values_of_others
+from rfpsurvey.allocation._clusters import improve_by_clusters, improve_members, program_of, upper_of_part
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_plans import AT_LEAST, LOCAL, plan_of, repaired_plan, values_of
@@ -142,8 +142,8 @@ def _solve(everything: Candidates, chosen, upper, deadline: float, squared_cost:
     settings = {"integral": True, "squared_cost": squared_cost}
     try:
         program = program_of(everything, members, *state, deadline)
-        base = values_of_others(everything.problem, np.where(state[0] < 0, -1, options.target[state[0]]))
-        found = pursue(program, first, deadline, None, upper=lambda values: upper(values + base) - base, **settings)
+        part, base = upper_of_part(everything, state[0], upper)
+        found = pursue(program, first, deadline, None, upper=part, **settings)
     except OutOfTimeError:
         return None
     return found._replace(values=found.values + base, bounds=found.bounds + base)
