@@ -85,8 +85,8 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
 
     options, problem, held = candidates.options, candidates.problem, candidates.held
     rule, science, near = spread
-    low = [group.requirement.minimum > 0 for group in problem.groups]
-    keep = held[low].any(axis=0) | np.append(problem.is_required, False)[options.target]
+    least = np.array([group.requirement.minimum for group in problem.groups], dtype=int)
+    keep = np.append(problem.is_required, False)[options.target]
     keep |= np.any([one.near for one in candidates.spreads], axis=0)
     able, fibers = np.flatnonzero(near), now[science[now]]
     own, alive = options.own[able], np.ones(len(fibers), dtype=bool)
@@ -100,9 +100,10 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
         gain = (close.T @ weight)[at]
         some = np.flatnonzero(gain)
         some = some[(blocked[able[some]] == 0) & (holder[options.target[able[some]]] < 0) & ~keep[now[own[some]]]]
-        full = held[:, now].sum(axis=1) >= most
-        if full.any():
-            some = some[~(held[:, able[some]] & ~held[:, now[own[some]]])[full].any(axis=0)]
+        count = held[:, now].sum(axis=1)
+        before, after = held[:, now[own[some]]], held[:, able[some]]
+        wrong = (after & ~before)[count >= most].any(axis=0) | before[(least > 0) & (count <= least)].any(axis=0)
+        some = some[~wrong]
         if len(some) == 0:
             break
         some = some[gain[some] >= gain[some].max() / 2]
