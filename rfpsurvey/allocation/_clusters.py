@@ -1,6 +1,6 @@
 """Find plans and upper bounds for many positioners by integer programs for clusters of neighboring positioners."""
 
-from functools import partial
+from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,7 +14,6 @@ from rfpsurvey.allocation._lexicographic import pursue
 from rfpsurvey.allocation._local_search import stand
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._prices import Prices
-from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._solver import choose_one_each
 
 # Number of variables in the integer program of a cluster: initial value, smallest value, and largest value.
@@ -97,7 +96,7 @@ def _solve_cluster(matrix, rows, start, value, deadline):
 
 
 def improve_by_clusters(
-    candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None, upper=None
+    candidates: Candidates, chosen: np.ndarray, deadline: float, is_best=None, upper=None, size: int = SIZE
 ) -> np.ndarray:
     """Improve a plan with an integer program for each cluster of positioners, while all other arms are fixed.
 
@@ -117,6 +116,8 @@ def improve_by_clusters(
         Function that takes a plan in the form of ``chosen``, and returns whether this plan is known to be optimal.
     upper : callable, optional
         Function that returns an upper bound of each objective from the values of all earlier objectives.
+    size : int, optional
+        Number of candidates of the first clusters.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def improve_by_clusters(
     now, blocked, holder = stand(candidates, chosen)
     open_ones = np.flatnonzero(np.diff(options.start) > 1)
     best_rank = np.minimum.reduceat(options.rank, options.start[:-1]) if len(now) else options.rank
-    size, quiet, turn = SIZE, 0, 0
+    quiet, turn = 0, 0
     while len(open_ones) and left(deadline) > 0 and not (is_best is not None and is_best(now)):
         label = _partition(candidates, open_ones, size, turn * ANGLE)
         turn += 1
@@ -155,16 +156,23 @@ def improve_by_clusters(
     return now
 
 
+def improve_members(
+    candidates: Candidates, chosen: np.ndarray, members: np.ndarray, deadline: float, upper
+) -> np.ndarray:
+    """Improve a plan with one integer program for the positioners ``members``, as in `improve_by_clusters`."""
+    now, blocked, holder = stand(candidates, chosen)
+    _improve_cluster(candidates, members, now, blocked, holder, deadline, upper)
+    return now
+
+
 def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=None):
     """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
     options, before, found = candidates.options, now[members].copy(), None
     limit = share(deadline, FOR_ONE)
     try:
         program = program_of(candidates, members, now, blocked, holder, limit)
-        if upper is not None:
-            base = values_of_others(candidates.problem, np.where(now < 0, -1, options.target[now]))
-            upper = partial(_upper_of_part, upper, base)
-        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=upper)
+        part = None if upper is None else upper_of_part(candidates, now, upper)[0]
+        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
     except OutOfTimeError:
         pass
     better = False
@@ -178,18 +186,15 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=
     return better, found is not None and bool((found.values >= found.bounds).all())
 
 
-def values_of_others(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
-    """Return what the positioners outside of a program add to the values of the objectives of the program.
+def upper_of_part(candidates: Candidates, now: np.ndarray, upper: Callable) -> tuple[Callable, np.ndarray]:
+    """Return the function ``upper`` for a program, and the values that positioners outside of the program add.
 
-    The objective of the requirements already contains the contributions of all positioners.
+    ``now`` is -1 for the positioners of the program. The objective of the requirements of the program already contains
+    the contributions of all positioners.
     """
-    base = problem.level_values(target_of)
-    base[int(problem.any_required)] = 0.0
-    return base
-
-
-def _upper_of_part(upper, base, values):
-    return upper(values + base) - base
+    base = candidates.problem.level_values(np.where(now < 0, -1, candidates.options.target[now]))
+    base[int(candidates.problem.any_required)] = 0.0
+    return lambda values: upper(values + base) - base, base
 
 
 def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder, deadline: float) -> Program:

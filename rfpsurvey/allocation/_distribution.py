@@ -1,10 +1,8 @@
-"""Rules on the distribution of fibers: the science fibers that lack neighbors, in plans, programs and local moves."""
+"""Rules on the distribution of fibers: the science fibers that lack neighbors, in plans and in local moves."""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey.allocation._clock import left
@@ -55,75 +53,13 @@ def lack_of(problem, rule: Distribution, target_of: np.ndarray) -> int:
 
 def pairs_within(first: np.ndarray, second: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of the points ``first`` and ``second`` of all pairs within a distance."""
+    from scipy.spatial import cKDTree
+
     if len(first) == 0 or len(second) == 0:
         return np.empty((2, 0), dtype=np.int64)
     found = cKDTree(first).sparse_distance_matrix(cKDTree(second), distance * WIDER, output_type="ndarray")
     found = found[np.sqrt(((first[found["i"]] - second[found["j"]]) ** 2).sum(axis=1)) <= distance]
     return found["i"].astype(np.int64), found["j"].astype(np.int64)
-
-
-class SpreadRows(NamedTuple):
-    """The part of an integer program that describes a rule, with a variable for each science target.
-
-    The variable of a target is 1 if the target has a fiber and enough neighbors. It is not necessary for targets that
-    have enough neighbors, or too few, in every plan of the program.
-    """
-
-    k: int
-    fraction: float
-    science: np.ndarray
-    """Columns of the candidates that are science fibers."""
-    always: np.ndarray
-    """Columns of the candidates that are science fibers and have enough neighbors in every plan."""
-    n_fixed: int
-    """Number of science fibers outside the program, minus those that have enough neighbors in every plan."""
-    n_served: int
-    own: csr_array
-    """Columns of the candidates of the target of each variable, as ones; empty for targets with a fixed fiber."""
-    near: csr_array
-    """Columns of the candidates that are neighbors of the target of each variable, as ones."""
-    is_fixed: np.ndarray
-    n_near: np.ndarray
-    """Number of fixed neighbors of the target of each variable."""
-
-    @classmethod
-    def of(cls, candidates, spread: Spread, rows: np.ndarray, others: np.ndarray) -> "SpreadRows":
-        """Return the rows for the candidates ``rows``; the candidates ``others`` are in use in every plan."""
-        xy, target, (rule, science, near) = candidates.problem.xy, candidates.options.target, spread
-        column, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
-        fixed = target[others[science[others]]]
-        targets, first = np.unique(np.append(target[rows[column]], fixed), return_index=True)
-        is_fixed = first >= len(column)
-        place, at = np.unique(target[rows[neighbors]], return_inverse=True)
-        t, p = pairs_within(xy[targets], xy[place], rule.distance_mm)
-        shape = len(targets), len(rows)
-        near = csr_array((np.ones(len(t)), (t, p)), shape=(len(targets), len(place)))
-        near = near @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
-        own = csr_array((np.ones(len(column)), (np.searchsorted(targets, target[rows[column]]), column)), shape=shape)
-        t, _ = pairs_within(xy[targets], xy[target[others[spread.near[others]]]], rule.distance_mm)
-        n_near = np.bincount(t, minlength=len(targets))
-        enough, possible = n_near >= rule.k, n_near + near.sum(axis=1) >= rule.k
-        kept = np.flatnonzero(possible & ~enough)
-        return cls(
-            rule.k,
-            rule.percent / 100,
-            column,
-            column[enough[np.searchsorted(targets, target[rows[column]])]],
-            len(fixed),
-            int((is_fixed & enough).sum()),
-            own[kept],
-            near[kept],
-            is_fixed[kept],
-            n_near[kept],
-        )
-
-    def __len__(self):
-        return len(self.n_near)
-
-    def values(self, x: np.ndarray) -> np.ndarray:
-        """Return the variables of the targets for a plan, from the variables of the candidates."""
-        n = self.own.shape[1]
-        return (self.is_fixed | (self.own @ x[:n] > 0.5)) & (self.near @ x[:n] + self.n_near > self.k - 0.5)
 
 
 def drop_neighbors(candidates, chosen: np.ndarray) -> np.ndarray:
@@ -145,10 +81,12 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
     ``most`` are the maxima of the requirements; ``now``, ``blocked`` and ``holder`` are the state of the plan
     (`stand`).
     """
+    from scipy.sparse import csr_array
+
     options, problem, held = candidates.options, candidates.problem, candidates.held
     rule, science, near = spread
-    low = [group.requirement.minimum > 0 for group in problem.groups]
-    keep = held[low].any(axis=0) | np.append(problem.is_required, False)[options.target]
+    least = np.array([group.requirement.minimum for group in problem.groups], dtype=int)
+    keep = np.append(problem.is_required, False)[options.target]
     keep |= np.any([one.near for one in candidates.spreads], axis=0)
     able, fibers = np.flatnonzero(near), now[science[now]]
     own, alive = options.own[able], np.ones(len(fibers), dtype=bool)
@@ -160,13 +98,16 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
     while left(deadline) > 0 and (alive & (n_near >= rule.k)).sum() < rule.least(int(alive.sum())):
         weight = np.where(alive & (n_near < rule.k), 1.0 / np.maximum(rule.k - n_near, 1), 0.0)
         gain = (close.T @ weight)[at]
-        full = held[:, now].sum(axis=1) >= most
-        full = (held[:, able] & ~held[:, now[own]])[full].any(axis=0)
-        free = (blocked[able] == 0) & (holder[options.target[able]] < 0) & ~keep[now[own]] & ~full
-        gain = np.where(free, gain, 0.0)
-        if gain.max(initial=0.0) == 0:
+        some = np.flatnonzero(gain)
+        some = some[(blocked[able[some]] == 0) & (holder[options.target[able[some]]] < 0) & ~keep[now[own[some]]]]
+        count = held[:, now].sum(axis=1)
+        before, after = held[:, now[own[some]]], held[:, able[some]]
+        wrong = (after & ~before)[count >= most].any(axis=0) | before[(least > 0) & (count <= least)].any(axis=0)
+        some = some[~wrong]
+        if len(some) == 0:
             break
-        best = int(np.lexsort((-gain, -np.where(gain >= gain.max() / 2, options.rank[now[own]], -1)))[0])
+        some = some[gain[some] >= gain[some].max() / 2]
+        best = some[np.lexsort((-gain[some], -options.rank[now[own[some]]]))[0]]
         alive &= fibers != now[own[best]]
         moves.put(own[best], able[best], options, now, blocked, holder)
         n_near[close.indices[close.indptr[at[best]] : close.indptr[at[best] + 1]]] += 1

@@ -1,11 +1,13 @@
 """The integer program for positioners that have several candidates, with variables, constraints and objectives."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._cliques import cover
-from rfpsurvey.allocation._distribution import SpreadRows
+from rfpsurvey.allocation._distribution import Spread, pairs_within
 from rfpsurvey.allocation._solver import maximize
 
 # The presolve of HiGHS ignores the time limit. It takes about PRESOLVE_SECONDS * (nonzero elements)^2 / variables, as
@@ -13,6 +15,115 @@ from rfpsurvey.allocation._solver import maximize
 PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 # Rounding error of sums of percentages.
 ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class SpreadRows:
+    """The part of an integer program that describes a rule, with a variable for each science fiber.
+
+    A science fiber is a pair of a positioner and a science target, or a fixed fiber outside of the program. Its
+    variable is 1 if the fiber is in use and has enough neighbors. The variable is not necessary for fibers that have
+    enough neighbors, or too few, in every plan of the program.
+    """
+
+    k: int
+    fraction: float
+    science: np.ndarray
+    """Columns of the candidates that are science fibers."""
+    always: np.ndarray
+    """Columns of the candidates that are science fibers and have enough neighbors in every plan."""
+    n_fixed: int
+    n_served: int
+    """Number of science fibers outside the program, and how many of them have enough neighbors in every plan."""
+    own: csr_array
+    """Columns of the candidates of each science fiber, as ones; empty for fixed fibers."""
+    is_fixed: np.ndarray
+    near: csr_array
+    """Columns of the candidates that are neighbors of each target, as ones."""
+    n_near: np.ndarray
+    """Number of fixed neighbors of each target."""
+    row: np.ndarray
+    """Row of ``near`` for each science fiber."""
+    group: csr_array
+    """Science fibers of each positioner, as ones."""
+
+    @classmethod
+    def of(cls, candidates, spread: Spread, rows: np.ndarray, others: np.ndarray) -> "SpreadRows":
+        """Return the part for the candidates ``rows``; the candidates ``others`` are in use in every plan."""
+        problem, options, (rule, science, near) = candidates.problem, candidates.options, spread
+        xy, target = problem.xy, options.target
+        column, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
+        fixed = target[others[science[others]]]
+        targets, row = np.unique(np.append(target[rows[column]], fixed), return_inverse=True)
+        place, at = np.unique(target[rows[neighbors]], return_inverse=True)
+        pairs = pairs_within(xy[targets], xy[place], rule.distance_mm)
+        close = csr_array((np.ones(len(pairs[0])), pairs), shape=(len(targets), len(place)))
+        close = close @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
+        pairs = pairs_within(xy[targets], xy[target[others[near[others]]]], rule.distance_mm)
+        n_near = np.bincount(pairs[0], minlength=len(targets))
+        enough = n_near >= rule.k
+        is_open = ~enough & (n_near + close.sum(axis=1) >= rule.k)
+        # the key of a science fiber is its positioner and its target; fixed fibers have a positioner after all others
+        n = len(options.start) - 1
+        key = row + len(targets) * np.append(options.own[rows[column]], np.full(len(fixed), n))
+        fibers, of_fiber = np.unique(key[is_open[row]], return_inverse=True)
+        of_column = np.flatnonzero(is_open[row])
+        free = of_column < len(column)
+        cells = of_fiber[free], column[of_column[free]]
+        own = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
+        positioner, row_of = np.divmod(fibers, max(len(targets), 1))
+        is_fixed = positioner == n
+        _, place = np.unique(positioner[~is_fixed], return_inverse=True)
+        cells = place, np.flatnonzero(~is_fixed)
+        group = csr_array((np.ones(len(place)), cells), shape=(int(place.max(initial=-1)) + 1, len(fibers)))
+        fixed_row = row[len(column) :]
+        return cls(
+            rule.k,
+            rule.percent / 100,
+            column,
+            column[enough[row[: len(column)]]],
+            len(fixed),
+            int(enough[fixed_row].sum()),
+            own,
+            is_fixed,
+            close,
+            n_near,
+            row_of,
+            group,
+        )
+
+    def __len__(self):
+        return len(self.row)
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Return the variables of the science fibers for a plan, from the variables of the candidates."""
+        x = x[: self.own.shape[1]]
+        return (self.is_fixed | (self.own @ x > 0.5)) & (self.near @ x + self.n_near > self.k - 0.5)[self.row]
+
+    def limits(self, owner: np.ndarray) -> list[tuple[csr_array, csr_array, np.ndarray]]:
+        """Return constraints: one matrix times the fibers is at most another times the candidates plus a number.
+
+        A fiber has neighbors only if it is in use, and if enough neighbors of its target are in use. The last
+        constraints follow from these for whole numbers, because a positioner has one target, and they are much stronger
+        for fractions. ``owner`` is the positioner of each candidate.
+        """
+        n, used = len(self), np.unique(self.row)
+        unit = csr_array((np.ones(n), (np.searchsorted(used, self.row), np.arange(n))), shape=(len(used), n))
+        every = csr_array(self.group @ unit.T)  # the targets of each positioner
+        union = csr_array(every @ self.near[used]).tocoo()
+        first = self.own[self.group.indices[self.group.indptr[:-1]]]  # a candidate of each positioner
+        mine = owner[first.indices[first.indptr[:-1]]]
+        # the other candidates of a positioner are not in use if one of its science fibers is in use
+        kept = (owner[union.col] != mine[union.row]) | np.isin(union.col, self.science)
+        union = csr_array((np.ones(kept.sum()), (union.row[kept], union.col[kept])), shape=union.shape)
+        most = csr_array(every.multiply(self.n_near[used])).max(axis=1).toarray().ravel()
+        alone = np.flatnonzero(~self.is_fixed)
+        pick = csr_array((np.ones(len(alone)), (np.arange(len(alone)), alone)), shape=(len(alone), n))
+        return [
+            (pick, self.own[alone], np.zeros(len(alone))),
+            (self.k * unit, self.near[used], self.n_near[used]),
+            (self.k * self.group, union, most),
+        ]
 
 
 class Program:
@@ -151,23 +262,15 @@ class Program:
                 self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
 
     def _distributions(self):
-        """Add constraints: a science target has neighbors only if it has a fiber and enough neighbors have fibers."""
+        """Add constraints: science fibers have neighbors only if they are in use and enough neighbors are in use."""
         for short, first, one in zip(self.short[len(self.problem.groups) :], self.first, self.spreads, strict=False):
-            n, own, near = len(one), one.own[~one.is_fixed].tocoo(), one.near.tocoo()
-            z, rest = first + np.arange(n), first + np.flatnonzero(~one.is_fixed)
-            self._add(
-                np.append(np.arange(len(rest)), own.row),
-                np.append(rest, own.col),
-                -np.inf,
-                np.zeros(len(rest)),
-                np.append(np.ones(len(rest)), -own.data),
-            )
-            value = np.append(np.full(n, one.k), -near.data)
-            self._add(
-                np.append(np.arange(n), near.row), np.append(z, near.col), -np.inf, one.n_near.astype(float), value
-            )
+            z = first + np.arange(len(one))
+            for fibers, candidates, most in one.limits(self.own) if len(one) else []:
+                fibers, candidates = fibers.tocoo(), candidates.tocoo()
+                row, column = np.append(fibers.row, candidates.row), np.append(z[fibers.col], candidates.col)
+                self._add(row, column, -np.inf, most.astype(float), np.append(fibers.data, -candidates.data))
             column = np.concatenate([z, one.always, one.science, [short]])
-            value = np.repeat([1.0, 1.0, -one.fraction, 1.0], [n, len(one.always), len(one.science), 1])
+            value = np.repeat([1.0, 1.0, -one.fraction, 1.0], [len(z), len(one.always), len(one.science), 1])
             low = one.fraction * one.n_fixed - one.n_served - ROUNDING
             self._add(np.zeros(len(column), int), column, low, np.array([np.inf]), value)
 

@@ -9,13 +9,12 @@ from rfpsurvey.allocation import _search
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
-from rfpsurvey.allocation._clusters import edges_within, improve_by_clusters, values_of_others
+from rfpsurvey.allocation._clusters import improve_by_clusters, improve_members, program_of, upper_of_part
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_plans import AT_LEAST, LOCAL, plan_of, repaired_plan, values_of
-from rfpsurvey.allocation._local_search import pick, repair_collisions
+from rfpsurvey.allocation._local_search import pick, repair_collisions, stand
 from rfpsurvey.allocation._methods import with_cost
-from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._objectives import (
     conditional_bounds,
     levels_of,
@@ -26,11 +25,15 @@ from rfpsurvey.allocation._objectives import (
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.focal_plane import elbow_names
 
-# Fractions of the remaining time: for the problem without the rules, for clusters before the integer program of all
-# positioners, and for this program.
-FOR_FREE, FOR_CLUSTERS, FOR_PROGRAM = 0.4, 0.5, 0.7
+# Fractions of the remaining time: for the problem without the rules, for the plan with the same science targets, for
+# clusters before the integer program of all positioners, and for this program.
+FOR_FREE, FOR_OTHERS, FOR_CLUSTERS, FOR_PROGRAM = 0.4, 0.3, 0.5, 0.7
 # Problems with more candidates are divided into clusters before the integer program of all positioners.
 SMALL = 2000
+# Largest number of missing fibers, as a fraction of the positioners, of a plan that clusters improve.
+FEW = 0.02
+# Number of candidates of the first clusters. With rules, programs of the same size take more time.
+SIZE = 500
 
 
 def decide(problem: AllocationProblem, *, collide: bool, **options) -> AllocationAnswer:
@@ -73,14 +76,10 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
         found = values_of(everything, plan)
         return bool((found >= upper(found)).all())
 
-    side = np.where(free.handedness == "left", -1.0, 1.0)
-    plans = [
-        repair_collisions(everything, pick(everything, free.target_of_positioner, side), deadline)[0],
-        plan_of(everything, repaired, deadline)[0],
-    ]
+    plans = [*_first_plans(everything, free, upper, is_best, deadline), plan_of(everything, repaired, deadline)[0]]
     chosen = max(plans, key=lambda plan: tuple(values_of(everything, plan)))
     if len(everything) > SMALL:
-        chosen = improve_by_clusters(everything, chosen, share(deadline, FOR_CLUSTERS), is_best, upper)
+        chosen = improve_by_clusters(everything, chosen, share(deadline, FOR_CLUSTERS), is_best, upper, SIZE)
     meta = {**LOCAL, "n_open": int((np.diff(everything.options.start) > 1).sum()), "n_parts": 1}
     if squared_cost or not is_best(chosen):
         found = _solve(everything, chosen, upper, share(deadline, FOR_PROGRAM), squared_cost)
@@ -92,7 +91,7 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
             if whole and not everything.preselection.n_left_out:
                 known.append((found.values, found.bounds))
         if not is_best(chosen):
-            chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper)
+            chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper, SIZE)
     if everything.idle_pairs.size:
         chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
     target_of, side = everything.options.target[chosen], everything.side[chosen]
@@ -102,6 +101,23 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
     levels = levels_of(given, offset, kept, values, np.maximum(upper(values), values))
     meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
+
+
+def _first_plans(everything: Candidates, free: AllocationAnswer, upper, is_best, deadline: float) -> list[np.ndarray]:
+    """Return plans from which the search can begin, made from a plan without the rules."""
+    problem, options = everything.problem, everything.options
+    first = pick(everything, free.target_of_positioner, np.where(free.handedness == "left", -1.0, 1.0))
+    plans = [repair_collisions(everything, first, deadline)[0]]
+    plan, blocked, _ = stand(everything, np.where(first < 0, options.start[1:] - 1, first))
+    if len(everything) <= SMALL or (blocked[plan] > 0).any():
+        return plans
+    # all targets that are not science targets are chosen again, such that they are neighbors
+    others = np.flatnonzero(options.rank[plan] >= len(problem.classes))
+    plans.append(improve_members(everything, plan, others, deadline, upper))
+    missing = -values_of(everything, plans[-1])[problem.level_names.index("requirements")]
+    if 0 < missing <= FEW * len(plan):
+        plans.append(improve_by_clusters(everything, plans[-1], share(deadline, FOR_OTHERS), is_best, upper, SIZE))
+    return plans
 
 
 def _upper(problem: AllocationProblem, limits: np.ndarray, known: list, values: np.ndarray) -> np.ndarray:
@@ -118,16 +134,16 @@ def _upper(problem: AllocationProblem, limits: np.ndarray, known: list, values: 
 
 def _solve(everything: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> Solution | None:
     """Return the plan of the integer program of all positioners; None if the program is too large."""
-    options, problem = everything.options, everything.problem
-    is_open = np.diff(options.start) > 1
-    rows, fixed = np.flatnonzero(is_open[options.own]), chosen[~is_open]
-    if len(rows) > _search.LARGEST or left(deadline) == 0:
+    options, state = everything.options, stand(everything, chosen)
+    members = np.flatnonzero(np.diff(options.start) > 1)
+    first = chosen[members]
+    if np.diff(options.start)[members].sum() > _search.LARGEST or left(deadline) == 0:
         return None
-    base = values_of_others(problem, np.where(is_open, -1, options.target[chosen]))
-    settings = {"integral": True, "squared_cost": squared_cost, "upper": lambda values: upper(values + base) - base}
+    settings = {"integral": True, "squared_cost": squared_cost}
     try:
-        program = Program(everything, rows, fixed, edges_within(options, rows), deadline)
-        found = pursue(program, chosen[is_open], deadline, None, **settings)
+        program = program_of(everything, members, *state, deadline)
+        part, base = upper_of_part(everything, state[0], upper)
+        found = pursue(program, first, deadline, None, upper=part, **settings)
     except OutOfTimeError:
         return None
     return found._replace(values=found.values + base, bounds=found.bounds + base)

@@ -9,10 +9,8 @@ from rfpsurvey._units import check_unique, to_flags, to_labels, to_mm, to_plain,
 from rfpsurvey.errors import InputError, InputTypeError, listed, refusal, short
 from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
+from rfpsurvey.focal_plane._tables import is_group
 from rfpsurvey.positioner import Positioner
-
-RESERVED = ("", "tile", "spectrograph")
-"""Names that groups must not have, because requirements use them."""
 
 
 def check_columns(plane) -> None:
@@ -73,17 +71,13 @@ def _check_groups(plane, n):
         raise refusal("groups must be a dict of arrays of integers, one per positioner", plane.groups, dict)
     columns = {name: to_labels(value, f"groups[{name!r}]") for name, value in (plane.groups or {}).items()}
     for name, value in columns.items():
-        if not isinstance(name, str) or name in RESERVED or not is_plain(name):
-            raise InputError(f"names of groups must be text without / other than tile and spectrograph, got {name!r}")
+        if not (isinstance(name, str) and is_group(name)):
+            text = "names of groups must be text without / that is not tile or the name of another column"
+            raise InputError(f"{text}, got {name!r}")
         if value.shape != (n,) or value.dtype.kind != "i":
             text = f"groups[{name!r}] must contain an integer for each positioner, shape ({n},)"
             raise InputError(f"{text}, got {short(plane.groups[name])}")
     object.__setattr__(plane, "groups", columns or None)
-
-
-def is_plain(name: str) -> bool:
-    """Return whether a name can be the end of a requirement such as ``sky=5/petal``."""
-    return " ".join(name.split()) == name and "/" not in name
 
 
 def _check_lengths(plane, n):

@@ -8,7 +8,6 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._units import to_mm, to_plain, to_radian
 from rfpsurvey.errors import InputError, InputTypeError, close_to, listed, warn
-from rfpsurvey.focal_plane._checks import RESERVED, is_plain
 from rfpsurvey.focal_plane._margins import Margins
 from rfpsurvey.positioner import ArmOutline, Positioner
 
@@ -74,11 +73,26 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     return {"xy": xy[unit], "positioner": positioner, **columns}
 
 
+def is_group(name: str) -> bool:
+    """Return whether a column of this name is a group, which requirements such as ``sky=5/petal`` can name."""
+    known = {
+        "",
+        "tile",
+        "x",
+        "y",
+        *PLAIN,
+        *LENGTHS,
+        *CIRCLES.values(),
+        *(one for pair in PAIRS.values() for one in pair),
+    }
+    is_plain = " ".join(name.split()) == name and "/" not in name
+    return is_plain and name not in known and not name.startswith(("fiber_x", "fiber_y"))
+
+
 def _group(table, name, rows):
-    """Return the values of a column that is no argument of `FocalPlane`; None unless all of them are integers."""
-    known = {"x", "y", *PLAIN, *LENGTHS, *CIRCLES.values(), *(one for pair in PAIRS.values() for one in pair)}
+    """Return the values of a column that is a group; None unless all of them are integers."""
     column = table[name][rows]
-    if name in (*known, *RESERVED) or not is_plain(name) or column.ndim != 1 or column.dtype.kind not in "iuf":
+    if not is_group(name) or column.ndim != 1 or column.dtype.kind not in "iuf":
         return None
     values = to_plain(column)
     is_whole = (np.abs(values) < 2**53).all() and (values == np.rint(values)).all()

@@ -118,9 +118,19 @@ def test_an_unknown_column_is_an_error_that_lists_the_columns(sky, petals, name)
             {"petal": ["a", "b"]},
             "groups['petal'] must contain an integer for each positioner, shape (2,), got ['a', 'b']",
         ),
-        ({"tile": [1, 2]}, "names of groups must be text without / other than tile and spectrograph, got 'tile'"),
-        ({"a/b": [1, 2]}, "names of groups must be text without / other than tile and spectrograph, got 'a/b'"),
-        ({3: [1, 2]}, "names of groups must be text without / other than tile and spectrograph, got 3"),
+        (
+            {"tile": [1, 2]},
+            "names of groups must be text without / that is not tile or the name of another column, got 'tile'",
+        ),
+        (
+            {"stuck_phi": [1, 2]},
+            "names of groups must be text without / that is not tile or the name of another column, got 'stuck_phi'",
+        ),
+        (
+            {"a/b": [1, 2]},
+            "names of groups must be text without / that is not tile or the name of another column, got 'a/b'",
+        ),
+        ({3: [1, 2]}, "names of groups must be text without / that is not tile or the name of another column, got 3"),
     ],
 )
 def test_groups_of_the_wrong_form_are_errors(groups, message):
