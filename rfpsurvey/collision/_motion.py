@@ -69,6 +69,15 @@ class MotionReport:
         """Number of positioners that need a path planner."""
         return int(self.needs_planner.sum())
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of colliding pairs of arms, of collisions with obstacles, and of positioners, for summaries."""
+        return {
+            "n_unfolding_pairs": len(self.pairs),
+            "n_unfolding_obstacle_collisions": len(self.obstacle_pairs),
+            "n_needs_planner": self.n_planner,
+        }
+
     def __repr__(self):
         pairs = f"{number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles"
         return f"<MotionReport: {pairs}, {number_of(self.n_planner, 'positioner')} to plan paths for>"

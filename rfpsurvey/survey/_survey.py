@@ -42,6 +42,9 @@ class Survey:
         ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (those of them that have a target),
         ``n_counted`` (positioners that have a target or are parked),
         ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
+        ``n_unfolding_pairs``, ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to
+        the motion of the arms, see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms
+        unfold, and positioners that need a path planner),
         ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement,
         and so do all keep-out circles), ``unmet``
         (if there are requirements or required targets: the requirements that are not met, with the numbers of missing
