@@ -45,11 +45,13 @@ class Moves(NamedTuple):
     """Largest distance of a part of the eccentric arm from the elbow, mm."""
     circle: np.ndarray
     """Center and radius of a circle that contains all points of the arm during the motion, shape (3, n)."""
+    sector: np.ndarray
+    """Direction of the axis of the sector that the arm sweeps, and cosine and sine of half its angle, shape (4, n)."""
 
 
 @kernel
-def enclose(x, y, angle, turn, reach, circle):
-    """Compute circles that contain all points within ``reach`` of the elbow in the directions of the motion."""
+def enclose(x, y, angle, turn, reach, circle, sector):
+    """Compute the sectors of all points within ``reach`` of the elbow in the directions of the motion, and circles."""
     for k in range(x.size):
         half = 0.5 * abs(turn[k])
         # a sector is contained in a circle through its tip and the ends of its arc, or in a circle around its chord
@@ -61,6 +63,26 @@ def enclose(x, y, angle, turn, reach, circle):
         middle = angle[k] + 0.5 * turn[k]
         circle[0, k], circle[1, k] = x[k] + along * math.cos(middle), y[k] + along * math.sin(middle)
         circle[2, k] = radius
+        half = min(half, math.pi)
+        sector[0, k], sector[1, k] = math.cos(middle), math.sin(middle)
+        sector[2, k], sector[3, k] = math.cos(half), math.sin(half)
+
+
+@kernel
+def extent(ux, uy, mx, my, c, s, reach):
+    """Return how far a sector extends in the direction u; its axis is m, and c and s belong to half its angle."""
+    along, across = ux * mx + uy * my, abs(ux * my - uy * mx)
+    return reach if along >= c else max(reach * (along * c + across * s), 0.0)
+
+
+@kernel
+def sectors_apart(moves, a, b, x, y, limit):
+    """Return whether the sectors that two arms sweep are farther apart than ``limit`` along the direction (x, y)."""
+    inverse = 1.0 / math.sqrt(x * x + y * y)
+    ux, uy, v = x * inverse, y * inverse, moves.sector
+    one = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
+    two = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
+    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - one - two > limit
 
 
 @kernel
@@ -209,6 +231,7 @@ def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
     Returns the number of listed pairs of candidates, and the index of the first pair of neighbors for which there was
     no space in the lists. Candidate k of positioner i has an index from ``start[i]`` to ``start[i + 1] - 1``.
     """
+    outlined = limits.outline.start.size > 1
     n, limit = 0, limits.separation - limits.outline.offset + TOLERANCE
     x, y, radius = moves.circle[0], moves.circle[1], moves.circle[2]
     size = 0
@@ -226,7 +249,14 @@ def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
                 dx, dy, far = x[b] - x[a], y[b] - y[a], radius[a] + radius[b] + limit
                 near[b - b0] = dx * dx + dy * dy <= far * far
             for b in range(b0, b1):
-                if near[b - b0] and pair_meets(moves, a, b, same_speed, limits, i, j):
+                if not near[b - b0]:
+                    continue
+                if not outlined:
+                    if sectors_apart(moves, a, b, x[b] - x[a], y[b] - y[a], limit):
+                        continue
+                    if sectors_apart(moves, a, b, moves.x[b] - moves.x[a], moves.y[b] - moves.y[a], limit):
+                        continue
+                if pair_meets(moves, a, b, same_speed, limits, i, j):
                     first[n], second[n] = a, b
                     n += 1
     return n, p

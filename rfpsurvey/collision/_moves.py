@@ -29,11 +29,11 @@ def find_moves(columns, own, fiber, theta, phi, *, moving: np.ndarray | bool = T
     turn = np.where(moving, _to_fold(columns, own, fiber, phi, offset), 0.0)
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
     angle, reach = theta + phi + offset, length if outline is None else np.full(len(own), outline.reach[0])
-    circle = np.empty((3, len(own)))
-    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle)
+    circle, sector = np.empty((3, len(own))), np.empty((4, len(own)))
+    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle, sector)
     if outline is not None:
         circle = _around_both(circle, geometry, outline.reach[1])
-    return motion.Moves(x, y, angle, turn, inner, length, reach, circle)
+    return motion.Moves(x, y, angle, turn, inner, length, reach, circle, sector)
 
 
 def _to_fold(columns, own, fiber, phi, offset):
