@@ -66,17 +66,17 @@ def costs():
                 found = [plan(plane, xy, "optimal", law) for law in laws]
                 repaired = [plan(plane, xy, "repair", law) for law in laws[:2]]
                 open_ += sum(one.gap > 0 for one, _ in found)
-                safe = [find_motion(plane, one, law=law) for (one, _), law in zip(found[1:], rs.collision.LAWS)]
+                safe = [
+                    find_motion(plane, one, law=law) for (one, _), law in zip(found[1:], rs.collision.LAWS, strict=True)
+                ]
                 planner += sum(one.n_planner for one in [*safe, find_motion(plane, repaired[1][0])])
                 best.append([(one.n_assigned, seconds) for one, seconds in found])
                 local.append([(one.n_assigned, seconds) for one, seconds in repaired])
             best, local = np.mean(best, axis=0).T, np.mean(local, axis=0).T
             numbers = [" ".join(f"{value:7.1f}" for value in row) for row in (best[0], local[0])]
             seconds = [" ".join(f"{value:6.2f}" for value in row) for row in (best[1], local[1])]
-            print(
-                f"  {name:<9} {density}: {numbers[0]} | {seconds[0]} | {open_} | {numbers[1]} | {seconds[1]} | {planner}",
-                flush=True,
-            )
+            parts = numbers[0], seconds[0], open_, numbers[1], seconds[1], planner
+            print(f"  {name:<9} {density}: {' | '.join(map(str, parts))}", flush=True)
 
 
 def speed():
