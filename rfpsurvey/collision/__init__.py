@@ -13,6 +13,7 @@ from rfpsurvey.collision._moves import (
     joined,
     solve_moves,
     touching_folds,
+    turn_idle_arms,
     unfolding_obstacles,
 )
 from rfpsurvey.collision._report import CollisionReport
@@ -48,5 +49,6 @@ __all__ = [
     "solve_moves",
     "touching",
     "touching_folds",
+    "turn_idle_arms",
     "unfolding_obstacles",
 ]

@@ -31,14 +31,14 @@ def folded_direction(unit):
     return -np.pi if unit.handedness == "left" else np.pi
 
 
-def motion_of(plane, found):
+def motion_of(plane, found, law):
     """Return the direction theta of each arm, and its motion as a `MovingArm`."""
     unit, poses = plane.positioner, found.place_arms(plane)
     fold, arms, directions = folded_direction(unit), [], []
-    l1 = unit.central_arm.to_value(MM)
+    l1, turned = unit.central_arm.to_value(MM), rs.collision.find_motion(plane, found, law=law).theta.to_value(u.rad)
     for i in range(len(plane)):
         has_target = poses.assigned[i]
-        theta, phi = (poses.theta[i], poses.phi[i]) if has_target else (unit.numbers.home[0], fold)
+        theta, phi = (poses.theta[i], poses.phi[i]) if has_target else (turned[i], fold)
         offset, length, inner = 0.0, unit.eccentric_arm.to_value(MM), 0.0
         if unit.arm_model in ("capsule", "outline"):
             kind = found.fiber_type[i] or plane.fiber_type[i].split("+")[0]
@@ -106,12 +106,12 @@ def test_no_arms_collide_between_plans_with_safe_motion(presets, name, n_plans):
         options = rs.AllocationOptions(allocator, constraints=rs.constraints.Motion("fold", law))
         found = rs.allocate(plane, points, allocator=options)
         assert found.n_assigned > 0.8 * len(plane)
-        states.append(motion_of(plane, found))
+        states.append(motion_of(plane, found, law))
         assert count_unfolding(plane, states[-1][1], law) == 0  # folding is the same motion backward
         if n_plans == 2 and seed == 0:
             plain = rs.allocate(plane, points, allocator="optimal")
             pairs = rs.collision.find_motion(plane, plain, law=law).pairs
-            n_without = count_unfolding(plane, motion_of(plane, plain)[1], law)
+            n_without = count_unfolding(plane, motion_of(plane, plain, law)[1], law)
             assert n_without == len(pairs)
     for (before, _), (after, _) in pairwise(states):
         assert count_turning(plane, before, after) == 0
