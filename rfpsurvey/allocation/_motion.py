@@ -42,29 +42,33 @@ class Motion:
         found = solve_moves(problem.focal_plane.arrays, own, problem.fiber_of(own, target), points, side)
         return found if idle is None else joined(found, idle, self._idle, np.arange(len(idle)))
 
+    def obstacle_hits(self, problem, own: np.ndarray, moves: Moves) -> np.ndarray:
+        """Return the pairs (arm, obstacle) that collide while arms unfold; ``own`` is the positioner of each arm."""
+        pairs = problem.focal_plane.arrays.obstacle_pairs
+        first = np.searchsorted(pairs[:, 0], np.arange(len(problem.focal_plane) + 1))
+        size = first[own + 1] - first[own]
+        index = np.repeat(np.arange(len(own)), size)
+        offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
+        test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
+        return test[unfolding_obstacles(problem.focal_plane, moves, own, test)]
+
+    def turns(self, problem, own: np.ndarray, moves: Moves) -> np.ndarray:
+        """Return whether each folded arm can turn to its direction; ``own``, the positioner of each arm, is sorted."""
+        center = problem.focal_plane.arrays.xy[own]
+        return self._turning.allows(own, np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0]))
+
     def allowed(self, problem, own: np.ndarray, target: np.ndarray, side: np.ndarray) -> np.ndarray:
         """Return whether the arm of each candidate can turn and unfold without a collision with obstacles.
 
         The candidates must be sorted by positioner; idle arms are allowed.
         """
-        columns = problem.focal_plane.arrays
-        pairs, n = columns.obstacle_pairs, len(problem.focal_plane)
-        near = np.zeros(n, dtype=bool)
-        near[pairs[:, 0]] = near[list(self._turning.examined)] = True
+        near, allowed = np.zeros(len(problem.focal_plane), dtype=bool), np.ones(len(own), dtype=bool)
+        near[problem.focal_plane.arrays.obstacle_pairs[:, 0]] = near[self._turning.examined] = True
         rows = np.flatnonzero(near[own] & (target >= 0))
-        allowed = np.ones(len(own), dtype=bool)
-        if len(rows) == 0:
-            return allowed
-        who, moves = own[rows], self.moves(problem, own[rows], target[rows], side[rows])
-        first = np.searchsorted(pairs[:, 0], np.arange(n + 1))
-        size = first[who + 1] - first[who]
-        index = np.repeat(np.arange(len(rows)), size)
-        offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
-        test = np.column_stack([index, pairs[np.repeat(first[who], size) + offset, 1]])
-        hit = unfolding_obstacles(problem.focal_plane, moves, who, test)
-        allowed[rows[test[hit, 0]]] = False
-        theta = np.arctan2(moves.y - columns.xy[who, 1], moves.x - columns.xy[who, 0])
-        allowed[rows] &= self._turning.allows(who, theta)
+        if len(rows):
+            moves = self.moves(problem, own[rows], target[rows], side[rows])
+            allowed[rows] = self.turns(problem, own[rows], moves)
+            allowed[rows[self.obstacle_hits(problem, own[rows], moves)[:, 0]]] = False
         return allowed
 
     def reachable(self, problem, reach: Reach) -> Reach:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._kernels.motion import Moves
 from rfpsurvey.collision._arms import Arms, check_arms, check_plane, place_arms
 from rfpsurvey.collision._moves import (
     Folded,
@@ -45,6 +46,8 @@ class MotionReport:
     theta : Quantity, shape (n,)
         Joint angle theta of each positioner while arms unfold. Idle arms that remain folded turn to this angle. The
         angle is NaN for arms that are ignored.
+    law : str
+        Law of time by which the arms unfold.
 
     Examples
     --------
@@ -62,6 +65,7 @@ class MotionReport:
     blocked: np.ndarray
     touching: np.ndarray
     theta: u.Quantity
+    law: str
 
     @property
     def needs_planner(self) -> np.ndarray:
@@ -164,7 +168,13 @@ def find_motion(
     touching = touching[moved[touching].any(axis=1)]
     unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
     joint = columns.to_joints(np.where(np.isnan(parts[0][0].x), np.nan, theta), np.zeros(len(theta)))[0]
-    return MotionReport(*unique, moved & ~free & columns.usable, touching, np.rad2deg(joint) << u.deg)
+    return MotionReport(*unique, moved & ~free & columns.usable, touching, np.rad2deg(joint) << u.deg, law)
+
+
+def plan_moves(plane: FocalPlane, arms: object, law: str, parked_obstacles: bool) -> Moves:
+    """Return the motion of all arms of a plan; folded idle arms are turned out of the way."""
+    columns, idle = plane.arrays, idle_moves(plane.arrays, parked_obstacles)
+    return _motion_of(plane, arms, idle, Turning(columns, Folded.of(columns), idle), law == "same_speed")[0]
 
 
 def _motion_of(plane, given, idle, turning, same_speed):

@@ -15,7 +15,7 @@ N_BINS = 3600
 BIN = 2 * np.pi / N_BINS
 N_WAYS = 24
 """Number of directions from which one is chosen for each folded arm without a target."""
-MOST = 16
+MOST = 4
 """Largest number of candidates of a positioner that are considered when the directions of idle arms are chosen."""
 
 

@@ -52,6 +52,15 @@ def test_plans_with_safe_motion_need_no_path_planner_and_state_it(sky):
     assert tuple(value) <= tuple(most)
 
 
+def test_idle_positioners_of_a_plan_with_safe_motion_collide_on_the_way_to_free_targets(sky):
+    options = rs.AllocationOptions("optimal", constraints="motion fold")
+    tile = rs.plan_tile(sky, "sdss_apo", CENTER, allocator=options)
+    reasons, counts = np.unique(tile.idle["reason"], return_counts=True)
+    assert "a free target in reach was not assigned" not in reasons
+    assert counts[reasons == "at every free target in reach the arm would collide"] > 20
+    assert not tile.idle["n_possible"].any()
+
+
 def test_a_score_counts_the_collisions_of_the_motion(sky):
     plain = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="optimal")
     scored = rs.score_tile(plain.table, "sdss_apo", constraints="motion fold")
