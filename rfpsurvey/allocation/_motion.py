@@ -3,7 +3,16 @@
 import numpy as np
 
 from rfpsurvey._kernels.motion import Moves
-from rfpsurvey.collision import Folded, Turning, idle_moves, joined, solve_moves, turn_idle_arms, unfolding_obstacles
+from rfpsurvey.collision import (
+    Folded,
+    Turning,
+    idle_moves,
+    joined,
+    solve_moves,
+    stays_folded,
+    turn_idle_arms,
+    unfolding_obstacles,
+)
 from rfpsurvey.focal_plane import Reach
 
 
@@ -23,10 +32,11 @@ class Motion:
         columns, parked = problem.focal_plane.arrays, problem.parked_obstacles
         self._idle = idle_moves(columns, parked)
         self._turning = Turning(columns, Folded.of(columns), self._idle)
-        if not parked:
+        if not stays_folded(columns, parked).any():
             return
-        indptr, target, _ = problem.pairs.by_positioner
+        indptr, target, r2 = problem.pairs.by_positioner
         own = np.repeat(np.arange(len(problem.focal_plane)), np.diff(indptr))
+        target = target[np.lexsort((r2, own))]  # the directions must not depend on the order of the targets
         side = columns.sides(problem.xy[target], own, problem.fiber_of(own, target))
         moves = self.moves(problem, own, target, side)
         self._idle = turn_idle_arms(columns, self._idle, self._turning, indptr, moves, self.same_speed)
