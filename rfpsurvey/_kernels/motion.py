@@ -45,11 +45,13 @@ class Moves(NamedTuple):
     """Largest distance of a part of the eccentric arm from the elbow, mm."""
     circle: np.ndarray
     """Center and radius of a circle that contains all points of the arm during the motion, shape (3, n)."""
+    sector: np.ndarray
+    """Direction of the axis of the sector that the arm sweeps, and cosine and sine of half its angle, shape (4, n)."""
 
 
 @kernel
-def enclose(x, y, angle, turn, reach, circle):
-    """Compute circles that contain all points within ``reach`` of the elbow in the directions of the motion."""
+def enclose(x, y, angle, turn, reach, circle, sector):
+    """Compute the sectors of all points within ``reach`` of the elbow in the directions of the motion, and circles."""
     for k in range(x.size):
         half = 0.5 * abs(turn[k])
         # a sector is contained in a circle through its tip and the ends of its arc, or in a circle around its chord
@@ -61,6 +63,26 @@ def enclose(x, y, angle, turn, reach, circle):
         middle = angle[k] + 0.5 * turn[k]
         circle[0, k], circle[1, k] = x[k] + along * math.cos(middle), y[k] + along * math.sin(middle)
         circle[2, k] = radius
+        half = min(half, math.pi)
+        sector[0, k], sector[1, k] = math.cos(middle), math.sin(middle)
+        sector[2, k], sector[3, k] = math.cos(half), math.sin(half)
+
+
+@kernel
+def extent(ux, uy, mx, my, c, s, reach):
+    """Return how far a sector extends in the direction u; its axis is m, and c and s belong to half its angle."""
+    along, across = ux * mx + uy * my, abs(ux * my - uy * mx)
+    return reach if along >= c else max(reach * (along * c + across * s), 0.0)
+
+
+@kernel
+def sectors_apart(moves, a, b, x, y, limit):
+    """Return whether the sectors that two arms sweep are farther apart than ``limit`` along the direction (x, y)."""
+    inverse = 1.0 / math.sqrt(x * x + y * y)
+    ux, uy, v = x * inverse, y * inverse, moves.sector
+    one = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
+    two = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
+    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - one - two > limit
 
 
 @kernel
@@ -203,18 +225,27 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
 
 
 @kernel
+def may_meet(moves, a, b, limit, outlined):
+    """Return whether the areas that two arms sweep may be closer than ``limit``."""
+    dx, dy = moves.circle[0, b] - moves.circle[0, a], moves.circle[1, b] - moves.circle[1, a]
+    far = moves.circle[2, a] + moves.circle[2, b] + limit
+    if not dx * dx + dy * dy <= far * far:
+        return False
+    if outlined or not sectors_apart(moves, a, b, dx, dy, limit):
+        ex, ey = moves.x[b] - moves.x[a], moves.y[b] - moves.y[a]
+        return outlined or not sectors_apart(moves, a, b, ex, ey, limit)
+    return False
+
+
+@kernel
 def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
     """List the candidates of each pair of neighbors that collide while they unfold, beginning with the pair p.
 
     Returns the number of listed pairs of candidates, and the index of the first pair of neighbors for which there was
     no space in the lists. Candidate k of positioner i has an index from ``start[i]`` to ``start[i + 1] - 1``.
     """
+    outlined = limits.outline.start.size > 1
     n, limit = 0, limits.separation - limits.outline.offset + TOLERANCE
-    x, y, radius = moves.circle[0], moves.circle[1], moves.circle[2]
-    size = 0
-    for i in range(start.size - 1):
-        size = max(size, start[i + 1] - start[i])
-    near = np.empty(size, np.bool_)
     while p < pairs.shape[0]:
         i, j = pairs[p, 0], pairs[p, 1]
         a0, a1, b0, b1 = start[i], start[i + 1], start[j], start[j + 1]
@@ -223,13 +254,30 @@ def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
         p += 1
         for a in range(a0, a1):
             for b in range(b0, b1):
-                dx, dy, far = x[b] - x[a], y[b] - y[a], radius[a] + radius[b] + limit
-                near[b - b0] = dx * dx + dy * dy <= far * far
-            for b in range(b0, b1):
-                if near[b - b0] and pair_meets(moves, a, b, same_speed, limits, i, j):
+                if may_meet(moves, a, b, limit, outlined) and pair_meets(moves, a, b, same_speed, limits, i, j):
                     first[n], second[n] = a, b
                     n += 1
     return n, p
+
+
+@kernel
+def count_meeting(pairs, start, moves, same_speed, limits, counts):
+    """Count the candidates that collide with the folded arm of each positioner, for several directions of this arm.
+
+    The folded arm of positioner i with direction k follows all candidates in ``moves``. The shape of ``counts`` is
+    (number of positioners, number of directions).
+    """
+    outlined = limits.outline.start.size > 1
+    limit = limits.separation - limits.outline.offset + TOLERANCE
+    counts[:] = 0
+    for p in range(pairs.shape[0]):
+        for swap in range(2):
+            i, j = pairs[p, swap], pairs[p, 1 - swap]
+            for k in range(counts.shape[1]):
+                c = start[-1] + i * counts.shape[1] + k
+                for b in range(start[j], start[j + 1]):
+                    if may_meet(moves, c, b, limit, outlined):
+                        counts[i, k] += pair_meets(moves, c, b, same_speed, limits, i, j)
 
 
 @kernel

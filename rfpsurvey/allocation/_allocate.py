@@ -15,6 +15,7 @@ from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._given import from_allocation, from_tile, is_plan, with_changes
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR
+from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.allocation._options import AllocationOptions, as_options
 from rfpsurvey.allocation._plugin import find_allocator
 from rfpsurvey.allocation._problem import AllocationProblem
@@ -186,10 +187,9 @@ def assign(
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
-    During long searches, the function ``tell`` is called with the completed fraction and the current stage. ``order``,
-    which is required if there are subpriorities, contains the rows of the targets in the order of their precedence.
-    ``excluded`` is whether each target must not be observed, and ``excludes_sky`` returns this for sky positions that
-    are added, from their positions and fiber types.
+    During long searches, ``tell`` is called with the completed fraction and the stage. ``order``, which is required if
+    there are subpriorities, contains the rows of the targets in the order of their precedence. ``excluded`` is whether
+    each target must not be observed; ``excludes_sky`` returns this for added sky positions and their fiber types.
     """
     begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
@@ -223,6 +223,7 @@ def assign(
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
+    problem = replace(problem, motion=Motion(problem) if options.motion_law else None)
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
     answer = find_allocator(options.allocator).function(problem)
     if is_plan(options.start) and options.method.improves:
@@ -230,13 +231,12 @@ def assign(
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
-    end = perf_counter()
     return Allocation(
         options.name,
         **found,
         in_reach=in_reach,
         parked_obstacles=options.parked_obstacles,
-        seconds={"reach": middle - begin, "allocation": end - middle},
+        seconds={"reach": middle - begin, "allocation": perf_counter() - middle},
         excluded=excluded,
     )
 

@@ -86,7 +86,7 @@ class Candidates:
         o, moving = self.options, self.problem.motion
         if moving is None:
             return None
-        return moving.moves(o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
+        return moving.moves(self.problem, o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
 
     def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
         """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
@@ -137,7 +137,7 @@ def find_candidates(
     keep = np.ones(len(own), dtype=bool)
     keep[obstacle_hits(problem.focal_plane, start, found.segments)[:, 0]] = False
     if problem.motion is not None:
-        keep &= problem.motion.allowed(own, target, side)
+        keep &= problem.motion.allowed(problem, own, target, side)
     keep[start[1:] - 1] = True
     found = found if keep.all() else found.where(keep)
     return found.with_collisions(seconds, most_pairs) if most_pairs else found

@@ -49,7 +49,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     """
     plane, reach = problem.focal_plane, problem.pairs
     if collide and problem.motion is not None:
-        reach = problem.motion.reachable(reach)
+        reach = problem.motion.reachable(problem, reach)
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)

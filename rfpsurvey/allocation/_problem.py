@@ -71,6 +71,9 @@ class AllocationProblem:
         Time at which the time limit of the plan ends, on the clock of the built-in allocators.
     row : ndarray of int, shape (n_targets,), optional
         Row of each target in the order in which the targets were given, if the targets were sorted to break ties.
+    motion : Motion, optional
+        Motion of the arms, if a constraint requires that they unfold without collisions. The built-in allocators use
+        it.
 
     Examples
     --------
@@ -106,6 +109,7 @@ class AllocationProblem:
     subpriority: np.ndarray | None = None
     deadline: float | None = None
     row: np.ndarray | None = None
+    motion: Motion | None = None
 
     def __post_init__(self):
         n = len(self.xy)
@@ -152,11 +156,6 @@ class AllocationProblem:
     def parked_obstacles(self) -> bool:
         """Whether idle positioners with two arms of equal length are obstacles."""
         return self.options.parked_obstacles
-
-    @cached_property
-    def motion(self) -> Motion | None:
-        """The motion of the arms, if a constraint requires that they unfold without collisions; otherwise None."""
-        return Motion(self) if self.options.motion_law else None
 
     @cached_property
     def any_required(self) -> bool:

@@ -8,9 +8,11 @@ import numpy as np
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._candidates import find_conflicts, list_candidates, obstacle_hits
+from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.allocation._options import AllocationOptions
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.collision import Arms
+from rfpsurvey.collision import Arms, joined, plan_moves
+from rfpsurvey.constraints import Motion as MotionConstraint
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -82,7 +84,7 @@ class IdleReasons(NamedTuple):
     blocked_by: list[list[int]]
 
 
-def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms) -> IdleReasons:
+def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arms, law: str = "") -> IdleReasons:
     """Return the reason why each idle positioner has no target, and the attempts to move it to free targets.
 
     The function considers only the given targets, and ignores sky positions that were added in gaps between targets.
@@ -95,6 +97,9 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
         The plan.
     arms : Arms
         The poses of all arms in the plan.
+    law : str, optional
+        Law of time by which arms must unfold without collisions, as in `~rfpsurvey.constraints.Motion`. By default, the
+        motion of the arms is ignored.
 
     Returns
     -------
@@ -133,7 +138,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     n_in_reach = np.bincount(reach.owner, minlength=n)
     reach = reach.where(allocation.positioner_of_target[reach.target] < 0)
     n_free = np.bincount(reach.owner, minlength=n)
-    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach)
+    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach, law)
     possible = np.zeros(n, dtype=bool)
     possible[owner[[not others for others in blocked_by]]] = True
     reason = np.full(n, IdleReason.ALL_FREE_TARGETS_COLLIDE)
@@ -145,7 +150,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     return IdleReasons(idle, reason[idle], n_in_reach[idle], n_free[idle], owner, target, blocked_by)
 
 
-def _attempts(plane, allocation, arms, reach):
+def _attempts(plane, allocation, arms, reach, law):
     """Return the positioner, the target, and the colliding arms and obstacles of each attempt."""
     problem = AllocationProblem(
         plane,
@@ -154,20 +159,32 @@ def _attempts(plane, allocation, arms, reach):
         np.zeros(allocation.n_given, dtype=np.int64),
         (0.0,),
         fiber_type=None if allocation.target_fiber_type is None else allocation.target_fiber_type[: allocation.n_given],
-        options=AllocationOptions(parked_obstacles=allocation.parked_obstacles),
+        options=AllocationOptions(
+            parked_obstacles=allocation.parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
+        ),
     )
     start, own, target, side, _ = list_candidates(problem, reach, both=True)
     now = start[1:] - 1  # the last candidate of each positioner stands for its arm in the plan
     segments = place_segments(problem, own, target, side, now)
     segments[:, now] = arms.segments.T
-    moves = np.ones(len(own), dtype=bool)
-    moves[now] = False
+    is_moved = np.ones(len(own), dtype=bool)
+    is_moved[now] = False
     blocked_by: list[list[int]] = [[] for _ in own]
-    for first, second in find_conflicts(plane, start, segments).T.tolist():
-        if moves[first] != moves[second]:
-            moved, other = (first, second) if moves[first] else (second, first)
+    moves, hits = None, obstacle_hits(plane, start, segments)
+    if law:
+        motion, same = Motion(problem), law == "same_speed"
+        planned = plan_moves(plane, arms, law, allocation.parked_obstacles)
+        moves = joined(motion.moves(problem, own, target, side, now), now, planned, np.arange(len(plane)))
+        hits = np.concatenate([hits, motion.obstacle_hits(problem, own, moves)])
+        for k in np.flatnonzero(~motion.turns(problem, own, moves) & is_moved):
+            others = plane.arrays.neighbors[(plane.arrays.neighbors == own[k]).any(axis=1)].ravel()
+            blocked_by[k] += others[~plane.arrays.usable[others]].tolist()
+        moves = moves, same
+    for first, second in find_conflicts(plane, start, segments, moves=moves).T.tolist():
+        if is_moved[first] != is_moved[second]:
+            moved, other = (first, second) if is_moved[first] else (second, first)
             blocked_by[moved].append(int(own[other]))
-    for moved, obstacle in obstacle_hits(plane, start, segments).tolist():
+    for moved, obstacle in np.unique(hits, axis=0).tolist():
         blocked_by[moved].append(-1 - obstacle)
-    rows = np.flatnonzero(moves)
+    rows = np.flatnonzero(is_moved)
     return own[rows], target[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]

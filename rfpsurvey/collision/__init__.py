@@ -5,14 +5,16 @@ from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_s
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
 from rfpsurvey.collision._find import find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, CollisionMethod, Configuration, Found, keep_closer, near_pairs
-from rfpsurvey.collision._motion import LAWS, MotionReport, find_motion
+from rfpsurvey.collision._motion import LAWS, MotionReport, find_motion, plan_moves
 from rfpsurvey.collision._moves import (
     Folded,
     Turning,
     idle_moves,
     joined,
     solve_moves,
+    stays_folded,
     touching_folds,
+    turn_idle_arms,
     unfolding_obstacles,
 )
 from rfpsurvey.collision._report import CollisionReport
@@ -44,9 +46,12 @@ __all__ = [
     "near_pairs",
     "nearest_distance",
     "place_arms",
+    "plan_moves",
     "queue_segments",
     "solve_moves",
+    "stays_folded",
     "touching",
     "touching_folds",
+    "turn_idle_arms",
     "unfolding_obstacles",
 ]

@@ -2,9 +2,10 @@
 
 from dataclasses import dataclass
 
+import astropy.units as u
 import numpy as np
 
-from rfpsurvey._kernels import motion
+from rfpsurvey._kernels.motion import Moves
 from rfpsurvey.collision._arms import Arms, check_arms, check_plane, place_arms
 from rfpsurvey.collision._moves import (
     Folded,
@@ -13,7 +14,9 @@ from rfpsurvey.collision._moves import (
     idle_moves,
     joined,
     split_phi,
+    stays_folded,
     touching_folds,
+    turn_idle_arms,
     unfolding_obstacles,
     unfolding_pairs,
 )
@@ -40,6 +43,11 @@ class MotionReport:
         obstacle.
     touching : ndarray of int, shape (l, 2)
         Pairs of positioners whose folded arms can touch each other when they turn.
+    theta : Quantity, shape (n,)
+        Joint angle theta of each positioner while arms unfold. Idle arms that remain folded turn to this angle. The
+        angle is NaN for arms that are ignored.
+    law : str
+        Law of time by which the arms unfold.
 
     Examples
     --------
@@ -56,6 +64,8 @@ class MotionReport:
     obstacle_pairs: np.ndarray
     blocked: np.ndarray
     touching: np.ndarray
+    theta: u.Quantity
+    law: str
 
     @property
     def needs_planner(self) -> np.ndarray:
@@ -68,6 +78,15 @@ class MotionReport:
     def n_planner(self) -> int:
         """Number of positioners that need a path planner."""
         return int(self.needs_planner.sum())
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of colliding pairs of arms, of collisions with obstacles, and of positioners, for summaries."""
+        return {
+            "n_unfolding_pairs": len(self.pairs),
+            "n_unfolding_obstacle_collisions": len(self.obstacle_pairs),
+            "n_needs_planner": self.n_planner,
+        }
 
     def __repr__(self):
         pairs = f"{number_of(len(self.pairs), 'pair')} of arms, {len(self.obstacle_pairs)} with obstacles"
@@ -90,7 +109,8 @@ def find_motion(
     order. All arms then unfold at the same time; folding is the exact time reversal of unfolding. Arms that come closer
     to each other than the minimum separation plus 1e-6 mm at some time collide; the other arms are certainly never
     closer than the minimum separation. Broken arms do not move. An idle arm goes to its parked pose if this pose is an
-    obstacle in static tests, and remains folded otherwise.
+    obstacle in static tests. Otherwise it remains folded, and turns out of the way of the other arms if there is no
+    collision in one of 24 directions.
 
     Parameters
     ----------
@@ -136,10 +156,9 @@ def find_motion(
     columns = focal_plane.arrays
     folded = Folded.of(columns)
     turning = Turning(columns, folded, idle_moves(columns, parked_obstacles))
-    idle = idle_moves(columns, parked_obstacles, turning)
-    parts = [_motion_of(focal_plane, arms, idle)]
-    if before is not None:
-        parts.append(_motion_of(focal_plane, before, idle))
+    given = [arms] if before is None else [arms, before]
+    idle = idle_moves(columns, parked_obstacles)
+    parts = [_motion_of(focal_plane, one, idle, turning, law == "same_speed") for one in given]
     pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, _, _ in parts]
     own, near = np.arange(len(focal_plane)), columns.obstacle_pairs
     hits = [near[unfolding_obstacles(focal_plane, moves, own, near)] for moves, _, _ in parts]
@@ -148,10 +167,17 @@ def find_motion(
     touching = touching_folds(columns, folded)
     touching = touching[moved[touching].any(axis=1)]
     unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
-    return MotionReport(*unique, moved & ~free & columns.usable, touching)
+    joint = columns.to_joints(np.where(np.isnan(parts[0][0].x), np.nan, theta), np.zeros(len(theta)))[0]
+    return MotionReport(*unique, moved & ~free & columns.usable, touching, np.rad2deg(joint) << u.deg, law)
 
 
-def _motion_of(plane, given, idle):
+def plan_moves(plane: FocalPlane, arms: object, law: str, parked_obstacles: bool) -> Moves:
+    """Return the motion of all arms of a plan; folded idle arms are turned out of the way."""
+    columns, idle = plane.arrays, idle_moves(plane.arrays, parked_obstacles)
+    return _motion_of(plane, arms, idle, Turning(columns, Folded.of(columns), idle), law == "same_speed")[0]
+
+
+def _motion_of(plane, given, idle, turning, same_speed):
     """Return the motion of all arms, their directions theta, and which arms have targets or recorded poses."""
     if hasattr(given, "place_arms"):
         given = given.place_arms(plane)
@@ -163,5 +189,12 @@ def _motion_of(plane, given, idle):
     moved = posed.assigned | (False if posed.recorded is None else posed.recorded)
     moves = find_moves(columns, own, fiber, theta, split_phi(columns, phi), moving=columns.usable)
     rows = np.flatnonzero(~moved)
-    direction = np.where(moved, theta, plane.arrays.from_joints(*plane.arrays.home)[0])
-    return joined(moves, rows, motion.Moves(*(value[..., rows] for value in idle))), direction, moved
+    others = joined(moves, rows, idle, rows)
+    # folded idle arms are no obstacles for each other
+    others = others._replace(x=np.where(moved | ~stays_folded(columns, True), others.x, np.nan))
+    if np.isfinite(idle.x[columns.usable]).any():
+        idle = turn_idle_arms(columns, idle, turning, np.arange(len(plane) + 1), others, same_speed)
+    moves = joined(moves, rows, idle, rows)
+    center = plane.arrays.xy
+    direction = np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0])
+    return moves, np.where(moved, theta, direction), moved

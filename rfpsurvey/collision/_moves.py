@@ -13,6 +13,10 @@ MUCH = 0.1
 N_BINS = 3600
 """Number of directions of a folded arm that are tested; between them, the arm is known not to come too close."""
 BIN = 2 * np.pi / N_BINS
+N_WAYS = 24
+"""Number of directions from which one is chosen for each folded arm without a target."""
+MOST = 4
+"""Largest number of candidates of a positioner that are considered when the directions of idle arms are chosen."""
 
 
 def find_moves(columns, own, fiber, theta, phi, *, moving: np.ndarray | bool = True) -> motion.Moves:
@@ -29,11 +33,11 @@ def find_moves(columns, own, fiber, theta, phi, *, moving: np.ndarray | bool = T
     turn = np.where(moving, _to_fold(columns, own, fiber, phi, offset), 0.0)
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
     angle, reach = theta + phi + offset, length if outline is None else np.full(len(own), outline.reach[0])
-    circle = np.empty((3, len(own)))
-    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle)
+    circle, sector = np.empty((3, len(own))), np.empty((4, len(own)))
+    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle, sector)
     if outline is not None:
         circle = _around_both(circle, geometry, outline.reach[1])
-    return motion.Moves(x, y, angle, turn, inner, length, reach, circle)
+    return motion.Moves(x, y, angle, turn, inner, length, reach, circle, sector)
 
 
 def _to_fold(columns, own, fiber, phi, offset):
@@ -92,7 +96,13 @@ def split_phi(columns, phi):
     return np.where(straight, usual * np.abs(phi), phi)
 
 
-def idle_moves(columns, parked_obstacles: bool, turning: "Turning | None" = None) -> motion.Moves:
+def stays_folded(columns, parked_obstacles: bool) -> np.ndarray:
+    """Return which positioners remain folded without a target: they are usable, and no obstacles in static tests."""
+    first = columns.plane.arrays
+    return first.usable & ~first.idle(parked_obstacles).parked & parked_obstacles
+
+
+def idle_moves(columns, parked_obstacles: bool) -> motion.Moves:
     """Return the motion of the arms without a target, one for each positioner.
 
     Broken arms do not move. The other arms go to their parked pose if it is an obstacle in static tests; otherwise they
@@ -102,24 +112,51 @@ def idle_moves(columns, parked_obstacles: bool, turning: "Turning | None" = None
     own, fiber = np.arange(len(columns.plane)), first.first_index
     home = np.where(first.is_stuck, first.stuck.T, first.home)
     theta, phi = (np.array(v, dtype=float) for v in first.from_joints(*home, own, fiber))
-    parked = first.idle(parked_obstacles).parked
-    stays = first.usable & ~parked
-    if turning is not None:
-        for k, value in turning.theta.items():
-            theta[k] = value if stays[k] else theta[k]
-    phi = np.where(first.is_stuck, phi, split_phi(first, phi))
+    stays = stays_folded(columns, parked_obstacles)
     found = find_moves(first, own, fiber, theta, split_phi(first, phi), moving=first.usable)
-    folded = np.where(stays, found.angle + found.turn, found.angle)
-    turn = np.where(stays, 0.0, found.turn)
+    folded = find_moves(first, own, fiber, theta, split_phi(first, phi) + found.turn, moving=False)
+    found = joined(found, np.flatnonzero(stays), folded, np.flatnonzero(stays))
     gone = first.usable & (not parked_obstacles)
-    return found._replace(x=np.where(gone, np.nan, found.x), angle=folded, turn=turn)
+    return found._replace(x=np.where(gone, np.nan, found.x))
 
 
-def joined(moves: motion.Moves, rows: np.ndarray, others: motion.Moves) -> motion.Moves:
-    """Return a copy of the motion of arms in which the arms in ``rows`` have the motion of ``others``."""
+def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves: motion.Moves, same_speed: bool):
+    """Return the motion of arms without a target, in which folded arms turn out of the way of candidates.
+
+    Each arm that remains folded turns to the direction, of ``N_WAYS`` directions, with the fewest collisions; of equal
+    directions, the first after that of the parked pose. Candidate k of positioner i in ``moves`` has an index from
+    ``start[i]`` to ``start[i + 1] - 1``.
+    """
+    first, n = columns.plane.arrays, len(columns.plane)
+    stays = np.flatnonzero(stays_folded(columns, True))
+    if len(stays) == 0:
+        return idle
+    size = np.diff(start)
+    step = np.maximum(-(-size // MOST), 1)
+    offset = np.arange(start[-1]) - np.repeat(start[:-1], size)
+    some = np.flatnonzero(offset % np.repeat(step, size) == 0)
+    start = np.searchsorted(some, start)
+    theta = np.arctan2(idle.y - first.xy[:, 1], idle.x - first.xy[:, 0])
+    ways = (theta[:, None] + np.arange(N_WAYS) * (2 * np.pi / N_WAYS)).ravel()
+    phi = np.repeat(idle.angle - theta, N_WAYS)
+    if first.model == arms.CAPSULE:
+        phi -= np.repeat(np.arctan2(*first.angles[::-1]), N_WAYS)
+    own = np.repeat(np.arange(n), N_WAYS)
+    folded = find_moves(first, own, first.first_index[own], ways, phi, moving=False)
+    folded = folded._replace(x=np.where(np.isin(own, stays), folded.x, np.nan))
+    both = motion.Moves(*(np.concatenate([a[..., some], b], axis=-1) for a, b in zip(moves, folded, strict=True)))
+    counts = np.empty((n, N_WAYS), dtype=np.int64)
+    motion.count_meeting(first.neighbors, start, both, same_speed, first.limits, counts)
+    counts[~turning.allows(own, ways).reshape(n, N_WAYS)] = np.iinfo(np.int64).max
+    best = counts.argmin(axis=1)
+    return joined(idle, stays, folded, stays * N_WAYS + best[stays])
+
+
+def joined(moves: motion.Moves, rows: np.ndarray, others: motion.Moves, other_rows: np.ndarray) -> motion.Moves:
+    """Return a copy of ``moves``, in which arms ``rows`` have the motion of the arms ``other_rows`` of ``others``."""
     columns = [value.copy() for value in moves]
     for column, other in zip(columns, others, strict=True):
-        column[..., rows] = other
+        column[..., rows] = other[..., other_rows]
     return motion.Moves(*columns)
 
 
@@ -201,16 +238,11 @@ class Turning:
     such a positioner certainly collides with none of them form arcs; within an arc, the arm can turn in the direction
     that remains in the arc. The arc of the parked pose (or the longest arc, if the parked arm collides) is the *usual*
     arc.
-
-    Attributes
-    ----------
-    theta : dict of int to float
-        For each examined positioner whose parked arm collides, the midpoint of its usual arc (NaN if there is no arc).
     """
 
     def __init__(self, columns, folded: Folded, broken: motion.Moves):
         first = columns.plane.arrays
-        self._lines, self._usual, self.theta = {}, {}, {}
+        self._lines, self._usual = {}, {}
         home = first.from_joints(*first.home, np.arange(len(first.usable)), first.first_index)[0]
         for i, (others, obstacles) in _near(first, folded, broken).items():
             free = np.ones(N_BINS, dtype=bool)
@@ -220,12 +252,7 @@ class Turning:
             labels = self.labels(i, np.array([home[i]]))[:, 0]
             self._usual[i] = labels[labels > 0]
             if not len(self._usual[i]):
-                origin, label = self._lines[i]
-                sizes = np.bincount(label, minlength=2)[1:]
-                best = 1 + int(np.argmax(sizes))
-                self._usual[i] = np.array([best])
-                bins = np.flatnonzero(label == best)
-                self.theta[i] = origin + BIN * (bins[len(bins) // 2] + 0.5) if len(bins) else np.nan
+                self._usual[i] = 1 + np.bincount(self._lines[i][1], minlength=2)[1:].argmax(keepdims=True)
 
     @property
     def examined(self) -> list[int]:

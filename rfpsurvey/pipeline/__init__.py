@@ -7,7 +7,15 @@ steps of the pipeline.
 
 from rfpsurvey.pipeline._blank_sky import BlankIds
 from rfpsurvey.pipeline._constraints import Applied, apply_constraints, early_violations
-from rfpsurvey.pipeline._field import FieldPlan, FieldReach, FieldTargets, field_radius_rad, find_reach, plan_field
+from rfpsurvey.pipeline._field import (
+    FieldPlan,
+    FieldReach,
+    FieldTargets,
+    field_radius_rad,
+    find_all_collisions,
+    find_reach,
+    plan_field,
+)
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.pipeline._targets import (
@@ -36,6 +44,7 @@ __all__ = [
     "category_classes",
     "early_violations",
     "field_radius_rad",
+    "find_all_collisions",
     "find_reach",
     "outcome_codes",
     "plan_field",

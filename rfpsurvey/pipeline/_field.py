@@ -20,7 +20,7 @@ from rfpsurvey.allocation import (
 )
 from rfpsurvey.collision import Arms, CollisionReport, find_collisions, find_motion
 from rfpsurvey.constraints import Verdict
-from rfpsurvey.focal_plane import Reach
+from rfpsurvey.focal_plane import FocalPlane, Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
 from rfpsurvey.pipeline._blank_sky import BlankIds
@@ -155,6 +155,14 @@ def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> A
     return allocation
 
 
+def find_all_collisions(plane: FocalPlane, arms: Arms, options: AllocationOptions) -> CollisionReport:
+    """Find the collisions of a plan and, if a constraint refers to the motion of the arms, those of the motion."""
+    report, law = find_collisions(plane, arms), options.motion_law
+    if not law:
+        return report
+    return replace(report, motion=find_motion(plane, arms, law=law, parked_obstacles=options.parked_obstacles))
+
+
 def plan_field(
     instrument: Instrument,
     projection: FieldProjection,
@@ -194,12 +202,7 @@ def plan_field(
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
-    report = find_collisions(instrument.focal_plane, arms)
-    if options.motion_law:
-        moved = find_motion(
-            instrument.focal_plane, arms, law=options.motion_law, parked_obstacles=options.parked_obstacles
-        )
-        report = replace(report, motion=moved)
+    report = find_all_collisions(instrument.focal_plane, arms, options)
     seconds = {**allocation.seconds, "arms": middle - begin, "collisions": perf_counter() - middle}
     positioner = np.flatnonzero(allocation.target_of_positioner >= 0)
     target = allocation.target_of_positioner[positioner]

@@ -37,6 +37,9 @@ TILE = {
     "arm_model": "    arm model",
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
+    "n_unfolding_pairs": "pairs that collide while unfolding",
+    "n_unfolding_obstacle_collisions": "  collisions with obstacles while unfolding",
+    "n_needs_planner": "positioners that need a path planner",
     "collision_rate_assigned": "collision rate of assigned arms",
     "collision_rate": "  of assigned and parked arms",
 }
@@ -98,6 +101,8 @@ LEVELS = {
     "required targets": "required targets assigned",
     TOTAL: "targets of any kind",
 }
+MOTION = ("n_unfolding_pairs", "n_needs_planner")
+"""Numbers that are shown, even if they are 0, if a constraint refers to the motion of the arms."""
 ALWAYS = ("n_colliding", "n_colliding_pairs", "collision_rate_assigned")
 
 
@@ -112,7 +117,8 @@ ZERO_IS_LEFT_OUT = (
 def tile_facts(tile: "Tile") -> dict:
     """Return the counts and rates of a tile; most counts that are 0 are omitted."""
     values = {key: tile.summary.get(key, 0) for key in TILE}
-    facts = {TILE[key]: value for key, value in values.items() if value or key in ALWAYS}
+    always = (*ALWAYS, *(name for name in MOTION if name in tile.summary))
+    facts = {TILE[key]: value for key, value in values.items() if value or key in always}
     if np.isnan(values["collision_rate_assigned"]):
         facts |= {TILE["collision_rate_assigned"]: "undefined, because no arm is assigned"}
     if np.isnan(values["collision_rate"]) or values["collision_rate"] == values["collision_rate_assigned"]:
@@ -197,6 +203,7 @@ def survey_facts(survey: "Survey") -> dict:
         "  arm model": s.get("arm_model", "unknown"),  # surveys of earlier versions have no arm model
         "  fraction of assigned and parked": s["collision_rate"],
         "  collisions with obstacles": s["n_obstacle_collisions"],
+        **{TILE[name]: s[name] for name in MOTION if name in s},
         "unmet requirements, sum over tiles": s["n_unmet"],
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}

@@ -8,6 +8,7 @@ from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._history import state_columns
 from rfpsurvey.survey._unmet import UNKNOWN, rule_records, sentences_of, texts_of, without_shortfalls
+from rfpsurvey.survey._work import MOTION
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
 
@@ -33,6 +34,9 @@ TILES = {
     "n_counted": "number of positioners that have a target or are parked",
     "n_colliding_pairs": "number of pairs of arms in collision",
     "n_obstacle_collisions": "number of collisions with obstacles",
+    "n_unfolding_pairs": "number of pairs of arms that collide while they unfold",
+    "n_unfolding_obstacle_collisions": "number of collisions of unfolding arms with obstacles",
+    "n_needs_planner": "number of positioners that need a path planner",
     "n_unmet": "number of requirements that are not met",
     "unmet": "requirements that are not met, with the numbers of missing targets",
     "not_checkable": "constraints that are not checkable, because the plan lacks their data",
@@ -107,6 +111,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
         "arm_model": request.instrument.focal_plane.positioner.arm_model,
         **({"margins": str(margins)} if (margins := request.instrument.focal_plane.margins) else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
+        **{name: total[name] for name, _ in MOTION.values() if name in total},
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "collision_rate_assigned": total["n_colliding_assigned"] / max(total["n_assigned"], 1),
         "n_unmet": total["n_unmet"],

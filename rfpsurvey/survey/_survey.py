@@ -40,16 +40,18 @@ class Survey:
         require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
         (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
         ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (those of them that have a target),
-        ``n_counted`` (positioners that have a target or are parked),
-        ``n_colliding_pairs`` (pairs of arms in collision), ``n_obstacle_collisions`` (collisions with obstacles),
-        ``n_unmet`` (requirements that are not met; all required targets of a tile count as one requirement,
-        and so do all keep-out circles), ``unmet``
-        (if there are requirements or required targets: the requirements that are not met, with the numbers of missing
-        targets), ``not_checkable`` (if there are rules: those for which this tile lacks data), ``n_observed``
-        (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by
-        ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness``
-        (visits that all tiles together made to the targets of this field, divided by the requested visits of these
-        targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and ``provenance``.
+        ``n_counted`` (positioners that have a target or are parked), ``n_colliding_pairs`` (pairs of arms in
+        collision), ``n_obstacle_collisions`` (collisions with obstacles), ``n_unfolding_pairs``,
+        ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,
+        see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms unfold, and positioners
+        that need a path planner), ``n_unmet`` (requirements that are not met; all required targets of a tile count as
+        one requirement, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
+        requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
+        those for which this tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate``
+        (``n_colliding`` divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable
+        positioners), ``completeness`` (visits that all tiles together made to the targets of this field, divided by the
+        requested visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains
+        ``summary`` and ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
@@ -59,7 +61,8 @@ class Survey:
         all requested visits), ``completeness`` (``n_observed`` divided by ``n_requested``).
     outcomes : QTable
         Table with a row for each target: ``target_id``, ``requested`` (number of requested visits), ``observed``
-        (number of successful visits), ``outcome`` (an index of ``Survey.OUTCOMES``; see `outcome_names`).
+        (number of successful visits), ``outcome`` (an index of ``Survey.OUTCOMES``; see `outcome_names`). With cadences
+        also ``n_epochs`` and ``released`` (see `~rfpsurvey.survey.Cadences`).
     folder : Path, optional
         Folder that contains the visits.
     parts : tuple of ndarray, optional
@@ -69,9 +72,8 @@ class Survey:
         ``iteration``, ``priority``, ``n_visits`` (visits to targets with at least this priority), ``bound`` (upper
         bound of ``n_visits`` in any plan without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
         (computing time until the end of the iteration, NaN for iterations of an earlier run; files do not contain this
-        column). If there are more than eight priorities, the table contains
-        only eight, from the highest to the lowest priority. The entry ``joint`` of the summary contains the values
-        after the last iteration.
+        column). If there are more than eight priorities, the table contains only eight, from the highest to the lowest
+        priority. The entry ``joint`` of the summary contains the values after the last iteration.
 
     Examples
     --------

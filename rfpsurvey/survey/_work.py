@@ -31,6 +31,12 @@ COUNTS = {
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
     "NUNMET": ("n_unmet", "number of requirements that are not met"),
 }
+MOTION = {
+    "NUNFOLD": ("n_unfolding_pairs", "pairs of arms that collide while they unfold"),
+    "NUNFOBST": ("n_unfolding_obstacle_collisions", "collisions of unfolding arms with obstacles"),
+    "NPLANNER": ("n_needs_planner", "positioners that need a path planner"),
+}
+"""Header cards of the file of a tile if a constraint of the plan refers to the motion of the arms."""
 LOST = "n_colliding_assigned"
 """Name of the number of assigned positioners in collision, which has no header card, since visits contain it."""
 
@@ -158,6 +164,7 @@ def work(job: Job) -> Done:
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
+        **({} if report.motion is None else report.motion.counts),
         "n_unmet": len(plan.allocation.unmet),
         **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
     }
@@ -172,7 +179,7 @@ def work(job: Job) -> Done:
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
-    return {**COUNTS, **shortfall_cards(options)}
+    return {**COUNTS, **(MOTION if options.motion_law else {}), **shortfall_cards(options)}
 
 
 def plan_of(job: Job) -> FieldPlan:

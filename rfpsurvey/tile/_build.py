@@ -54,6 +54,7 @@ def build_tile(
         "arm_model": plane.positioner.arm_model,
         **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": len(report.obstacle_pairs),
+        **({} if report.motion is None else report.motion.counts),
         "collision_rate": report.rate,
         "collision_rate_assigned": report.rate_assigned,
         "model": model_sentence(instrument, posed, projection),

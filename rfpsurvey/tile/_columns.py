@@ -29,6 +29,7 @@ TILE_COLUMNS = {
     "tip_y": "y coordinate of the fiber in the focal plane",
     "in_collision": "whether the arm of the positioner collides",
     "colliding_with": "positioners and obstacles with which the arm collides",
+    "needs_planner": "whether the arm collides if all arms unfold at the same time, or cannot turn while it is folded",
     "clearance": "distance to the nearest other arm minus the minimum separation",
     "arm_x": "x coordinate of the outer end of the arm segment that can collide",
     "arm_y": "y coordinate of the outer end of the arm segment that can collide",

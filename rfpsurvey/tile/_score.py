@@ -10,14 +10,15 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._units import rows_of, to_flags, to_plain
-from rfpsurvey.allocation import warn_of_parked
+from rfpsurvey.allocation import AllocationOptions, warn_of_parked
 from rfpsurvey.catalog import UNITS, Finder, as_table
-from rfpsurvey.collision import find_collisions, place_arms
+from rfpsurvey.collision import place_arms
 from rfpsurvey.constraints import Constraint
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, listed, warn
 from rfpsurvey.focal_plane import FocalPlane, accepted_types
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.observing import ObservingConditions, check_conditions
+from rfpsurvey.pipeline import find_all_collisions
 from rfpsurvey.plans import is_plan, plan_roles
 from rfpsurvey.tile._build import build_tile
 from rfpsurvey.tile._constraints import find_constraints
@@ -202,7 +203,8 @@ def score_tile(
             f"{n_out} of {len(part)} targets are out of reach of their positioners: plan and instrument do not match; "
             "check instrument, calibration, field center, position angle and units"
         )
-    report = find_collisions(plane, posed)
+    options = AllocationOptions(parked_obstacles=parked_obstacles) if constraints is None else checked.options
+    report = find_all_collisions(plane, posed, replace(options, parked_obstacles=parked_obstacles))
     summary = {
         "n_targets": len(part),
         "n_rows_ignored": len(table) - n_rows,

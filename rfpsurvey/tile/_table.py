@@ -52,6 +52,8 @@ class TableOfTile:
         table["tip_x"], table["tip_y"] = posed.tip.T * u.mm
         table["in_collision"] = report.in_collision
         table["colliding_with"] = _partners(plane, report)
+        if report.motion is not None:
+            table["needs_planner"] = report.motion.needs_planner
         table["clearance"] = (nearest_distance(plane, posed) - plane.arrays.separation) * u.mm
         table["arm_x"], table["arm_y"] = posed.segments[:, 2:].T * u.mm
         if self.kind is not None:

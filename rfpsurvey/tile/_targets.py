@@ -84,7 +84,9 @@ class TargetsOfField:
 
     def idle(self, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
         """Return a table of the positioners without a target, and a table of the free targets that they can reach."""
-        found = find_idle_reasons(self.plan.instrument.focal_plane, self.plan.allocation, self.plan.arms)
+        plan = self.plan
+        law = "" if plan.report.motion is None else plan.report.motion.law
+        found = find_idle_reasons(plan.instrument.focal_plane, plan.allocation, plan.arms, law)
         return idle_tables(found, self, positioner_id)
 
     def table(self, positioner_id: np.ndarray) -> QTable:

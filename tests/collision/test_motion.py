@@ -113,11 +113,18 @@ def test_folding_after_a_plan_is_checked_like_unfolding_to_it():
     assert find_motion(plane, good, before=good).n_planner == 0
 
 
-def test_idle_arms_stay_folded_and_are_obstacles_unless_they_are_ignored():
+def test_idle_arms_stay_folded_and_turn_out_of_the_way_unless_they_are_ignored():
     plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, rs.Positioner(8 * MM, 17 * MM, 2 * MM))
-    tips = [[20, 0], [np.nan, np.nan]] * MM
-    assert find_motion(plane, tips).pairs.tolist() == [[0, 1]]
-    assert find_motion(plane, tips, parked_obstacles=False).n_planner == 0
+    away, over = [[18, 0], [np.nan, np.nan]] * MM, [[24, 0], [np.nan, np.nan]] * MM
+    assert find_motion(plane, away).n_planner == 0  # with the theta of the parked pose, the tip would be at 16 mm
+    assert find_motion(plane, over).pairs.tolist() == [[0, 1]]
+    assert find_motion(plane, over, parked_obstacles=False).n_planner == 0
+
+
+def test_parked_arms_do_not_turn_out_of_the_way():
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 2 * MM, home=[180, 180] * u.deg))
+    tips = [[10, 4], [np.nan, np.nan]] * MM
+    assert len(rs.find_collisions(plane, tips).pairs) == len(find_motion(plane, tips).pairs) == 1
 
 
 def test_folded_arms_that_can_touch_are_named():

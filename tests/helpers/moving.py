@@ -109,16 +109,20 @@ def moving_arm(plane, i, theta, phi, *, fiber="", moves=True):
 
 
 def outline_parts(plane, arm, angles):
-    """Return shapes of the parts of an outline at each direction of the eccentric arm, and their radii."""
+    """Return shapes of the parts of an outline at each direction of the eccentric arm, and their radii.
+
+    The position of the elbow can be one number or one number per direction.
+    """
     outline, center = plane.positioner.outline, plane.xy[arm.own].to_value(u.mm)
-    body = np.full_like(angles, np.arctan2(arm.y - center[1], arm.x - center[0]))
+    body = np.arctan2(arm.y - center[1], arm.x - center[0]) + np.zeros_like(angles)
     found = []
     for k, (vertices, radius) in enumerate(outline.parts):
         eccentric = k < outline.n_eccentric
         origin, turn = ((arm.x, arm.y), angles) if eccentric else (center, body)
         c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
         x, y = vertices.T
-        points = np.stack([origin[0] + c * x - s * y, origin[1] + s * x + c * y], axis=-1)
+        x0, y0 = (np.reshape(value, (-1, 1)) for value in origin)
+        points = np.stack([x0 + c * x - s * y, y0 + s * x + c * y], axis=-1)
         make = {1: lambda p: shapely.points(p[:, 0]), 2: shapely.linestrings}.get(len(vertices), shapely.polygons)
         found.append((make(points), radius, eccentric))
     return found

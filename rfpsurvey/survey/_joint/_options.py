@@ -154,7 +154,7 @@ def _check_first(options: AllocationOptions) -> None:
                 f"{name} must not be given for a joint plan, got {short(given)}; plan the tiles one by one"
             )
     for one in options.constraints:
-        if not one.parts <= {"obstacles", "exclusion"}:
+        if not one.parts <= {"obstacles", "exclusion", "motion"}:
             raise InputError(
                 f"a joint plan must have no constraints with counts, distributions or required targets, got '{one}'"
             )
