@@ -184,6 +184,7 @@ def assign(
     order: np.ndarray | None = None,
     excluded: np.ndarray | None = None,
     excludes_sky: Callable[[np.ndarray, np.ndarray | None], np.ndarray] | None = None,
+    ids: np.ndarray | None = None,
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
@@ -224,10 +225,11 @@ def assign(
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     problem = replace(problem, motion=Motion(problem) if options.motion_law else None)
-    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order))
+    ids = ids if ids is None or order is None else ids[order]
+    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, ids))
     answer = find_allocator(options.allocator).function(problem)
     if is_plan(options.start) and options.method.improves:
-        answer = with_changes(problem, answer)
+        answer = with_changes(problem, answer, problem.start(with_lost=True).target_of_positioner)
     found, in_reach = _finish(problem, answer, n), reach.covered
     if order is not None:
         found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
@@ -313,15 +315,18 @@ def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None
     return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
 
 
-def _make_start(
-    problem: AllocationProblem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None
-) -> AllocationAnswer:
-    """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem."""
+def _make_start(problem, n_given: int, in_reach, order, ids, *, with_lost: bool = False) -> AllocationAnswer:
+    """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem.
+
+    If ``with_lost`` is true, targets of a given tile that cannot be kept are ``LOST`` instead of -1.
+    """
     start = problem.options.start
     if isinstance(start, str):
         return find_allocator(start).function(problem)
     if hasattr(start, "table"):
-        return from_tile(start.table, problem)
+        found = from_tile(start.table, problem, ids)
+        kept = found.target_of_positioner if with_lost else np.maximum(found.target_of_positioner, -1)
+        return found._replace(target_of_positioner=kept)
     return from_allocation(start, problem, n_given, in_reach, order)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 
 from rfpsurvey.allocation._answer import AllocationAnswer
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 
 TOLERANCE_MM = 1e-6
 """Largest distance of a target from its position in the plan of a tile."""
@@ -15,25 +15,58 @@ def is_plan(start: object) -> bool:
     return hasattr(start, "target_of_positioner") or hasattr(start, "table")
 
 
-def from_tile(table, problem) -> AllocationAnswer:
-    """Return the plan of a tile for a problem; positioners whose targets are not in the problem have none."""
+LOST = -2
+"""Target of a positioner whose target in a given plan is not in the problem, or not available to the positioner."""
+
+
+def from_tile(table, problem, ids: np.ndarray | None) -> AllocationAnswer:
+    """Return the plan of a tile for a problem; the target of a positioner can be ``LOST``.
+
+    Targets are found by their identifiers ``ids``, or by their positions if there are none; sky positions that were
+    added are always found by their positions.
+    """
     plane, n = problem.focal_plane, len(problem.focal_plane)
-    lacking = [name for name in ("id", "status", "tip_x", "tip_y", "elbow_x", "elbow_y") if name not in table.colnames]
+    names = ("id", "status", "target_id", "tip_x", "tip_y", "elbow_x", "elbow_y")
+    lacking = [name for name in names if name not in table.colnames]
     if lacking or len(table) != n or not np.array_equal(np.asarray(table["id"]).astype(str), plane.id.astype(str)):
         raise InputError("start must be a tile with the same positioners, got a tile with other positioners")
     tip, elbow = (
         np.column_stack([table[f"{part}_{axis}"].to_value("mm") for axis in "xy"]) for part in ("tip", "elbow")
     )
-    own = np.flatnonzero((np.asarray(table["status"]) == "assigned") & np.isfinite(tip).all(axis=1))
-    target_of, known = np.full(n, -1), np.flatnonzero(np.isfinite(problem.xy).all(axis=1))
-    if len(own) and len(known):
-        apart, place = scipy.spatial.cKDTree(problem.xy[known]).query(tip[own])
-        own, target = own[apart <= TOLERANCE_MM], known[place[apart <= TOLERANCE_MM]]
-        pairs = problem.pairs
-        can = np.isin(target * n + own, pairs.target * n + pairs.owner)
-        target_of[own[can]] = target[can]
+    had = (np.asarray(table["status"]) == "assigned") & np.isfinite(tip).all(axis=1)
+    own, target_of = np.flatnonzero(had), np.where(had, LOST, -1)
+    target = _at(problem.xy, tip[own])
+    if ids is not None:
+        order = np.argsort(ids.astype(str), kind="stable")
+        names, wanted = ids.astype(str)[order], np.asarray(table["target_id"]).astype(str)[own]
+        place = np.minimum(np.searchsorted(names, wanted), max(len(names) - 1, 0))
+        same = names[place] == wanted if len(names) else np.zeros(len(own), dtype=bool)
+        target = np.where(same, order[place] if len(names) else -1, np.where(target >= len(ids), target, -1))
+    pairs = problem.pairs
+    can = (target >= 0) & np.isin(target * n + own, pairs.target * n + pairs.owner) & plane.arrays.usable[own]
+    target_of[own[can]] = target[can]
+    if own.size and not can.any() and len(problem.xy):
+        warn("no fiber of the tile in start has a target that it can keep; the tile has other targets or another field")
     (ax, ay), (bx, by) = (elbow - plane.arrays.xy).T, (tip - elbow).T
     return AllocationAnswer(target_of, np.where(ax * by - ay * bx < 0, "left", "right"))
+
+
+def _at(xy: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the row of the target at each point; -1 if there is none."""
+    found, known = np.full(len(points), -1), np.flatnonzero(np.isfinite(xy).all(axis=1))
+    if len(points) and len(known):
+        apart, place = scipy.spatial.cKDTree(xy[known]).query(points)
+        found = np.where(apart <= TOLERANCE_MM, known[place], -1)
+    return found
+
+
+def changes_of(before: np.ndarray, own: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the number of changed fibers, less 1, that each pair of a positioner and a target causes.
+
+    ``before`` is the target of each positioner in the given plan. For plans with equally many targets, the sum of these
+    numbers is the number of changed fibers but for a constant.
+    """
+    return np.where(before[own] == target, 0.0, np.where(before[own] == -1, 2.0, 1.0))
 
 
 def from_allocation(start, problem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None) -> AllocationAnswer:
@@ -60,7 +93,8 @@ def from_allocation(start, problem, n_given: int, in_reach: np.ndarray, order: n
     return AllocationAnswer(target_of, start.handedness)
 
 
-def with_changes(problem, answer: AllocationAnswer) -> AllocationAnswer:
+def with_changes(problem, answer: AllocationAnswer, before: np.ndarray) -> AllocationAnswer:
     """Return an answer with the number of positioners that have another target than in the given plan, or none."""
-    n = int((problem.start().target_of_positioner != answer.target_of_positioner).sum())
-    return answer._replace(meta={**(answer.meta or {}), "n_changed": n})
+    after = answer.target_of_positioner
+    counted = problem.focal_plane.arrays.usable | (before != -1)
+    return answer._replace(meta={**(answer.meta or {}), "n_changed": int(((before != after) & counted).sum())})

@@ -9,7 +9,7 @@ from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
-from rfpsurvey.allocation._given import is_plan
+from rfpsurvey.allocation._given import changes_of, is_plan
 from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.errors import check_choice, check_switch
@@ -126,7 +126,7 @@ def optimal(problem: AllocationProblem) -> AllocationAnswer:
     arms of parked positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. Among
     plans of equal value, a plan in which few idle arms collide with each other is preferred; idle arms may still
     collide with obstacles. If subpriorities are given, the last step maximizes the sum of the subpriorities; if
-    ``start`` is a plan, it instead maximizes the number of targets that keep their positioner.
+    ``start`` is a plan, it instead minimizes the number of changed fibers.
     """
     has_last = problem.subpriority is not None or is_plan(problem.options.start)
     return _search(problem, collide=True, squared_cost=has_last)
@@ -209,11 +209,11 @@ def with_cost(problem: AllocationProblem) -> AllocationProblem:
     """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
 
     The larger the subpriority of the target, the lower the cost of the pair. With ``optimal`` and a given plan, the
-    cost is 0 for the pairs of this plan, and 1 for all others.
+    cost is the number of fibers that a pair changes.
     """
     if problem.options.method.avoids_collisions and is_plan(problem.options.start):
-        pairs, before = problem.pairs, problem.start().target_of_positioner
-        return replace(problem, pairs=replace(pairs, r2=1.0 * (before[pairs.owner] != pairs.target)))
+        pairs, before = problem.pairs, problem.start(with_lost=True).target_of_positioner
+        return replace(problem, pairs=replace(pairs, r2=changes_of(before, pairs.owner, pairs.target)))
     if problem.subpriority is None:
         return problem
     order = np.arange(len(problem.rank))  # the rows make the costs different if subpriorities are equal

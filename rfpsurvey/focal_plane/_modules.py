@@ -5,7 +5,7 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._units import to_points_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_whole, number_of
+from rfpsurvey.errors import InputError, check_switch, check_whole, number_of
 from rfpsurvey.positioner import Positioner
 
 MOST_ROWS = 200
@@ -81,7 +81,7 @@ class Modular:
             if len(values) == 0 or not np.isfinite(values).all():
                 got = values[~np.isfinite(values)][0] if len(values) else "none"
                 raise InputError(f"{name} of modules must be finite, got {got}")
-        edge = hull_of(points) if outline is None else hull_of(to_points_mm(outline, "outline"))
+        edge = hull_of(points) if outline is None else _checked_outline(outline, points)
         _check_overlap(xy, turn, edge)
         if wall is not None:
             if outline is None:
@@ -89,11 +89,10 @@ class Modular:
             walls = walls_of(xy, turn, edge, to_scalar(wall, u.mm, "wall", low=0))
             columns["obstacle_polygons"] = [*(columns.get("obstacle_polygons") or ()), *walls]
         m, k = len(xy), len(points)
-        for name, value in columns.items():
-            if name not in ("obstacles", "hidden", "obstacle_polygons", "margins") and len(value) == k != m * k:
-                columns[name] = (
-                    u.Quantity([*value] * m) if isinstance(value, u.Quantity) else np.concatenate([value] * m)
-                )
+        for name in {*columns} - {"obstacles", "hidden", "obstacle_polygons", "margins"}:
+            own = columns[name]
+            is_dict = isinstance(own, dict)
+            columns[name] = {key: _repeated(v, k, m) for key, v in own.items()} if is_dict else _repeated(own, k, m)
         step = 10 ** len(str(k))
         columns.setdefault("id", (step * np.arange(1, m + 1)[:, None] + np.arange(1, k + 1)).ravel())
         return cls(_placed(xy, turn, points).reshape(-1, 2) * u.mm, positioner, **columns)
@@ -129,6 +128,7 @@ def triangle(pitch: u.Quantity, rows: int, *, corners: bool = True) -> u.Quantit
     63
     """
     step, n = to_scalar(pitch, u.mm, "pitch", low=0, high=1e6), check_whole(rows, "rows", 1, MOST_ROWS)
+    check_switch(corners, "corners")
     row = np.repeat(np.arange(n), n - np.arange(n))
     place = np.concatenate([np.arange(n - k) for k in range(n)])
     xy = step * np.column_stack([place + (row - n + 1) / 2, np.sqrt(3) / 2 * (row - (n - 1) / 3)])
@@ -194,6 +194,31 @@ def onto_surface(xy: np.ndarray, surface: np.ndarray) -> np.ndarray:
             f"the focal surface must extend to all modules, at {far.max():g} mm, got one up to {most:g} mm"
         )
     return xy * (to_radius(far) / np.where(far > 0, far, 1))[:, None]
+
+
+def _repeated(value: object, k: int, m: int) -> object:
+    """Return a column with k values, those of one module, for m modules; other values unchanged."""
+    if isinstance(value, list | tuple) and value:
+        value = u.Quantity(value) if isinstance(value[0], u.Quantity) else np.asarray(value)
+    if not isinstance(value, np.ndarray) or value.ndim == 0 or len(value) != k or m == 1:
+        return value
+    return np.concatenate([value] * m)
+
+
+def _checked_outline(outline: u.Quantity, places: np.ndarray) -> np.ndarray:
+    """Return the outline of a module counter-clockwise; raise an error if it is not convex or misses a place."""
+    points = to_points_mm(outline, "outline")
+    if not np.isfinite(points).all():
+        raise InputError(f"outline of a module must be finite, got {points[~np.isfinite(points)][0]}")
+    hull = hull_of(points)
+    if len(points) < 3 or len(hull) < len(points) or np.linalg.matrix_rank(points - points[0], tol=1e-9) < 2:
+        raise InputError("outline of a module must be the corners of a convex polygon, got other points")
+    along = np.roll(hull, -1, axis=0) - hull
+    apart = places[:, None, :] - hull
+    outside = (along[:, 0] * apart[..., 1] - along[:, 1] * apart[..., 0] < -1e-9).any(axis=1)
+    if outside.any():
+        raise InputError(f"outline of a module must contain all places, got {int(outside.sum())} places outside")
+    return hull
 
 
 def hull_of(points: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, switch_inherited
 from rfpsurvey.instrument._entries import check_description, sections_of, with_defaults
-from rfpsurvey.instrument._modules import has_modules, layout_of_modules
+from rfpsurvey.instrument._modules import ONLY_MODULES, has_modules, layout_of_modules, refuse_unused, without_replaced
 from rfpsurvey.instrument._pfs_map import cobra_ids
 from rfpsurvey.positioner import ArmOutline, Positioner
 from rfpsurvey.projection import RadialMap
@@ -41,6 +41,8 @@ def load(path: Path, inheriting: tuple = ()) -> dict:
     own = content.get("positioner")
     if isinstance(own, dict) and isinstance(base.get("positioner"), dict):
         base["positioner"] = switch_inherited(base["positioner"], own)
+    if isinstance(content.get("layout"), dict) and isinstance(base.get("layout"), dict):
+        base["layout"] = without_replaced(base["layout"], content["layout"])
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
         base[key] = {**base[key], **value} if both else value
@@ -83,6 +85,7 @@ def build(content: dict, folder: Path) -> dict:
     entry = values.get("layout.obstacle_polygons")
     if entry is not None:
         polygons = [one * u.Unit(entry["unit"]) for one in entry["value"]]
+        polygons = [*(focal_plane.obstacle_polygons or ()), *polygons]  # walls of modules remain
         focal_plane = replace(focal_plane, obstacle_polygons=polygons)
     maps = {
         t: RadialMap(
@@ -121,6 +124,9 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
             return plane
         groups = _groups(plane.xy.to_value(u.mm), n, get("layout.spectrograph_shape", "blocks"))
         return replace(plane, spectrograph=groups)
+    refuse_unused(get, ONLY_MODULES, "without modules")
+    if get("layout.spectrographs") == "one a module":
+        raise InputError("layout.spectrographs must not be 'one a module' without modules")
     if get("layout.pitch") is None or (get("layout.rings") is None) == (get("layout.count") is None):
         raise InputError("[layout] must have a table, or a pitch with either rings or count")
     fiducials = get("layout.fiducial_cells", [])

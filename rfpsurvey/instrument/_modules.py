@@ -1,6 +1,6 @@
 """Read the entries of a description that arrange positioners in modules."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import astropy.units as u
@@ -12,6 +12,20 @@ from rfpsurvey.focal_plane import FocalPlane, grouped_modules, onto_surface, tri
 from rfpsurvey.positioner import Positioner
 
 GENERATED = ("module_side", "module_gap", "group_gap")
+RADII = ("group_radius", "module_radius")
+ONLY_MODULES = ("modules", *GENERATED, *RADII, "focal_surface")
+ONLY_MODULES += tuple(f"module_{name}" for name in ("rows", "corners", "places", "outline", "wall", "classes"))
+ONLY_LATTICE = ("table", "rings", "count", "inner_radius", "rows_along", "vacant_cells", "fiducial_cells", "names")
+ONLY_LATTICE += ("fiber_types", "first_type_only_cells")
+"""Entries of layouts without modules."""
+
+
+def without_replaced(base: dict, own: dict) -> dict:
+    """Return the entries of an inherited layout that remain if the own entries state other modules or places."""
+    replaced = {*RADII} if {*RADII} & {*own} else set()
+    replaced |= {*GENERATED, *RADII, "fiducial_radius"} if "modules" in own else set()
+    replaced |= {"module_rows", "module_corners", "pitch"} if "module_places" in own else set()
+    return {name: entry for name, entry in base.items() if name not in replaced - {*own}}
 
 
 def has_modules(get: Callable) -> bool:
@@ -21,13 +35,17 @@ def has_modules(get: Callable) -> bool:
 
 def layout_of_modules(positioner: Positioner, get: Callable, folder: Path) -> FocalPlane:
     """Return the focal plane of a description with modules."""
+    is_list = get("layout.modules") is not None
+    unused = [*ONLY_LATTICE, *([*GENERATED, *RADII, "fiducial_radius"] if is_list else [])]
+    unused += ["pitch", "module_rows", "module_corners"] if get("layout.module_places") is not None else []
+    refuse_unused(get, unused, "with modules" if not is_list else "with a list of modules")
     places, corners = _places(get), np.empty((0, 2))
     columns = _classes(get, places)
-    if get("layout.modules") is not None:
+    if is_list:
         xy, turn = _listed_modules(get("layout.modules"), folder)
     else:
         lacking = [name for name in GENERATED if get(f"layout.{name}") is None]
-        radii = {name: get(f"layout.{name}") for name in ("group_radius", "module_radius")}
+        radii = {name: get(f"layout.{name}") for name in RADII}
         radii = {name: one for name, one in radii.items() if one is not None}
         if lacking or len(radii) != 1:
             got = listed(lacking) if lacking else f"{len(radii)} radii"
@@ -45,6 +63,9 @@ def layout_of_modules(positioner: Positioner, get: Callable, folder: Path) -> Fo
         columns["obstacles"] = np.hstack([corners, radius]) * u.mm
     if get("layout.spectrographs") == "one a module":
         columns["spectrograph"] = np.repeat(np.arange(len(xy)), len(places))
+    if get("layout.spectrographs") == "one a fiber type":
+        n_types = len(dict.fromkeys(columns.get("fiber_type", [""])))
+        columns["spectrograph"] = np.tile(np.arange(n_types), (len(xy) * len(places), 1))
     return FocalPlane.from_modules(
         positioner,
         centers=xy * u.mm,
@@ -54,6 +75,13 @@ def layout_of_modules(positioner: Positioner, get: Callable, folder: Path) -> Fo
         wall=get("layout.module_wall"),
         **columns,
     )
+
+
+def refuse_unused(get: Callable, names: Iterable[str], what: str) -> None:
+    """Raise an error if a layout has entries that it does not use."""
+    for name in names:
+        if get(f"layout.{name}") is not None:
+            raise InputError(f"[layout] {what} must not have the entry {name!r}, which would have no effect")
 
 
 def _places(get: Callable) -> u.Quantity:
@@ -86,7 +114,14 @@ def _listed_modules(given: str | list, folder: Path) -> tuple[np.ndarray, np.nda
             unit
         )
 
-    turn = numbers("rotation", u.deg) if "rotation" in table.colnames else 180 - 180 * numbers("points_up", u.one)
+    if {"rotation", "points_up"} <= {*table.colnames}:
+        raise InputError(f"{given} must have either the column rotation or the column points_up, got both")
+    if "rotation" in table.colnames:
+        turn = numbers("rotation", u.deg)
+    else:
+        turn = 180 - 180 * numbers("points_up", u.one)
+        if not np.isin(turn, (0, 180)).all():
+            raise InputError(f"points_up in {given} must be 0 or 1, got other values")
     return np.column_stack([numbers("x", u.mm), numbers("y", u.mm)]), np.radians(turn)
 
 
@@ -95,19 +130,24 @@ def _classes(get: Callable, places: u.Quantity) -> dict:
     classes, n = get("layout.module_classes"), len(places)
     if classes is None:
         return {}
-    kinds, of = list(classes), np.zeros(n, dtype=int)
+    kinds, of = list(classes), np.full(n, -1)
     arms = {name: np.empty(n) for name in ("central_arm", "eccentric_arm")}
     for k, own in enumerate(classes.values()):
         rows = np.array(own.get("places", []), dtype=int)
         if len(rows) and (rows.min() < 1 or rows.max() > n):
-            raise InputError(
-                f"places of {kinds[k]!r} must be numbers from 1 to {n}, got {rows[(rows < 1) | (rows > n)][0]}"
-            )
-        if (of[rows - 1] > 0).any():
-            raise InputError(
-                f"each place of a module must be in one class, got two for the place {rows[of[rows - 1] > 0][0]}"
-            )
+            wrong = rows[(rows < 1) | (rows > n)][0]
+            raise InputError(f"places of {kinds[k]!r} must be numbers from 1 to {n}, got {wrong}")
+        if (of[rows - 1] >= 0).any() or len(np.unique(rows)) < len(rows):
+            twice = next(row for row in rows.tolist() if of[row - 1] >= 0 or rows.tolist().count(row) > 1)
+            raise InputError(f"each place of a module must be in one class, got two for the place {twice}")
         of[rows - 1] = k
+    others = [k for k, own in enumerate(classes.values()) if "places" not in own]
+    if len(others) > 1 or ((of < 0).any() and not others):
+        raise InputError(
+            "exactly one class of module_classes must have no places, and contains all other places, got "
+            f"{len(others)} of them"
+        )
+    of[of < 0] = others[0] if others else 0
     for name, values in arms.items():
         values[:] = [classes[kinds[k]].get(name, get(f"positioner.{name}").to_value(u.mm)) for k in of]
     return {"fiber_type": np.array(kinds)[of], **{name: values * u.mm for name, values in arms.items()}}

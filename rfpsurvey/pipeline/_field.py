@@ -150,6 +150,7 @@ def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> A
     elif options.breaks_ties:
         others["order"] = tie_order(xy, None if targets.numbered else targets.id)
     others |= {"excluded": applied.excluded, "excludes_sky": applied.excludes_sky}
+    others["ids"] = None if targets.numbered else targets.id
     allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
     allocation.seconds["projection"] = seconds
     return allocation

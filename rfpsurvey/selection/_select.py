@@ -138,6 +138,10 @@ def selection_probabilities(
     """
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
+    if survey is not None and "cadences" in survey.provenance["parameters"]:
+        raise InputError(
+            "selection probabilities must be computed for a survey without cadences, got one with cadences"
+        )
     if survey is not None:
         tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
     check_whole(n_realizations, "n_realizations", 1, MOST)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
+from rfpsurvey.survey._work import reach_of
 
 SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
@@ -86,13 +87,19 @@ class Bookkeeping:
         if self.windows is None:
             return job
         slot = job.field.slot
-        closed = slot[~self.windows.state(slot, tile)[0]]
-        closed = closed if self.spends is None else closed[self.spends[closed]]
+        is_closed = ~self.windows.state(slot, tile)[0]
+        is_closed = is_closed if self.spends is None else is_closed & self.spends[slot]
+        closed = slot[is_closed]
+        if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
+            covered = reach_of(job).pairs.covered[is_closed]
+            self.flags[closed] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
         left, self.left[closed] = self.left[closed], 0
         job = request.job(tile, self.left, as_file=as_file)
         self.left[closed] = left
         targets = job.field.targets
-        columns = targets.columns._replace(subpriority=-self.windows.state(job.field.slot, tile)[1])
+        closing = self.windows.state(job.field.slot, tile)[1]
+        order = np.unique(closing, return_inverse=True)[1].reshape(-1)
+        columns = targets.columns._replace(subpriority=-order.astype(float))
         return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
 
     def enter(

@@ -5,6 +5,7 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import astropy.units as u
 import numpy as np
 from astropy.table import Table
 from astropy.time import Time
@@ -41,8 +42,8 @@ class Cadences:
         Table with a row for each cadence, or its file. Columns: ``cadence`` (the name), and one value per epoch of
         ``delta_min`` and ``delta_max`` (days since the previous epoch; negative numbers stand for no limit),
         ``n_exp`` (exposures), and ``skybrightness`` (largest allowed brightness; optional). Several values are
-        separated by blanks, or are a column with several values per row. A cadence without epochs, such as those of
-        SDSS-V for calibration, has no visits.
+        separated by blanks; if all cadences have equally many epochs, columns can also contain arrays. A cadence
+        without epochs, such as those of SDSS-V for calibration, has no visits.
     column : str, optional
         Further column of the catalog with the name of the cadence of each target; targets with empty text are observed
         once, at any time.
@@ -70,7 +71,7 @@ class Cadences:
         table = _io.read_table(given) if isinstance(given, str | os.PathLike) else as_table(given)[0]
         if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in table.colnames]:
             raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")
-        names = [str(name) for name in table["cadence"].tolist()]
+        names = [str(name).strip() for name in table["cadence"].tolist()]
         if len(set(names)) < len(names):
             name = next(name for name in names if names.count(name) > 1)
             raise InputError(f"the name of a cadence must be unique, got {names.count(name)} rows for {name!r}")
@@ -146,6 +147,8 @@ class Cadences:
     def visits(self, catalog: Catalog) -> np.ndarray:
         """Return the number of visits of each target: the exposures of all epochs of its cadence.
 
+        Targets whose number of visits in the catalog is 0 have no visits.
+
         Parameters
         ----------
         catalog : Catalog
@@ -156,8 +159,8 @@ class Cadences:
         ndarray of uint8, shape (n_targets,)
             The numbers; 1 for targets without a cadence.
         """
-        totals = np.array([*(one[2].sum() for one in self._epochs), 1], dtype=np.uint8)
-        return totals[self.of(catalog)]
+        totals = np.array([*(one[2].sum() for one in self._epochs), 1], dtype=np.uint8)[self.of(catalog)]
+        return totals if catalog.visits is None else np.where(catalog.visits == 0, np.uint8(0), totals)
 
 
 class Windows:
@@ -227,33 +230,48 @@ class Windows:
 
 def days_of(tiling: Tiling) -> np.ndarray:
     """Return the time of each tile (MJD) from its column ``time``, ``date`` or ``mjd``."""
-    name = next((one for one in ("mjd", "time", "date") if one in tiling.table.colnames), None)
-    if name is None:
+    there = [one for one in ("mjd", "time", "date") if one in tiling.table.colnames]
+    if len(there) != 1:
         raise InputError(
-            "tiles of a survey with cadences must have the column time, date or mjd, got "
-            f"{listed(tiling.table.colnames)}"
+            "tiles of a survey with cadences must have one of the columns time, date and mjd, got "
+            f"{listed(there or tiling.table.colnames)}"
         )
-    column = tiling.table[name]
+    column, name = tiling.table[there[0]], there[0]
+    if name == "mjd":
+        return _known(column, name)
     try:
-        days = np.asarray(column, dtype=float) if name == "mjd" else Time(np.asarray(column).astype(str)).mjd
+        return (column if isinstance(column, Time) else Time(np.ma.filled(column, "").astype(str))).mjd
     except ValueError as error:
         raise InputError(f"the {name} of tiles must be times such as 2026-01-03T05:00: {error}") from None
-    if not np.isfinite(days).all():
-        raise InputError(f"the {name} of every tile must be known, got {int((~np.isfinite(days)).sum())} without")
-    return days
 
 
-def windows_of(cadences: Cadences, request, row: np.ndarray) -> Windows:
-    """Return the windows of all targets of a survey before the first tile."""
-    table, n, days = request.tiling.table, len(request.tiling), request.days
-    name = next((one for one in ("skybrightness", "sky_brightness") if one in table.colnames), None)
-    brightness = np.zeros(n) if name is None else np.asarray(table[name], dtype=float)
-    if name is None and any(np.isfinite(one[3]).any() for one in cadences._epochs):
+def brightness_of(cadences: Cadences, tiling: Tiling) -> np.ndarray:
+    """Return the sky brightness of each tile; 0 if the cadences do not limit it."""
+    name = next((one for one in ("skybrightness", "sky_brightness") if one in tiling.table.colnames), None)
+    if not any(np.isfinite(one[3]).any() for one in cadences._epochs):
+        return np.zeros(len(tiling))
+    if name is None:
         raise InputError(
             "tiles of a survey with cadences that limit the sky brightness must have the column skybrightness, got "
-            f"{listed(table.colnames)}"
+            f"{listed(tiling.table.colnames)}"
         )
-    return Windows(cadences, request.source.to_slots(row), days, brightness)
+    return _known(tiling.table[name], name)
+
+
+def _known(column, name: str) -> np.ndarray:
+    """Return the numbers of a column of tiles; raise an error if a number is missing."""
+    if isinstance(column, u.Quantity):
+        unit = u.day if name == "mjd" else u.one
+        if not column.unit.is_equivalent(unit):
+            raise InputError(f"the {name} of tiles must have the unit {unit or 'of a plain number'}, got {column.unit}")
+        column = column.to_value(unit)
+    try:
+        values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the {name} of tiles must be numbers: {error}") from None
+    if not np.isfinite(values).all():
+        raise InputError(f"the {name} of every tile must be known, got {int((~np.isfinite(values)).sum())} without")
+    return values
 
 
 def _numbers(value: object, name: str) -> np.ndarray:

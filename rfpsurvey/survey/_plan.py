@@ -194,6 +194,8 @@ def prepare_request(
         cadences, visits = (cadences, cadences.of(catalog)), cadences.visits(catalog)
         if catalog.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a survey with cadences")
+        if catalog.visits is not None and (catalog.visits > 1).any():
+            warn("the visits of the catalog have no effect on a survey with cadences, except 0")
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested

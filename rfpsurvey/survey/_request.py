@@ -17,7 +17,7 @@ from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
-from rfpsurvey.survey._cadences import days_of, windows_of
+from rfpsurvey.survey._cadences import Windows, brightness_of, days_of
 from rfpsurvey.survey._history import SurveyState
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -110,13 +110,21 @@ class Request:
         return days_of(self.tiling)
 
     @cached_property
+    def brightness(self) -> np.ndarray:
+        """Sky brightness of each tile, for cadences."""
+        return brightness_of(self.cadences[0], self.tiling)
+
+    @cached_property
     def model(self) -> Model:
         """The data that the jobs of all tiles share."""
         return Model(self.instrument, self.options, self.builder.blank, self.lost_in_collision, self.source.units)
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
-        windows = None if self.cadences is None else windows_of(self.cadences[0], self, self.cadences[1])
+        windows = None
+        if self.cadences is not None:
+            cadences, row = self.cadences
+            windows = Windows(cadences, self.source.to_slots(row), self.days, self.brightness)
         in_turn = self.order == "color" and windows is None
         return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=in_turn, windows=windows)
 
@@ -190,7 +198,7 @@ class Request:
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
         if self.cadences is not None:
-            about["dates"] = (number_of(len(self.days), "tile"), digest(self.days))
+            about["dates"] = (number_of(len(self.days), "tile"), digest(self.days, self.brightness))
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         about["tiles"] = tiles_digest(self.tiling, self.conditions)
         first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}

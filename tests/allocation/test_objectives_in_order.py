@@ -76,7 +76,7 @@ def test_no_objective_is_worse_than_in_the_best_plan(chunk):
 
 @pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(1, N_SCENES // CHUNK))])
 def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(chunk):
-    """Of all plans of equal value, the plan has the largest number of targets that keep their positioner."""
+    """Regression: with few fibers, a plan changed an idle fiber although it could change only a used fiber."""
     n_changed = 0
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
         plane, xy, options, rng = random_scene(seed)
@@ -86,10 +86,11 @@ def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(chunk):
         required = np.isin(np.arange(len(xy)), options["required"])
         oracle = LexicographicProgram(plane, xy, np.zeros(len(xy)), **{**options, "required": required})
         for (i, k), column in oracle.column.items():
-            oracle.goals[-1, column] = k > 0 and oracle.choices[i][k][0] == before.target_of_positioner[i]
+            old, new = before.target_of_positioner[i], oracle.choices[i][k][0] if k else -1
+            oracle.goals[-1, column] = -float(old != new)
         found = flat.allocate(plane, xy * MM, "optimal", start=before, **options)
         np.testing.assert_array_equal(oracle.values(found.target_of_positioner), oracle.best(), err_msg=str(seed))
         changed = found.target_of_positioner != before.target_of_positioner
-        assert found.meta["n_changed"] == changed.sum()
+        assert found.meta["n_changed"] == changed.sum() == -oracle.best()[-1]
         n_changed += found.meta["n_changed"]
     assert n_changed > 20

@@ -155,6 +155,60 @@ def test_two_fiber_types_with_other_arms(tmp_path):
     assert plane.spectrograph.tolist() == [0] * 63 + [1] * 63
 
 
+@pytest.mark.parametrize("order", [("LR", "HR"), ("HR", "LR")])
+def test_the_order_of_classes_does_not_matter(tmp_path, order):
+    """Regression: places that no class lists belonged to the first class."""
+    classes = {"LR": "LR = {}", "HR": "HR = { places = [1, 5], eccentric_arm = 2.0 }"}
+    text = LATTICE + "modules = { value = [[0, 0, 0]] }\nmodule_classes = { value = { %s } }"
+    plane = read(tmp_path, text % ", ".join(classes[name] for name in order)).focal_plane
+    assert np.flatnonzero(plane.fiber_type == "HR").tolist() == [0, 4]
+
+
+def test_walls_and_other_obstacles(tmp_path):
+    """Regression: other obstacles replaced the walls."""
+    text = LATTICE + 'modules = { value = [[0, 0, 0]] }\nmodule_wall = { value = 1, unit = "mm" }\n'
+    text += 'module_outline = { value = [[0, 43], [-38, -22], [38, -22]], unit = "mm" }\n'
+    text += 'obstacle_polygons = { value = [[[100, 0], [110, 0], [110, 10]]], unit = "mm" }'
+    assert len(read(tmp_path, text).focal_plane.obstacle_polygons) == 4
+
+
+def test_inherited_modules_are_replaced(tmp_path):
+    text = 'name = "mine"\ninherits = "must"\nstatus = "assumed"\nsource = "a test"\n[layout]\n'
+    for own, n in (
+        ('module_radius = { value = 100, unit = "mm" }', 12),
+        ("modules = { value = [[0, 0, 0]] }", 1),
+        ('group_radius = { value = 100, unit = "mm" }', 24),
+    ):
+        (tmp_path / "mine.toml").write_text(text + own)
+        instrument = rs.Instrument.read(tmp_path / "mine.toml")
+        assert len(instrument.focal_plane) == 63 * n
+        assert not {"layout.group_radius", "layout.module_radius"} <= {*instrument.values}
+
+
+def test_columns_of_a_module(rng):
+    """Regression: scalars, dicts and lists of quantities raised errors that were not clear."""
+    layout = {"centers": [[0, 0], [0, 80]] * u.mm, "places": rs.focal_plane.triangle(6.2 * u.mm, 3)}
+    length = rng.uniform(1.7, 1.9, 6)
+    for column in (length * u.mm, [one * u.mm for one in length], np.tile(length, 2) * u.mm):
+        plane = rs.FocalPlane.from_modules(ROBOT, central_arm=column, **layout)
+        np.testing.assert_allclose(plane.central_arm.value, np.tile(length, 2))
+    assert rs.FocalPlane.from_modules(ROBOT, central_arm=None, **layout).central_arm is None
+    fiber = {"A": np.column_stack([length, np.zeros(6)]) * u.mm}
+    plane = rs.FocalPlane.from_modules(ROBOT, fiber_xy=fiber, fiber_type=["A"] * 6, **layout)
+    assert plane.fiber_xy["A"].shape == (12, 2)
+    with pytest.raises(rs.InputError, match="central_arm must be 12 positive lengths"):
+        rs.FocalPlane.from_modules(ROBOT, central_arm=1.8 * u.mm, **layout)
+    for outline, message in (
+        ([[0, 9], [-9, -9], [np.nan, -9]], "outline of a module must be finite, got nan"),
+        ([[0, 20], [-20, -9], [0, -8], [20, -9]], "outline of a module must be the corners of a convex polygon"),
+        ([[0, 5], [-5, -3], [5, -3]], "outline of a module must contain all places, got"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.FocalPlane.from_modules(ROBOT, outline=outline * u.mm, **layout)
+    with pytest.raises(rs.InputTypeError, match="corners must be"):
+        rs.focal_plane.triangle(6.2 * u.mm, 3, corners="used")
+
+
 MODULES = LATTICE + "modules = { value = %s }"
 ONE = MODULES % "[[0, 0, 0]]" + "\n"
 
@@ -208,6 +262,24 @@ ONE = MODULES % "[[0, 0, 0]]" + "\n"
             ONE + "module_classes = { value = { LR = {}, HR = { places = [3] }, X = { places = [3] } } }",
             "each place of a module must be in one class, got two for the place 3",
         ),
+        (ONE + "rings = { value = 3 }", "[layout] with a list of modules must not have the entry 'rings'"),
+        (ONE + 'group_radius = { value = 100, unit = "mm" }', "must not have the entry 'group_radius'"),
+        (ONE + 'fiducial_radius = { value = 1, unit = "mm" }', "must not have the entry 'fiducial_radius'"),
+        (
+            'pitch = { value = 6.2, unit = "mm" }\nrings = { value = 2 }\nmodule_wall = { value = 1, unit = "mm" }',
+            "[layout] without modules must not have the entry 'module_wall'",
+        ),
+        (
+            'pitch = { value = 6.2, unit = "mm" }\nrings = { value = 2 }\nspectrographs = { value = "one a module" }',
+            "layout.spectrographs must not be 'one a module' without modules",
+        ),
+        (ONE + "module_classes = { value = { LR = {}, HR = {} } }", "exactly one class of module_classes must have no"),
+        (
+            ONE + "module_classes = { value = { HR = { places = [3] } } }",
+            "exactly one class of module_classes must have no",
+        ),
+        (MODULES % '"half.csv"', "points_up in half.csv must be 0 or 1"),
+        (MODULES % '"both.csv"', "both.csv must have either the column rotation or the column points_up, got both"),
         (
             LATTICE.replace("11", "500") + "modules = { value = [[0, 0, 0]] }",
             "module_rows must be a whole number from 1",
@@ -217,6 +289,8 @@ ONE = MODULES % "[[0, 0, 0]]" + "\n"
 def test_bad_descriptions(tmp_path, text, message):
     (tmp_path / "nan.csv").write_text("x,y,rotation\n0,nan,0\n")
     (tmp_path / "bare.csv").write_text("x,y\n0,0\n")
+    (tmp_path / "half.csv").write_text("x,y,points_up\n0,0,0.5\n")
+    (tmp_path / "both.csv").write_text("x,y,points_up,rotation\n0,0,1,0\n")
     with pytest.raises(rs.InputError) as caught:
         read(tmp_path, text)
     assert message in str(caught.value)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from astropy.time import Time
 from living import content, instrument
 
 import rfpsurvey as rs
@@ -211,7 +212,7 @@ def test_bad_catalogs_and_tiles(tmp_path):
     refuse("cadences must be used with tiles that are planned one after the other", allocator="joint")
     without = [name for name in tiling.table.colnames if name not in ("mjd", "skybrightness")]
     refuse(
-        "tiles of a survey with cadences must have the column time, date or mjd",
+        "tiles of a survey with cadences must have one of the columns time, date and mjd",
         tiling=rs.Tiling(tiling.table[without]),
     )
     bare = tiling.table[[*without, "mjd"]]
@@ -255,3 +256,108 @@ def test_the_command(tmp_path, run):
     code, _, err = run(*words, tmp_path / "other", "--set", "catalog.visits=2")
     assert code == 2
     assert "cadences must be used without catalog.visits" in err
+
+
+def test_missing_values_of_tiles_and_other_units():
+    """Regression: masked times and brightnesses were 0, text raised a ValueError, and hours were read as days."""
+    catalog, tiling = scene(1)
+
+    def plan(**columns):
+        table = tiling.table.copy()
+        for name, value in columns.items():
+            table[name] = value
+        return rs.plan_survey(catalog, instrument(), rs.Tiling(table), visits=Cadences(TABLE), allocator="nearest")
+
+    usual, days = plan().summary["n_visits_observed"], np.asarray(tiling.table["mjd"])
+    masked = np.ma.array(days, mask=np.arange(len(days)) == 3)
+    with pytest.raises(rs.InputError, match="the mjd of every tile must be known, got 1 without"):
+        plan(mjd=masked)
+    for value in (
+        np.ma.array(np.ones(len(days)), mask=np.arange(len(days)) == 3),
+        np.where(days == days[3], np.nan, 1),
+    ):
+        with pytest.raises(rs.InputError, match="the skybrightness of every tile must be known, got 1 without"):
+            plan(skybrightness=value)
+    with pytest.raises(rs.InputError, match="the skybrightness of tiles must be numbers"):
+        plan(skybrightness=np.full(len(days), "dark"))
+    with pytest.raises(rs.InputError, match="the mjd of tiles must have the unit d, got mm"):
+        plan(mjd=days * u.mm)
+    with pytest.raises(rs.InputError, match="must have one of the columns time, date and mjd, got mjd, date"):
+        plan(date="2026-01-03")
+    assert plan(mjd=(days * u.day).to(u.hour)).summary["n_visits_observed"] == usual
+    table = tiling.table.copy()
+    table["time"] = Time(table["mjd"], format="mjd")
+    del table["mjd"]
+    survey = rs.plan_survey(catalog, instrument(), rs.Tiling(table), visits=Cadences(TABLE), allocator="nearest")
+    assert survey.summary["n_visits_observed"] == usual
+
+
+def test_another_brightness_is_another_survey(tmp_path):
+    """Regression: a finished survey was planned again if only the brightness of its tiles had changed."""
+    catalog, tiling = scene(1)
+    options = {"visits": Cadences(TABLE), "allocator": "nearest", "folder": tmp_path / "survey"}
+    rs.plan_survey(catalog, instrument(), tiling, **options)
+    before = content(tmp_path / "survey")
+    table = tiling.table.copy()
+    table["skybrightness"] = 0.3
+    with pytest.raises(rs.InputError, match="dates"):
+        rs.plan_survey(catalog, instrument(), rs.Tiling(table), resume=True, **options)
+    assert content(tmp_path / "survey") == before
+
+
+def test_targets_whose_window_was_never_open_have_an_outcome():
+    """Regression: the outcome of such targets was that they are in no field."""
+    catalog, tiling = scene(1)
+    catalog = rs.Catalog(catalog.coord, extra=QTable({"cadence": np.full(len(catalog), "dark")}))
+    table = tiling.table.copy()
+    table["skybrightness"] = 1.0
+    with pytest.warns(rs.RfpsurveyWarning, match="no target was observed"):
+        survey = rs.plan_survey(catalog, instrument(), rs.Tiling(table), visits=Cadences(TABLE), allocator="nearest")
+    usual = rs.plan_survey(catalog, instrument(), rs.Tiling(table), visits=1, allocator="nearest")
+    assert survey.summary["n_visits_observed"] == 0
+    for name in ("in no field", "out of reach"):
+        assert survey.summary["outcomes"].get(name) == usual.summary["outcomes"].get(name)
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "repair", "network_flow", "optimal"])
+def test_closing_windows_have_precedence_with_every_allocator(allocator):
+    """Regression: windows that never close made the differences between all others too small for ``optimal``."""
+    plane = rs.FocalPlane([[0, 0]] * u.mm, instrument().focal_plane.positioner)
+    robot = rs.Instrument("one", plane, plate_scale=200 * u.mm / u.deg)
+    sky = SkyCoord(120 + np.linspace(-0.03, 0.03, 9), np.full(9, 30.0), unit="deg")
+    names = ["pairs", "twice", "once", "thrice", "twice", "once", "thrice", "once", "once"]
+    table = Table({"cadence": ["once", "twice", "thrice", "pairs"], "delta_min": ["0", "0 1", "0 1", "0 1"]})
+    table["delta_max"], table["n_exp"] = ["0", "0 60", "0 40", "0 -1"], ["1", "1 1", "1 1", "1 1"]
+    catalog = rs.Catalog(sky, id=np.arange(9), extra=QTable({"cadence": names}))
+    n = 12
+    tiles = QTable({"ra": [120.0] * n * u.deg, "dec": [30.0] * n * u.deg, "pass": np.arange(n)})
+    tiles["mjd"] = 60000.0 + 2 * np.arange(n)
+    survey = rs.plan_survey(catalog, robot, rs.Tiling.from_table(tiles), visits=Cadences(table), allocator=allocator)
+    starts = {}
+    closes = {"once": np.inf, "twice": 60, "thrice": 40, "pairs": np.inf}
+    done = {"once": 1, "twice": 2, "thrice": 2, "pairs": 2}
+    visited = {k: [] for k in range(9)}
+    for tile, day in enumerate(2 * np.arange(n)):
+        row = int(survey._visits(tile)["target_row"][0])
+        urgent = {k: start + closes[names[k]] for k, start in starts.items() if len(visited[k]) < done[names[k]]}
+        best = min([*urgent.values(), np.inf])
+        assert urgent.get(row, np.inf) == best
+        visited[row].append(day)
+        starts[row] = day
+
+
+def test_surveys_with_cadences_refuse_what_does_not_support_them(tmp_path):
+    """Regression: selection probabilities ignored cadences, and events could be recorded that could not be used."""
+    catalog, tiling = scene(1)
+    options = {"visits": Cadences(TABLE), "allocator": "nearest", "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(catalog, instrument(), tiling, **options)
+    with pytest.raises(rs.InputError, match="must be computed for a survey without cadences"):
+        rs.selection_probabilities(catalog, instrument(), survey, 2, allocator="nearest")
+    with pytest.raises(rs.InputError, match="must be recorded in a survey without cadences"):
+        survey.record([{"tile": 0, "date": "2026-01-03"}])
+    assert not (tmp_path / "survey/events").exists()
+    few = rs.Catalog(catalog.coord, visits=np.where(np.arange(len(catalog)) % 2, 0, 3), extra=catalog.extra)
+    with pytest.warns(rs.RfpsurveyWarning, match="the visits of the catalog have no effect"):
+        found = rs.plan_survey(few, instrument(), tiling, visits=Cadences(TABLE), allocator="nearest")
+    assert (found.outcomes["requested"][1::2] == 0).all()
+    assert (found.outcomes["observed"][1::2] == 0).all()

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import astropy.units as u
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ def case(request, presets):
     instrument = presets[request.param]
     n = 2 * len(instrument.focal_plane)
     sky = rs.synthetic_catalog("uniform", CENTER, instrument.field_radius, n_targets=n, rng=1)
-    sky = replace(sky, id=np.arange(n), priority=np.where(np.arange(n) < n - N_LATE, 1.0, 5.0))
+    sky = rs.Catalog(sky.coord, id=np.arange(n), priority=np.where(np.arange(n) < n - N_LATE, 1.0, 5.0))
     return instrument, sky, rs.plan_tile(sky[: n - N_LATE], instrument, CENTER, allocator="optimal")
 
 
@@ -64,3 +65,47 @@ def test_tiles_that_do_not_fit(case):
         rs.plan_survey(sky, instrument, sky.coord[:1], allocator=options)
     with pytest.warns(rs.RfpsurveyWarning, match="start has no effect"):
         rs.plan_tile(sky, instrument, CENTER, allocator=rs.AllocationOptions("nearest", start=before))
+
+
+def real_changes(before, after):
+    return int((np.asarray(before.table["target_id"]) != np.asarray(after.table["target_id"])).sum())
+
+
+@pytest.mark.parametrize("allocator", ["optimal", "repair"])
+def test_targets_at_the_same_place(case, allocator):
+    """Regression: targets were found by their positions only, and another target with this position was taken."""
+    instrument, sky, _ = case
+    rows = np.repeat(np.arange(len(instrument.focal_plane)), 2)
+    twice = replace(sky[rows], id=np.arange(len(rows)), priority=np.tile([1.0, 2.0], len(rows) // 2))
+    before = rs.plan_tile(twice, instrument, CENTER, allocator=allocator)
+    order = np.random.default_rng(1).permutation(len(rows))
+    found = rs.plan_tile(twice[order], instrument, CENTER, allocator=rs.AllocationOptions(allocator, start=before))
+    assert found.summary["search"]["n_changed"] == real_changes(before, found) < (1 if allocator == "optimal" else 20)
+
+
+def test_targets_that_are_gone_and_broken_positioners(case):
+    """Regression: fibers that lost their target, and had none afterwards, were not counted."""
+    instrument, sky, before = case
+    options = rs.AllocationOptions("optimal", start=before)
+    few = rs.plan_tile(sky[:90], instrument, CENTER, allocator=options)
+    assert few.summary["search"]["n_changed"] == real_changes(before, few)
+    disabled = np.arange(len(instrument.focal_plane)) % 13 == 0
+    broken = replace(instrument, focal_plane=replace(instrument.focal_plane, disabled=disabled))
+    found = rs.plan_tile(sky[: len(sky) - N_LATE], broken, CENTER, allocator=options)
+    assert found.summary["search"]["n_changed"] == real_changes(before, found)
+
+
+def test_another_time_and_another_field(case):
+    """Regression: a tile was not used, without a warning, if the targets had moved by a nanometer."""
+    instrument, sky, before = case
+    early = sky[: len(sky) - N_LATE]
+    options = rs.AllocationOptions("optimal", start=before)
+    usual, found = (
+        rs.plan_tile(early, instrument, CENTER, allocator=one, position_angle=1e-4 * u.deg)
+        for one in ("optimal", options)
+    )
+    assert found.summary["search"]["n_changed"] == real_changes(before, found) <= min(5, real_changes(before, usual))
+    with pytest.warns(rs.RfpsurveyWarning, match="no fiber of the tile in start has a target that it can keep"):
+        rs.plan_tile(
+            replace(early, id=10**6 + early.id), instrument, "10h +20d", allocator=options, position_angle=1 * u.deg
+        )

@@ -46,6 +46,8 @@ def record(
     """Append events to the folder of a survey; see `Survey.record`."""
     if survey.folder is None:
         raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
+    if "cadences" in survey.provenance["parameters"]:
+        raise InputError("what was observed must be recorded in a survey without cadences, got one with cadences")
     folder = Path(survey.folder)
     if is_configuration(table):
         table = visits_of_configuration(table, survey, tile)
