@@ -85,6 +85,8 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
 
     options, problem, held = candidates.options, candidates.problem, candidates.held
     rule, science, near = spread
+    if not lack_of(problem, rule, options.target[now]):
+        return
     least = np.array([group.requirement.minimum for group in problem.groups], dtype=int)
     keep = np.append(problem.is_required, False)[options.target]
     keep |= np.any([one.near for one in candidates.spreads], axis=0)

@@ -138,3 +138,27 @@ def test_groups_of_the_wrong_form_are_errors(groups, message):
     with pytest.raises(rs.InputError) as error:
         rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, groups=groups)
     assert str(error.value).startswith(message)
+
+
+def test_commands_count_fibers_per_column_of_an_instrument_file(sky, petals, tmp_path, run):
+    """An unknown column is one sentence, and the exit code is 2."""
+    petals.focal_plane.to_table().write(tmp_path / "layout.ecsv")
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\n'
+        "[positioner]\n"
+        + "".join(
+            f'{name} = {{ value = {value}, unit = "mm", status = "assumed", source = "test" }}\n'
+            for name, value in (("central_arm", 8.25), ("eccentric_arm", 8.25), ("clearance", 2.25))
+        )
+        + '[layout]\ntable = { value = "layout.ecsv", status = "assumed", source = "test" }\n'
+        '[optics]\nplate_scale = { value = 200, unit = "mm/deg", status = "assumed", source = "test" }\n'
+    )
+    sky.write(tmp_path / "targets.ecsv")
+    arguments = ["plan", tmp_path / "targets.ecsv", "--instrument", tmp_path / "mine.toml", "--center", "95 23"]
+    code, _, errors = run(*arguments, "--constraint", "sky=2/petal", "--output", tmp_path / "tile.fits")
+    assert code == 0, errors
+    assert rs.Tile.read(tmp_path / "tile.fits").rules["note"].tolist() == [f"petal {k}" for k in range(4)]
+    code, _, errors = run(*arguments, "--constraint", "sky=2/petl", "--output", tmp_path / "other.fits")
+    assert code == 2
+    assert "must name an integer column of the focal plane after '/'" in errors
+    assert "Traceback" not in errors

@@ -215,3 +215,16 @@ def test_programs_of_some_positioners_count_the_neighbors_of_all_fibers():
         scene.constraints = [*scene.rules, "sky=0-90"]
         rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options(allocator))
     assert len(found) > 4
+
+
+@pytest.mark.filterwarnings("ignore:no target of the catalog is")
+def test_a_plan_without_time_is_valid_and_states_its_gap():
+    gaps = []
+    for seed in range(24, 30):
+        scene = Scene(seed)
+        options = scene.options("optimal", time_limit=1e-9 * u.s)
+        tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=options)
+        values = checked(scene, tile)
+        compare(scene, tile, values, scene.best())
+        gaps.append(tile.summary["gap"])
+    assert max(gaps) > 0

@@ -209,6 +209,10 @@ def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
         ({"allocator": rs.AllocationOptions("optimal", subpriority=0)}, "subpriority must not be given"),
         ({"allocator": rs.AllocationOptions("optimal", required=[3])}, "required must not be given"),
         ({"allocator": rs.AllocationOptions("optimal", rules="dark_rm")}, "rules must not be given"),
+        (
+            {"allocator": rs.AllocationOptions("optimal", constraints="distribution sky 1 95 75")},
+            "a joint plan must have no constraints with counts, distributions or required targets",
+        ),
     ],
 )
 def test_unsupported_options_are_refused(options, message):
