@@ -225,19 +225,6 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
 
 
 @kernel
-def may_meet(moves, a, b, limit, outlined):
-    """Return whether the areas that two arms sweep may be closer than ``limit``."""
-    dx, dy = moves.circle[0, b] - moves.circle[0, a], moves.circle[1, b] - moves.circle[1, a]
-    far = moves.circle[2, a] + moves.circle[2, b] + limit
-    if not dx * dx + dy * dy <= far * far:
-        return False
-    if outlined or not sectors_apart(moves, a, b, dx, dy, limit):
-        ex, ey = moves.x[b] - moves.x[a], moves.y[b] - moves.y[a]
-        return outlined or not sectors_apart(moves, a, b, ex, ey, limit)
-    return False
-
-
-@kernel
 def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
     """List the candidates of each pair of neighbors that collide while they unfold, beginning with the pair p.
 
@@ -246,6 +233,11 @@ def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
     """
     outlined = limits.outline.start.size > 1
     n, limit = 0, limits.separation - limits.outline.offset + TOLERANCE
+    x, y, radius = moves.circle[0], moves.circle[1], moves.circle[2]
+    size = 0
+    for i in range(start.size - 1):
+        size = max(size, start[i + 1] - start[i])
+    near = np.empty(size, np.bool_)
     while p < pairs.shape[0]:
         i, j = pairs[p, 0], pairs[p, 1]
         a0, a1, b0, b1 = start[i], start[i + 1], start[j], start[j + 1]
@@ -254,7 +246,17 @@ def list_meeting(pairs, p, start, moves, same_speed, limits, first, second):
         p += 1
         for a in range(a0, a1):
             for b in range(b0, b1):
-                if may_meet(moves, a, b, limit, outlined) and pair_meets(moves, a, b, same_speed, limits, i, j):
+                dx, dy, far = x[b] - x[a], y[b] - y[a], radius[a] + radius[b] + limit
+                near[b - b0] = dx * dx + dy * dy <= far * far
+            for b in range(b0, b1):
+                if not near[b - b0]:
+                    continue
+                if not outlined:
+                    if sectors_apart(moves, a, b, x[b] - x[a], y[b] - y[a], limit):
+                        continue
+                    if sectors_apart(moves, a, b, moves.x[b] - moves.x[a], moves.y[b] - moves.y[a], limit):
+                        continue
+                if pair_meets(moves, a, b, same_speed, limits, i, j):
                     first[n], second[n] = a, b
                     n += 1
     return n, p
@@ -269,15 +271,18 @@ def count_meeting(pairs, start, moves, same_speed, limits, counts):
     """
     outlined = limits.outline.start.size > 1
     limit = limits.separation - limits.outline.offset + TOLERANCE
+    x, y, radius = moves.circle[0], moves.circle[1], moves.circle[2]
     counts[:] = 0
     for p in range(pairs.shape[0]):
         for swap in range(2):
             i, j = pairs[p, swap], pairs[p, 1 - swap]
             for k in range(counts.shape[1]):
-                c = start[-1] + i * counts.shape[1] + k
+                a = start[-1] + i * counts.shape[1] + k
                 for b in range(start[j], start[j + 1]):
-                    if may_meet(moves, c, b, limit, outlined):
-                        counts[i, k] += pair_meets(moves, c, b, same_speed, limits, i, j)
+                    dx, dy, far = x[b] - x[a], y[b] - y[a], radius[a] + radius[b] + limit
+                    near = dx * dx + dy * dy <= far * far
+                    if near and (outlined or not sectors_apart(moves, a, b, dx, dy, limit)):
+                        counts[i, k] += pair_meets(moves, a, b, same_speed, limits, i, j)
 
 
 @kernel
@@ -310,9 +315,12 @@ def obstacles_meeting(moves, owner, limits, pairs, obstacles, clearance, out):
 
 
 @kernel
-def gaps_to_one(segments, k, i, j, limits, out):
-    """Compute the distance from the arms ``segments[:, :k]``, of positioner i, to the arm k, of positioner j."""
-    wide = Limits(math.inf, limits.slack, limits.near, limits.band, limits.outline, limits.polygons)
+def gaps_to_one(segments, k, i, j, ahead, limits, out):
+    """Compute the distance from the arms ``segments[:, :k]``, of positioner i, to the arm k, of positioner j.
+
+    The distance of outlines is infinity if it exceeds the minimum separation by more than ``ahead``.
+    """
+    wide = Limits(limits.separation + ahead, limits.slack, limits.near, limits.band, limits.outline, limits.polygons)
     for a in range(k):
         if limits.outline.start.size > 1:
             out[a] = math.sqrt(outlined_squared(segments, a, k, wide, i, j)) - limits.outline.offset

@@ -209,17 +209,26 @@ def _fold(columns) -> Folded:
             start = zero + np.where(np.isinf(low), start - zero, np.clip(start - zero, low, high))
             start = split_phi(columns, start)
             moves = find_moves(columns, own, fiber, np.zeros(n), start)
-            angle, x = moves.angle + moves.turn, columns.central_arm
-            if outline is None:
-                size = np.hypot(x + moves.length * np.cos(angle), moves.length * np.sin(angle))
-                size = size if columns.model == arms.FIBER_TIP else np.maximum(size, x)
-                eccentric = np.maximum(eccentric, size)
-            for vertices, radius in () if outline is None else outline.parts[: outline.n_eccentric]:
-                for vx, vy in vertices:
-                    c, s = np.cos(angle), np.sin(angle)
-                    eccentric = np.maximum(eccentric, np.hypot(x + c * vx - s * vy, s * vx + c * vy) + radius)
+            eccentric = np.maximum(eccentric, _extent(columns, moves.angle + moves.turn, moves.length))
             poses.append((fiber, start + moves.turn))
     return Folded(eccentric, central, poses)
+
+
+def _extent(columns, angle, length):
+    """Return the largest distance of the eccentric arms from the centers, for arms at an angle to the central arm."""
+    outline, x = columns.plane.positioner.outline, columns.central_arm
+    if outline is None:
+        size = np.hypot(x + length * np.cos(angle), length * np.sin(angle))
+        return size if columns.model == arms.FIBER_TIP else np.maximum(size, x)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.max(
+        [
+            np.hypot(x + c * vx - s * vy, s * vx + c * vy) + radius
+            for vertices, radius in outline.parts[: outline.n_eccentric]
+            for vx, vy in vertices
+        ],
+        axis=0,
+    )
 
 
 def touching_folds(columns, folded: Folded) -> np.ndarray:
@@ -235,9 +244,9 @@ class Turning:
     """The directions to which the folded arms can turn beside broken arms and obstacles.
 
     Only positioners that are near to broken arms or obstacles are examined. The directions in which the folded arm of
-    such a positioner certainly collides with none of them form arcs; within an arc, the arm can turn in the direction
-    that remains in the arc. The arc of the parked pose (or the longest arc, if the parked arm collides) is the *usual*
-    arc.
+    such a positioner certainly collides with none of them form arcs of joint angles; within an arc, the arm can turn in
+    the direction that remains in the arc. The arc of the parked pose (or the longest arc, if the parked arm collides)
+    is the *usual* arc.
     """
 
     def __init__(self, columns, folded: Folded, broken: motion.Moves):
@@ -249,10 +258,11 @@ class Turning:
             for fiber, phi in folded.poses:
                 free &= _free_bins(first, i, fiber, phi, folded.eccentric[i], broken, others, obstacles)
             self._lines[i] = _line(first, i, free)
-            labels = self.labels(i, np.array([home[i]]))[:, 0]
-            self._usual[i] = labels[labels > 0]
-            if not len(self._usual[i]):
-                self._usual[i] = 1 + np.bincount(self._lines[i][1], minlength=2)[1:].argmax(keepdims=True)
+            size = np.bincount(self._lines[i][1], minlength=2)
+            size[0] = 0  # directions that are not free
+            known = self.labels(i, home[i : i + 1])[:, 0]
+            known = known if known.any() else np.arange(len(size))
+            self._usual[i] = known[size[known].argmax()]
 
     @property
     def examined(self) -> list[int]:
@@ -280,7 +290,7 @@ class Turning:
             rows = slice(*np.searchsorted(own, [i, i + 1]))
             found = self.labels(i, theta[rows])
             if before is None:
-                allowed[rows] = np.isin(found, self._usual[i]).any(axis=0)
+                allowed[rows] = ((found == self._usual[i]) & (found > 0)).any(axis=0)
             else:
                 old = self.labels(i, before[rows])
                 allowed[rows] = ((found[:, None] == old[None]) & (found[:, None] > 0)).any(axis=(0, 1))
@@ -291,11 +301,14 @@ def _near(columns, folded, broken):
     """Return the broken positioners and the obstacles that the folded arm of each usable positioner can touch."""
     found: dict = {}
     pairs = columns.neighbors[columns.usable[columns.neighbors].sum(axis=1) == 1]
+    theta = np.arctan2(broken.y - columns.xy[:, 1], broken.x - columns.xy[:, 0])
+    with np.errstate(invalid="ignore"):
+        size = np.maximum(_extent(columns, broken.angle - theta, broken.length), folded.central)
+    own = np.maximum(folded.eccentric, folded.central)
     for a, b in pairs.tolist():
         i, j = (a, b) if columns.usable[a] else (b, a)
-        x, y, radius = broken.circle[:, j]
-        size = max(folded.eccentric[i], folded.central[i]) + radius + columns.separation + motion.TOLERANCE
-        if np.hypot(x - columns.xy[i, 0], y - columns.xy[i, 1]) <= size:
+        apart = np.hypot(*(columns.xy[i] - columns.xy[j]))
+        if apart <= own[i] + size[j] + columns.separation + motion.TOLERANCE:
             found.setdefault(i, ([], []))[0].append(j)
     for i, j in columns.obstacle_pairs.tolist():
         if not columns.usable[i]:
@@ -331,7 +344,7 @@ def _free_bins(columns, i, fiber, phi, size, broken, others, obstacles):
     for j in others:
         both = np.ascontiguousarray(np.hstack([segments, fixed[:, [j]]]))
         found = np.empty(N_BINS)
-        motion.gaps_to_one(both, N_BINS, i, j, columns.limits, found)
+        motion.gaps_to_one(both, N_BINS, i, j, 2 * slack, columns.limits, found)
         gaps = np.minimum(gaps, found - columns.separation)
     for j in obstacles:
         found = np.empty(N_BINS)

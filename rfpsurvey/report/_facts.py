@@ -38,8 +38,8 @@ TILE = {
     "n_colliding_pairs": "colliding pairs",
     "n_obstacle_collisions": "collisions with obstacles",
     "n_unfolding_pairs": "pairs that collide while unfolding",
-    "n_unfolding_obstacle_collisions": "  collisions with obstacles while unfolding",
-    "n_needs_planner": "positioners that need a path planner",
+    "n_unfolding_obstacle_collisions": "  with obstacles while unfolding",
+    "n_needs_planner": "positioners to plan paths for",
     "collision_rate_assigned": "collision rate of assigned arms",
     "collision_rate": "  of assigned and parked arms",
 }

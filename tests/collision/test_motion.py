@@ -168,3 +168,18 @@ def test_folded_arms_turn_only_where_broken_arms_leave_space():
             assert find_motion(plane, arms, before=reference[1]).blocked[0] == (not free)
             assert report.blocked[0] == (not free)
     assert reference is not None
+
+
+def test_arms_turn_between_all_directions_that_they_reach_from_the_parked_pose():
+    """A joint range of more than 360 deg contains the parked pose twice, in different arcs of joint angles."""
+    unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM, theta_range=[0, 380] * u.deg)
+    stuck = [[np.nan, np.nan], [180, 20]] * u.deg
+    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=stuck)
+    poses = []
+    for theta in range(0, 360, 10):
+        pose = {"theta": [theta, np.nan] * u.deg, "phi": [179.0, np.nan] * u.deg}
+        poses.append(rs.collision.place_arms(plane, **pose))
+    reached = [pose for pose in poses if not find_motion(plane, pose).blocked[0]]
+    assert 3 < len(reached) < len(poses)
+    for before in reached:
+        assert not any(find_motion(plane, pose, before=before).blocked[0] for pose in reached)
