@@ -29,7 +29,7 @@ class Modular:
         """Make a focal plane from equal modules, such as the triangular modules of MUST.
 
         The identifiers of the positioners are numbers such as 1263: place 63 of module 12. Modules and places are
-        numbered from 1, in the order of the arguments.
+        numbered from 1, in the order of the arguments. Requirements can count fibers per module (``sky=2/module``).
 
         Parameters
         ----------
@@ -93,6 +93,7 @@ class Modular:
             own = columns[name]
             is_dict = isinstance(own, dict)
             columns[name] = {key: _repeated(v, k, m) for key, v in own.items()} if is_dict else _repeated(own, k, m)
+        columns["groups"] = {"module": np.repeat(np.arange(1, m + 1), k), **(columns.get("groups") or {})}
         step = 10 ** len(str(k))
         columns.setdefault("id", (step * np.arange(1, m + 1)[:, None] + np.arange(1, k + 1)).ravel())
         return cls(_placed(xy, turn, points).reshape(-1, 2) * u.mm, positioner, **columns)
