@@ -61,12 +61,14 @@ def least_distance(one, two, *, same_speed=False, n=10_000, rounds=0, gap=None):
     found = at(t)
     best = found.min()
     speed = (abs(one[3]) * one[5] + abs(two[3]) * two[5]) * (2 if same_speed else 1)
+    width = np.diff(t).max()
     for _ in range(rounds):
-        width = np.diff(t).max()
         low = np.flatnonzero(found <= best + speed * width)
         if len(low) > n:
             break
-        t = np.unique((t[low][:, None] + np.linspace(-width, width, max(3, n // len(low)) | 1)).clip(0, 1))
+        m = max(3, n // len(low)) | 1
+        t = np.unique((t[low][:, None] + np.linspace(-width, width, m)).clip(0, 1))
+        width *= 2 / (m - 1)
         found = at(t)
         best = min(best, found.min())
     return best
