@@ -28,6 +28,7 @@ from rfpsurvey.constraints import (
     as_requirements,
     check_counts,
     circle_text,
+    law_of,
 )
 from rfpsurvey.errors import (
     InputError,
@@ -244,7 +245,7 @@ class AllocationOptions:
     @cached_property
     def motion_law(self) -> str:
         """Law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
-        return next((one.motion_law for one in self.all_constraints if one.motion_law), "")
+        return law_of(self.all_constraints)
 
     @cached_property
     def required_ids(self) -> tuple:

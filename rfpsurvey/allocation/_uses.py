@@ -42,7 +42,7 @@ def warn_of_unused_options(
     known = [find_improving(name, first.start) for name in METHODS]
     warn_of_unused(given, [one.method for one in options], known, "allocator")
     _warn_of_only_checked(options, known)
-    if plane is not None and not first.parked_obstacles:
+    if plane is not None and not first.parked_obstacles and not first.motion_law:
         warn_of_parked(plane)
 
 

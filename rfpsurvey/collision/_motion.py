@@ -11,6 +11,7 @@ from rfpsurvey.collision._moves import (
     Folded,
     Turning,
     find_moves,
+    fold_of,
     idle_moves,
     joined,
     split_phi,
@@ -23,6 +24,8 @@ from rfpsurvey.collision._moves import (
 from rfpsurvey.errors import check_choice, check_keywords, check_switch, number_of
 from rfpsurvey.focal_plane import FocalPlane
 
+SAME_FOLD = 1e-6
+"""Largest difference (rad) of equal angles of folded arms."""
 LAWS = ("same_duration", "same_speed")
 """Laws of time by which arms unfold."""
 
@@ -40,7 +43,7 @@ class MotionReport:
         Pairs of a positioner and an obstacle (row numbers) that collide while the arm unfolds (or folds).
     blocked : ndarray of bool, shape (n,)
         Whether the folded arm of each positioner cannot turn to its direction without touching a broken arm or an
-        obstacle.
+        obstacle, or is folded to the other side of the range of phi than before, because its elbow changes.
     touching : ndarray of int, shape (l, 2)
         Pairs of positioners whose folded arms can touch each other when they turn.
     theta : Quantity, shape (n,)
@@ -159,11 +162,13 @@ def find_motion(
     given = [arms] if before is None else [arms, before]
     idle = idle_moves(columns, parked_obstacles)
     parts = [_motion_of(focal_plane, one, idle, turning, law == "same_speed") for one in given]
-    pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, _, _ in parts]
+    pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, *_ in parts]
     own, near = np.arange(len(focal_plane)), columns.obstacle_pairs
-    hits = [near[unfolding_obstacles(focal_plane, moves, own, near)] for moves, _, _ in parts]
+    hits = [near[unfolding_obstacles(focal_plane, moves, own, near)] for moves, *_ in parts]
     theta, moved = parts[0][1], np.any([part[2] for part in parts], axis=0)
     free = turning.allows(own, theta, None if before is None else parts[1][1])
+    if before is not None:  # an arm with limits of phi that changes its elbow would have to pass its stretched pose
+        free &= ~(parts[0][2] & parts[1][2] & (np.abs(parts[0][3] - parts[1][3]) > SAME_FOLD))
     touching = touching_folds(columns, folded)
     touching = touching[moved[touching].any(axis=1)]
     unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
@@ -178,7 +183,10 @@ def plan_moves(plane: FocalPlane, arms: object, law: str, parked_obstacles: bool
 
 
 def _motion_of(plane, given, idle, turning, same_speed):
-    """Return the motion of all arms, their directions theta, and which arms have targets or recorded poses."""
+    """Return the motion of all arms, their directions theta, which arms have targets or recorded poses, and the folds.
+
+    The folds are the joint angles phi of the folded arms.
+    """
     if hasattr(given, "place_arms"):
         given = given.place_arms(plane)
     posed = given if isinstance(given, Arms) else place_arms(plane, given)
@@ -188,6 +196,7 @@ def _motion_of(plane, given, idle, turning, same_speed):
     theta, phi = (np.array(value, dtype=float) for value in columns.from_joints(posed.theta, posed.phi))
     moved = posed.assigned | (False if posed.recorded is None else posed.recorded)
     moves = find_moves(columns, own, fiber, theta, split_phi(columns, phi), moving=columns.usable)
+    fold = fold_of(columns, own, fiber, split_phi(columns, phi), moves.turn)
     rows = np.flatnonzero(~moved)
     others = joined(moves, rows, idle, rows)
     # folded idle arms are no obstacles for each other
@@ -197,4 +206,4 @@ def _motion_of(plane, given, idle, turning, same_speed):
     moves = joined(moves, rows, idle, rows)
     center = plane.arrays.xy
     direction = np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0])
-    return moves, np.where(moved, theta, direction), moved
+    return moves, np.where(moved, theta, direction), moved, fold

@@ -66,6 +66,22 @@ def _limits(columns, own, k, name):
     return np.full(len(own), low), np.full(len(own), high)
 
 
+def _within_theta(columns, own, theta):
+    """Return whether joint angles theta, in the convention of the kernels, are within the joint limits."""
+    low, high = _limits(columns, own, 0, "theta_range")
+    zero = 0.0 if columns.joints is None else columns.joints.zeros(own, columns.first_index[own])[0]
+    with np.errstate(invalid="ignore"):
+        return np.isinf(low) | (np.mod(theta - zero - low + 1e-9, 2 * np.pi) - 1e-9 <= high - low + 1e-9)
+
+
+def fold_of(columns, own, fiber, phi, turn):
+    """Return the joint angle phi at which each arm is folded; 0 if phi has no limits."""
+    low, _, zero = phi_limits(columns, own, fiber)
+    with np.errstate(invalid="ignore"):
+        joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
+        return np.where(np.isinf(low), 0.0, joint + turn)
+
+
 def phi_limits(columns, own, fiber):
     """Return the joint limits of phi, and the value of phi in the convention of the kernels at the joint angle 0."""
     zero = 0.0 if columns.joints is None else columns.joints.zeros(own, fiber)[1]
@@ -147,7 +163,8 @@ def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves
     both = motion.Moves(*(np.concatenate([a[..., some], b], axis=-1) for a, b in zip(moves, folded, strict=True)))
     counts = np.empty((n, N_WAYS), dtype=np.int64)
     motion.count_meeting(first.neighbors, start, both, same_speed, first.limits, counts)
-    counts[~turning.allows(own, ways).reshape(n, N_WAYS)] = np.iinfo(np.int64).max
+    allowed = turning.allows(own, ways) & _within_theta(first, own, ways)
+    counts[~allowed.reshape(n, N_WAYS)] = np.iinfo(np.int64).max
     best = counts.argmin(axis=1)
     return joined(idle, stays, folded, stays * N_WAYS + best[stays])
 
@@ -275,7 +292,8 @@ class Turning:
         There are two rows because the joint range can contain a direction twice.
         """
         origin, label = self._lines[i]
-        k = np.minimum((np.mod(theta - origin, 2 * np.pi) / BIN).astype(np.int64), N_BINS - 1)
+        angle = np.nan_to_num(theta - origin)  # arms that are ignored have no direction
+        k = np.minimum((np.mod(angle, 2 * np.pi) / BIN).astype(np.int64), N_BINS - 1)
         padded = np.append(label, np.zeros(2 * N_BINS, dtype=np.int64))
         return np.array([padded[k], padded[k + N_BINS]])
 

@@ -5,6 +5,7 @@ from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._distribution import Distribution
 from rfpsurvey.constraints._group import Group
 from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
+from rfpsurvey.constraints._motion import law_of
 from rfpsurvey.constraints._required import Required, as_required, mark_required
 from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, check_counts, hint_of_name
 from rfpsurvey.constraints._rule import Rule
@@ -39,6 +40,7 @@ __all__ = [
     "circle_text",
     "count_verdicts",
     "hint_of_name",
+    "law_of",
     "mark_required",
     "named_plugins",
     "sentences",

@@ -1,7 +1,7 @@
 """The interface of all constraints, and the description of a field that constraints receive."""
 
 import shlex
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from hashlib import sha256
 from typing import TYPE_CHECKING, ClassVar
@@ -212,7 +212,7 @@ class Constraint:
             words = shlex.split(arguments)
             types = [getattr(one.type, "__name__", one.type) for one in fields(cls)]
             values = [CONVERTERS.get(kind, str)(word) for kind, word in zip(types, words, strict=False)]
-            if len(words) <= len(names):
+            if sum(one.default is MISSING for one in fields(cls)) <= len(words) <= len(names):
                 return cls(*values)
         except InputError:
             raise
@@ -342,7 +342,7 @@ class Constraint:
 
     @cached_property
     def parts(self) -> frozenset[str]:
-        """Parts of the interface that the constraint uses: the names in `Abilities`, and ``exclusion``."""
+        """Parts of the interface that the constraint uses: the names in ``Abilities``, and ``exclusion``."""
         own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
         given = {"precedence": self.required_ids, "counts": self.counts, "distribution": self.distributions}
         given["motion"] = self.motion_law

@@ -7,7 +7,7 @@ import numpy as np
 from rfpsurvey.constraints._constraint import ConstraintField
 from rfpsurvey.constraints._rule import Rule, check_number, check_text
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import check_keywords, check_whole
+from rfpsurvey.errors import InputError, check_keywords, check_whole
 
 
 @check_keywords
@@ -54,6 +54,8 @@ class Distribution(Rule):
 
     def __post_init__(self):
         check_text(self.what, "the kind of fibers of a distribution")
+        if self.what == "science":
+            raise InputError("the kind of fibers of a distribution must not be 'science', whose neighbors are counted")
         check_text(self.fiber_type, "fiber_type of a distribution", empty=True)
         check_whole(self.k, "k of a distribution")
         check_number(self.percent, "percent of a distribution", 0, 100)

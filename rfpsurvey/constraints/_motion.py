@@ -1,5 +1,6 @@
 """The constraint that arms reach their targets by a simple motion, which needs no path planner."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,18 @@ import numpy as np
 from rfpsurvey.collision import LAWS, Folded, touching_folds
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import check_choice, check_keywords, listed, number_of, warn
+from rfpsurvey.errors import InputError, check_choice, check_keywords, listed, number_of, warn
 
 MOTIONS = ("fold",)
 MOST_LISTED = 5
+
+
+def law_of(constraints: Iterable[Constraint]) -> str:
+    """Return the law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
+    laws = list(dict.fromkeys(one.motion_law for one in constraints if one.motion_law))
+    if len(laws) > 1:
+        raise InputError(f"all constraints on the motion must have the same law of time, got {listed(laws)}")
+    return laws[0] if laws else ""
 
 
 @check_keywords

@@ -93,7 +93,8 @@ class Modular:
             own = columns[name]
             is_dict = isinstance(own, dict)
             columns[name] = {key: _repeated(v, k, m) for key, v in own.items()} if is_dict else _repeated(own, k, m)
-        columns["groups"] = {"module": np.repeat(np.arange(1, m + 1), k), **(columns.get("groups") or {})}
+        if isinstance(columns.get("groups", {}), dict):
+            columns["groups"] = {"module": np.repeat(np.arange(1, m + 1), k), **columns.get("groups", {})}
         step = 10 ** len(str(k))
         columns.setdefault("id", (step * np.arange(1, m + 1)[:, None] + np.arange(1, k + 1)).ravel())
         return cls(_placed(xy, turn, points).reshape(-1, 2) * u.mm, positioner, **columns)

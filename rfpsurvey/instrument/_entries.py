@@ -258,12 +258,15 @@ def with_defaults(content: dict) -> dict:
         if not TOP[part].fits(value):
             raise InputError(f"{part} must be {TOP[part].what}, got {_short(value)}")
     filled = {name: value for name, value in content.items() if name not in DEFAULTS}
-    for section in SECTIONS:
-        if isinstance(filled.get(section), dict):
-            filled[section] = {
-                name: {**defaults, **entry} if isinstance(entry, dict) else entry
-                for name, entry in filled[section].items()
-            }
+
+    def complete(section: object) -> object:
+        if not isinstance(section, dict):
+            return section
+        return {name: {**defaults, **entry} if isinstance(entry, dict) else entry for name, entry in section.items()}
+
+    filled |= {section: complete(filled[section]) for section in SECTIONS if section in filled}
+    if isinstance(filled.get(RULES), dict):
+        filled[RULES] = {name: complete(section) for name, section in filled[RULES].items()}
     return filled
 
 
@@ -275,6 +278,9 @@ def check_description(content: dict) -> None:
         check_choice(name, TOP, "section or entry")
         if not TOP[name].fits(value):
             raise InputError(f"{name} must be {TOP[name].what}, got {_short(value)}")
+    for name in content.get(RULES, {}):
+        if "." in name:
+            raise InputError(f"the names of rules must contain no dot, got {name!r}")
     for section, entries in sections_of(content).items():
         for name, entry in entries.items():
             _check_entry(section, name, entry)

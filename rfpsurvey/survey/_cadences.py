@@ -26,7 +26,7 @@ NEVER = 1e9
 @check_keywords
 @dataclass(frozen=True, eq=False)
 class Cadences:
-    """The cadences of targets, as a value of the parameter ``visits`` of `plan_survey`.
+    """The cadences of targets, as a value of the parameter ``visits`` of `~rfpsurvey.plan_survey`.
 
     A cadence consists of epochs. Each epoch has a number of exposures, which are tiles of the same night: all of them
     are within 0.5 days of the first. The time between the first exposures of successive epochs has a lower and an upper

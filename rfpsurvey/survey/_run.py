@@ -19,7 +19,7 @@ from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.survey._unmet import UNKNOWN
+from rfpsurvey.survey._unmet import UNKNOWN, WORDS, counts_in
 from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, early_sentences, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
@@ -113,12 +113,10 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]
-            # constraints that the plan of the tile did not have are not checkable
-            found = {name: own.get(card, int(name.startswith(UNKNOWN))) for card, (name, _) in cards.items()}
-            found |= {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
+            found = counts_in(own, cards) | {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
         else:
             job = request.job(tile, np.ones_like(state.left), as_file=False)
-            done = _done_of(history.events.plan(tile, event.plan), job)
+            done = _done_of(history.events.plan(tile, event.plan), job, is_kept=True)
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts
@@ -126,7 +124,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
                 job.field, done.in_reach, slot, done.observed & open_, request.number[tile]
             )
         for name, value in found.items():
-            counts[name][tile] = value
+            counts.setdefault(name, np.zeros(len(request.tiling), dtype=np.int64))[tile] = value
     return [*history.closed, *history.begun]
 
 
@@ -200,13 +198,18 @@ def _read(folder, tile, job) -> Done | None:
     return done
 
 
-def _done_of(part: bytes, job) -> Done:
-    """Return the result that the content of the file of a tile states, or raise an error if it is not possible."""
+def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
+    """Return the result that the content of the file of a tile states, or raise an error if it is not possible.
+
+    The file of a tile that keeps its plan can lack the numbers of constraints, which are then not checkable.
+    """
     visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
     lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
     counted = cards_of(job.model.options)
+    if is_kept:
+        counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(WORDS)}
     # files of earlier versions do not state whether constraints are checkable
-    cards = {card: 1 for card, (name, _) in counted.items() if name.startswith(UNKNOWN)} | cards
+    counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(UNKNOWN)}
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")
@@ -216,7 +219,7 @@ def _done_of(part: bytes, job) -> Done:
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if not np.array_equal(rows[target], visits["target_row"]):
         raise InputError("its stored result was planned for a different set of targets with remaining visits")
-    counts = {name: cards[card] for card, (name, _) in counted.items()}
+    counts = counts_in(cards, cards_of(job.model.options))
     counts[LOST] = int(visits["in_collision"].sum())
     return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)
 

@@ -1,5 +1,6 @@
 """Requirements that tiles of a survey do not meet: counts per tile, text of each tile, and sentences for the survey."""
 
+import zlib
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -9,6 +10,7 @@ from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS, Constraint, KeepOut
 from rfpsurvey.errors import listed, number_of
 
 MISSING, EXCESS, VIOLATED, UNKNOWN = "missing ", "too many ", "violations ", f"{NOT_CHECKABLE} "
+TAG = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 WORDS = (MISSING, EXCESS, VIOLATED, UNKNOWN)
 REQUIRED = "required targets"
 MOST_TILES = 5
@@ -21,21 +23,48 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     Each requirement has a card for the number of missing targets and, if it has a maximum, a card for the number of
     targets above the maximum. All keep-out circles together have a card, and so has each constraint that is more than
     counts and has no short form. A constraint with a verdict of its own has a card that states if it is not checkable.
+    The names of cards depend on the texts of constraints, so that files of tiles with other constraints are recognized.
     """
-    cards = {}
-    for k, one in enumerate(options.counts):
-        cards[f"MISS{k}"] = f"{MISSING}{one}", f"targets that requirement {k} lacks"
+    cards, tags = {}, _tags([*map(str, options.counts), *map(str, options.constraints)])
+    for one in options.counts:
+        tag = tags[str(one)]
+        cards[f"MISS{tag}"] = f"{MISSING}{one}", "targets that a requirement lacks"
         if one.maximum is not None:
-            cards[f"MORE{k}"] = f"{EXCESS}{one}", f"targets above the maximum of requirement {k}"
+            cards[f"MORE{tag}"] = f"{EXCESS}{one}", "targets above the maximum of a requirement"
     if options.required_ids:
         cards["MISSREQ"] = f"{MISSING}{REQUIRED}", "required targets of the field without a fiber"
     if options.keep_out:
         cards["VIOLKEEP"] = f"{VIOLATED}{KeepOut.name}", "violations of keep-out circles"
-    for k, one in enumerate(one for one in options.constraints if one.uses_field):
-        cards[f"VIOL{k}"] = f"{VIOLATED}{one}", f"violations of constraint {k}"
-        if type(one).verdict is not Constraint.verdict:
-            cards[f"NOTC{k}"] = f"{UNKNOWN}{one}", f"1 if constraint {k} is not checkable"
+    for one in options.constraints:
+        if one.uses_field:
+            tag = tags[str(one)]
+            cards[f"VIOL{tag}"] = f"{VIOLATED}{one}", "violations of a constraint"
+            if type(one).verdict is not Constraint.verdict:
+                cards[f"NOTC{tag}"] = f"{UNKNOWN}{one}", "1 if the constraint is not checkable"
     return cards
+
+
+def _tags(texts: list[str]) -> dict[str, str]:
+    """Return four letters or digits for each text, which depend on the text; those of different texts are different."""
+    found: dict[str, str] = {}
+    for text in texts:
+        number = zlib.crc32(text.encode())
+        while text not in found:
+            tag = "".join(TAG[number // 36**k % 36] for k in range(4))
+            if tag not in found.values():
+                found[text] = tag
+            number += 1
+    return found
+
+
+def counts_in(cards: dict[str, int], counted: dict[str, tuple[str, str]]) -> dict[str, int]:
+    """Return the counts in the header cards of a tile; constraints that the tile did not have are not checkable."""
+    found = {}
+    for card, (name, _) in counted.items():
+        found[name] = cards.get(card, int(name.startswith(UNKNOWN)))
+        if card not in cards and name.startswith(WORDS):
+            found[f"{UNKNOWN}{_words(name)[0]}"] = 1
+    return found
 
 
 def shortfall_counts(

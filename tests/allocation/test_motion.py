@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import combinations, product
 
 import astropy.units as u
@@ -155,3 +156,47 @@ def test_the_optimum_is_that_of_an_integer_program_with_sampled_conflicts(scene,
         assert not targets[report.pairs].any(axis=1).any()
         assert not targets[report.obstacle_pairs[:, 0]].any()
     assert answers["optimal"].n_assigned == best == answers["optimal"].levels[0].bound
+
+
+def test_ignored_idle_arms_beside_obstacles():
+    """Regression: an idle arm that is ignored, and that could touch an obstacle, raised an IndexError."""
+    unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    plane = rs.FocalPlane([[0, 0]] * u.mm, unit, obstacles=[[9, 0, 1]] * u.mm)
+    found = rs.collision.find_motion(plane, [[np.nan] * 2] * u.mm, parked_obstacles=False)
+    assert found.n_planner == 0
+
+
+def test_idle_arms_turn_within_their_joint_limits():
+    """Regression: a folded idle arm was turned to a direction outside of its range of theta."""
+    unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    limits = [[np.nan] * 2, [-10, 10]] * u.deg
+    plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit, theta_range=limits)
+    options = rs.AllocationOptions("optimal", constraints="motion fold")
+    found = rs.allocate(plane, [[20, 0]] * u.mm, allocator=options)
+    assert (found.target_of_positioner < 0).all()
+    free = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit)
+    assert rs.allocate(free, [[20, 0]] * u.mm, allocator=options).target_of_positioner.tolist() == [0, -1]
+
+
+def test_a_change_of_the_elbow_with_a_limited_range_of_phi():
+    """Regression: the arm would have to pass its stretched pose, which was not reported."""
+    unit = rs.Positioner(
+        8 * u.mm, 17 * u.mm, 2 * u.mm, theta_range=[-170, 170] * u.deg, phi_range=[-180, 180] * u.deg, handedness="both"
+    )
+    for robot, expected in ((unit, True), (replace(unit, phi_range=None), False)):
+        plane = rs.FocalPlane([[0, 0]] * u.mm, robot)
+        right, same, left = (
+            rs.collision.place_arms(plane, theta=[theta] * u.deg, phi=[phi] * u.deg)
+            for theta, phi in ((100, 140), (50, 60), (-100, -140))
+        )
+        for one, other, blocked in ((right, same, False), (left, right, expected), (right, left, expected)):
+            assert rs.collision.find_motion(plane, one, before=other).blocked.tolist() == [blocked]
+
+
+def test_constraints_with_different_laws_are_refused():
+    """Regression: only the first of them was honored, but both were reported as met."""
+    options = rs.AllocationOptions("optimal", constraints=["motion fold", "motion fold same_speed"])
+    with pytest.raises(rs.InputError, match="all constraints on the motion must have the same law of time"):
+        rs.plan_tile(rs.example_catalog("anticenter"), "sdss_apo", "06h20m +23d", allocator=options)
+    with pytest.raises(rs.InputError, match="the constraint must have the form 'motion MOTION LAW', got ''"):
+        rs.AllocationOptions("optimal", constraints="motion")

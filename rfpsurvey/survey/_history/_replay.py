@@ -162,7 +162,7 @@ class Replay:
             self.counts[event.row] = {
                 name: value
                 for name, value in cards.items()
-                if name in {**COUNTS, **MOTION} or name.startswith(("MISS", "MORE", "VIOL"))
+                if name in {**COUNTS, **MOTION} or name.startswith(("MISS", "MORE", "VIOL", "NOTC"))
             }
             self.counts[event.row][N_LOST] = int(visits["in_collision"].sum())
             self.n_good[event.row], self.n_failed[event.row] = int(good.sum()), len(bad)

@@ -1,9 +1,11 @@
 """Surveys that are continued after records: no plan with which a tile was observed is lost or confused with another."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy.table import QTable
-from living import content, differences, events, part, sha
+from living import content, differences, events, instrument, part, sha, targets, tiling
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState
@@ -256,3 +258,42 @@ def test_a_folder_planned_with_the_events_of_another_folder_takes_no_records(cas
     for use in (lambda: copy.record(events(tile=12, date="2026-01-05")), lambda: copy.state(case[0])):
         with pytest.raises(rs.InputError, match=r"000001\.json is missing, although .* was planned with 1 file of"):
             use()
+
+
+RULES = ["magnitude g 14 inf science", "distribution sky 1 100 5"]
+
+
+@pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+@pytest.mark.parametrize("state", ["done", "partly"])
+@pytest.mark.parametrize(
+    ("first", "then", "unknown"),
+    [
+        (RULES, RULES, []),
+        (RULES, RULES[::-1], []),
+        (RULES[1:], RULES[:1], RULES[:1]),
+        (["standard=3"], ["sky=1", "standard=3"], ["sky=1"]),
+        (["sky=2"], ["standard=3"], ["standard=3"]),
+        ([], [*RULES, "sky=2"], [*RULES, "sky=2"]),
+    ],
+)
+def test_constraints_of_kept_tiles(tmp_path, state, first, then, unknown):
+    """Regression: numbers of other constraints were used, or all rules of observed tiles were not checkable."""
+    sky = targets(kinds=True)
+    sky = replace(sky, extra=QTable({"g": np.full(len(sky), 15.0)}))
+    case = sky, instrument(), tiling(n=2)
+    options = {"folder": tmp_path / "survey"}
+    survey = rs.plan_survey(*case, allocator=rs.AllocationOptions("nearest", constraints=first), **options)
+    before = {row["rule"]: row for row in survey.rules} if first else {}
+    survey.record(events(tile=11, date="2026-01-03", state=state))
+    allocator = rs.AllocationOptions("nearest", constraints=then)
+    found = rs.plan_survey(*case, allocator=allocator, visits=survey.state(sky), folder=tmp_path / "other")
+    unknown = [str(one) for one in rs.constraints.as_constraints(unknown)]
+    assert {row["rule"] for row in found.rules} == {str(one) for one in rs.constraints.as_constraints(then)}
+    for row in found.rules:
+        assert row["pass"] + row["fail"] + row["not checkable"] == 2
+        if row["rule"] in unknown:
+            assert row["not checkable"] >= 1
+        elif first == then:
+            assert row["not checkable"] == before[row["rule"]]["not checkable"]
+    assert {*found.tiles["not_checkable"][0].split(", ")} - {""} >= {*unknown} if unknown else True
+    assert rs.Survey.read(tmp_path / "other").rules.as_array().tolist() == found.rules.as_array().tolist()
