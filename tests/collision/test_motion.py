@@ -1,3 +1,5 @@
+import os
+
 import astropy.units as u
 import numba
 import numpy as np
@@ -10,7 +12,8 @@ from rfpsurvey._kernels.motion import TOLERANCE, segments_meet
 from rfpsurvey.collision import LAWS, find_motion
 
 MM = u.mm
-N_BLOCK = 500
+N_BLOCK = 500  # pairs of arms in a block
+N_BLOCKS = int(os.environ.get("RFPSURVEY_MOTIONS", 40))
 
 
 @numba.njit
@@ -47,7 +50,7 @@ def random_pairs(rng, n):
     return one, two, separation
 
 
-@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 200))])
+@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, N_BLOCKS))])
 def test_arms_that_never_meet_keep_the_separation_and_others_miss_it_by_the_tolerance(block):
     rng = np.random.default_rng([7, block])
     one, two, separation = random_pairs(rng, N_BLOCK)

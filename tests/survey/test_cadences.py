@@ -78,7 +78,7 @@ class Naive:
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "repair", "optimal"])
-@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 101))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 31))])
 def test_every_visit_is_in_an_open_window(allocator, seed):
     """Each visit is allowed, each tile reaches no open target that a free fiber could observe, and all sums agree."""
     catalog, tiling = scene(seed)
