@@ -15,7 +15,7 @@ RESERVED = frozenset(
     (
         *("id", "target_id", "target_row", "tile", "positioner", "spectrograph", "fiber_type", "kind", "category"),
         *("priority", "status", "outcome", "observed", "in_collision", "colliding_with", "clearance", "ra", "dec"),
-        *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y"),
+        *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y", "needs_planner"),
     )
 )
 """Names of the columns that results always contain."""

@@ -31,6 +31,7 @@ def random_case(seed, presets):
         id=plane.id[rows],
         spectrograph=plane.spectrograph[rows],
         fiber_type=plane.fiber_type[rows],
+        groups={name: values[rows] for name, values in (plane.groups or {}).items()},
         disabled=rng.uniform(size=60) < 0.05,
         stuck=stuck * u.deg,
     )
