@@ -93,4 +93,4 @@ def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(chunk):
         changed = found.target_of_positioner != before.target_of_positioner
         assert found.meta["n_changed"] == changed.sum() == -oracle.best()[-1]
         n_changed += found.meta["n_changed"]
-    assert n_changed > 20
+    assert n_changed > 5

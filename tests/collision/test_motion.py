@@ -100,7 +100,7 @@ def test_pairs_of_all_arm_models_agree_with_sampled_motions(name, law, block):
         assert len(found.pairs) == (least < separation + TOLERANCE), (theta, phi, apart, least)
         assert not len(rs.find_collisions(plane, arms).pairs) > len(found.pairs)
         n_colliding += len(found.pairs)
-    assert 0 < n_colliding < n
+    assert block or 0 < n_colliding < n
 
 
 def test_folding_after_a_plan_is_checked_like_unfolding_to_it():

@@ -57,7 +57,7 @@ def test_idle_positioners_of_a_plan_with_safe_motion_collide_on_the_way_to_free_
     tile = rs.plan_tile(sky, "sdss_apo", CENTER, allocator=options)
     reasons, counts = np.unique(tile.idle["reason"], return_counts=True)
     assert "a free target in reach was not assigned" not in reasons
-    assert counts[reasons == "at every free target in reach the arm would collide"] > 20
+    assert counts[reasons == "at every free target in reach the arm would collide"] > 5
     assert not tile.idle["n_possible"].any()
 
 
