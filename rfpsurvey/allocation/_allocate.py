@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -190,7 +190,8 @@ def assign(
 
     During long searches, ``tell`` is called with the completed fraction and the stage. ``order``, which is required if
     there are subpriorities, contains the rows of the targets in the order of their precedence. ``excluded`` is whether
-    each target must not be observed; ``excludes_sky`` returns this for added sky positions and their fiber types.
+    each target must not be observed; ``excludes_sky`` returns this for added sky positions and their fiber types. A
+    given tile is compared by the identifiers ``ids`` of the targets, or by positions if there are none.
     """
     begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
@@ -226,7 +227,8 @@ def assign(
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     problem = replace(problem, motion=Motion(problem) if options.motion_law else None)
     ids = ids if ids is None or order is None else ids[order]
-    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, ids))
+    given = cache(partial(from_tile, getattr(options.start, "table", None), problem, ids))
+    problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, given))
     answer = find_allocator(options.allocator).function(problem)
     if is_plan(options.start) and options.method.improves:
         answer = with_changes(problem, answer, problem.start(with_lost=True).target_of_positioner)
@@ -315,16 +317,17 @@ def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None
     return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
 
 
-def _make_start(problem, n_given: int, in_reach, order, ids, *, with_lost: bool = False) -> AllocationAnswer:
+def _make_start(problem, n_given: int, in_reach, order, given, *, with_lost: bool = False) -> AllocationAnswer:
     """Return the plan from which `repair` starts; ``order`` is the catalog row of each target of the problem.
 
-    If ``with_lost`` is true, targets of a given tile that cannot be kept are ``LOST`` instead of -1.
+    ``given`` returns the plan of a given tile. If ``with_lost`` is true, targets of a given tile that cannot be kept
+    are ``LOST`` instead of -1.
     """
     start = problem.options.start
     if isinstance(start, str):
         return find_allocator(start).function(problem)
     if hasattr(start, "table"):
-        found = from_tile(start.table, problem, ids)
+        found = given()
         kept = found.target_of_positioner if with_lost else np.maximum(found.target_of_positioner, -1)
         return found._replace(target_of_positioner=kept)
     return from_allocation(start, problem, n_given, in_reach, order)

@@ -1,4 +1,4 @@
-"""Given plans from which allocators start: allocations, and tiles whose targets are found by their positions."""
+"""Given plans from which allocators start: allocations, and tiles whose targets are found in a new catalog."""
 
 import numpy as np
 import scipy  # its subpackages are imported on first use
@@ -26,8 +26,8 @@ def from_tile(table, problem, ids: np.ndarray | None) -> AllocationAnswer:
     added are always found by their positions.
     """
     plane, n = problem.focal_plane, len(problem.focal_plane)
-    names = ("id", "status", "target_id", "tip_x", "tip_y", "elbow_x", "elbow_y")
-    lacking = [name for name in names if name not in table.colnames]
+    columns = ("id", "status", "target_id", "tip_x", "tip_y", "elbow_x", "elbow_y")
+    lacking = [name for name in columns if name not in table.colnames]
     if lacking or len(table) != n or not np.array_equal(np.asarray(table["id"]).astype(str), plane.id.astype(str)):
         raise InputError("start must be a tile with the same positioners, got a tile with other positioners")
     tip, elbow = (
@@ -61,10 +61,10 @@ def _at(xy: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def changes_of(before: np.ndarray, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the number of changed fibers, less 1, that each pair of a positioner and a target causes.
+    """Return the cost of each pair of a positioner and a target: 0 if the pair is in the given plan, otherwise 1 or 2.
 
-    ``before`` is the target of each positioner in the given plan. For plans with equally many targets, the sum of these
-    numbers is the number of changed fibers but for a constant.
+    ``before`` is the target of each positioner in the given plan. For all plans with the same number of targets, the
+    sum of the costs is the number of changed fibers plus the same constant.
     """
     return np.where(before[own] == target, 0.0, np.where(before[own] == -1, 2.0, 1.0))
 

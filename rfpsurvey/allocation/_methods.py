@@ -209,7 +209,7 @@ def with_cost(problem: AllocationProblem) -> AllocationProblem:
     """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
 
     The larger the subpriority of the target, the lower the cost of the pair. With ``optimal`` and a given plan, the
-    cost is the number of fibers that a pair changes.
+    sum of the costs is smallest for the plan that changes the fewest fibers (see `changes_of`).
     """
     if problem.options.method.avoids_collisions and is_plan(problem.options.start):
         pairs, before = problem.pairs, problem.start(with_lost=True).target_of_positioner

@@ -158,9 +158,9 @@ def find_motion(
     check_switch(parked_obstacles, "parked_obstacles")
     columns = focal_plane.arrays
     folded = Folded.of(columns)
-    turning = Turning(columns, folded, idle_moves(columns, parked_obstacles))
-    given = [arms] if before is None else [arms, before]
     idle = idle_moves(columns, parked_obstacles)
+    turning = Turning(columns, folded, idle)
+    given = [arms] if before is None else [arms, before]
     parts = [_motion_of(focal_plane, one, idle, turning, law == "same_speed") for one in given]
     pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, *_ in parts]
     own, near = np.arange(len(focal_plane)), columns.obstacle_pairs

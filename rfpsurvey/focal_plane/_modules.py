@@ -63,7 +63,7 @@ class Modular:
         --------
         >>> import astropy.units as u
         >>> import rfpsurvey as rs
-        >>> robot = rs.Positioner(1.8 * u.mm, 1.8 * u.mm, clearance=2 * u.mm)
+        >>> robot = rs.Positioner(1.8 * u.mm, 1.8 * u.mm, clearance=1 * u.mm)
         >>> places = rs.focal_plane.triangle(6.2 * u.mm, 11, corners=False)
         >>> plane = rs.FocalPlane.from_modules(
         ...     robot, centers=[[0, 0], [0, -43]] * u.mm, rotation=[0, 180] * u.deg, places=places

@@ -40,7 +40,7 @@ def find_obstacle_pairs(columns) -> np.ndarray:
         return locked(np.empty((0, 2), dtype=np.int64))
     most = (columns.arm_reach.max() + circles[:, 2] + columns.clearance) * 1.001 + 1
     near = scipy.spatial.cKDTree(columns.xy).query_ball_point(circles[:, :2], most)
-    own = np.concatenate([np.sort(rows).astype(np.int64) for rows in near])
+    own = np.concatenate([np.array(rows, dtype=np.int64) for rows in near])
     other = np.repeat(np.arange(len(circles)), list(map(len, near)))
     apart = np.hypot(*(columns.xy[own] - circles[other, :2]).T)
     limit = columns.arm_reach[own] + circles[other, 2] + columns.clearance

@@ -117,6 +117,7 @@ def build(content: dict, folder: Path) -> dict:
 def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     """Make the focal plane from the table or lattice in the section ``layout``."""
     if get("layout.table") is not None:
+        refuse_unused(get, ONLY_MODULES, "with a table")
         return FocalPlane.from_table(read_table(folder / get("layout.table")), positioner)
     if has_modules(get):
         plane, n = layout_of_modules(positioner, get, folder), get("layout.spectrographs")

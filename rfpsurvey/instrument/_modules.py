@@ -15,14 +15,14 @@ GENERATED = ("module_side", "module_gap", "group_gap")
 RADII = ("group_radius", "module_radius")
 ONLY_MODULES = ("modules", *GENERATED, *RADII, "focal_surface")
 ONLY_MODULES += tuple(f"module_{name}" for name in ("rows", "corners", "places", "outline", "wall", "classes"))
-ONLY_LATTICE = ("table", "rings", "count", "inner_radius", "rows_along", "vacant_cells", "fiducial_cells", "names")
+ONLY_LATTICE = ("rings", "count", "inner_radius", "rows_along", "vacant_cells", "fiducial_cells", "names")
 ONLY_LATTICE += ("fiber_types", "first_type_only_cells")
 """Entries of layouts without modules."""
 
 
 def without_replaced(base: dict, own: dict) -> dict:
     """Return the entries of an inherited layout that remain if the own entries state other modules or places."""
-    replaced = {*RADII} if {*RADII} & {*own} else set()
+    replaced = {*ONLY_MODULES} if "table" in own else {*RADII} if {*RADII} & {*own} else set()
     replaced |= {*GENERATED, *RADII, "fiducial_radius"} if "modules" in own else set()
     replaced |= {"module_rows", "module_corners", "pitch"} if "module_places" in own else set()
     return {name: entry for name, entry in base.items() if name not in replaced - {*own}}
@@ -110,9 +110,8 @@ def _listed_modules(given: str | list, folder: Path) -> tuple[np.ndarray, np.nda
     def numbers(name, unit):
         column = table[name]
         own = getattr(column, "unit", None) or unit
-        return (np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan) * own).to_value(
-            unit
-        )
+        values = np.ma.asarray(getattr(column, "value", column)).astype(float)
+        return u.Quantity(np.ma.filled(values, np.nan), own).to_value(unit)
 
     if {"rotation", "points_up"} <= {*table.colnames}:
         raise InputError(f"{given} must have either the column rotation or the column points_up, got both")

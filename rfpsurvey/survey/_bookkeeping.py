@@ -126,10 +126,12 @@ class Bookkeeping:
             slot = slot[self.spends[slot]]
         if self.windows is None:
             self.left[slot] -= 1
+            complete = slot[self.left[slot] == 0]
         else:
             slot = self.windows.enter(slot, tile)
             np.subtract.at(self.left, slot, 1)
-        complete, last = np.unique(slot[self.left[slot] == 0]), number
+            complete = np.unique(slot[self.left[slot] == 0])
+        last = number
         if self._last is not None:
             self._last[slot] = np.maximum(self._last[slot], number)
             last = self._last[complete]

@@ -263,7 +263,8 @@ def _known(column, name: str) -> np.ndarray:
     if isinstance(column, u.Quantity):
         unit = u.day if name == "mjd" else u.one
         if not column.unit.is_equivalent(unit):
-            raise InputError(f"the {name} of tiles must have the unit {unit or 'of a plain number'}, got {column.unit}")
+            wanted = "the unit d" if name == "mjd" else "no unit"
+            raise InputError(f"the {name} of tiles must have {wanted}, got {column.unit}")
         column = column.to_value(unit)
     try:
         values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)

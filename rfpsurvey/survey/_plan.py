@@ -87,7 +87,8 @@ def plan_survey(
     order : {"color", "given"}, optional
         ``color``: pass after pass. In each pass, tiles are colored such that tiles of the same color do not overlap,
         and one color is planned after the other. ``given``: if two tiles overlap, the tile that is earlier in the
-        list is planned first, even if it belongs to a later pass. The order of a joint plan is ``color``.
+        list is planned first, even if it belongs to a later pass. The order of a joint plan is ``color``. With
+        ``cadences``, tiles are planned in the order of their times, and this parameter has no effect.
     folder : str or path-like, optional
         Folder to which the visits of each tile are written as a FITS file. Identifiers and other text must then be
         ASCII, because FITS allows no other characters. Without a folder, the visits of all tiles are kept in memory.

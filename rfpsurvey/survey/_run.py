@@ -205,7 +205,7 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     """
     visits, cards = _io.read_fits_bytes(part, f"the stored result of tile {job.tile}")
     lacking = [name for name in ("target_row", "in_collision", "observed") if name not in visits.dtype.names]
-    counted = cards_of(job.model.options)
+    counted = every = cards_of(job.model.options)
     if is_kept:
         counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(WORDS)}
     # files of earlier versions do not state whether constraints are checkable
@@ -219,7 +219,7 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if not np.array_equal(rows[target], visits["target_row"]):
         raise InputError("its stored result was planned for a different set of targets with remaining visits")
-    counts = counts_in(cards, cards_of(job.model.options))
+    counts = counts_in(cards, every)
     counts[LOST] = int(visits["in_collision"].sum())
     return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)
 

@@ -255,7 +255,7 @@ class Survey:
         ------
         InputError
             If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
-            value is not valid, or if another run uses the folder. Nothing is written then.
+            value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
         """
         from rfpsurvey.survey._history._record import record
 
@@ -286,7 +286,7 @@ class Survey:
         Raises
         ------
         InputError
-            If the catalog is not that of the survey, or if a file of events is missing or damaged.
+            If the catalog is another one, if the survey has cadences, or if a file of events is missing or damaged.
         """
         from rfpsurvey.survey._history import SurveyState
 

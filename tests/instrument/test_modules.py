@@ -183,6 +183,14 @@ def test_inherited_modules_are_replaced(tmp_path):
         instrument = rs.Instrument.read(tmp_path / "mine.toml")
         assert len(instrument.focal_plane) == 63 * n
         assert not {"layout.group_radius", "layout.module_radius"} <= {*instrument.values}
+    Table({"x": [0, 20] * u.mm, "y": [0, 0] * u.mm}).write(tmp_path / "plane.ecsv")
+    (tmp_path / "mine.toml").write_text(text + 'table = { value = "plane.ecsv" }')
+    instrument = rs.Instrument.read(tmp_path / "mine.toml")
+    assert len(instrument.focal_plane) == 2
+    assert "layout.module_gap" not in instrument.values
+    (tmp_path / "mine.toml").write_text(text + 'table = { value = "plane.ecsv" }\nmodules = { value = [[0, 0, 0]] }')
+    with pytest.raises(rs.InputError, match="with a table must not have the entry 'modules'"):
+        rs.Instrument.read(tmp_path / "mine.toml")
 
 
 def test_columns_of_a_module(rng):

@@ -282,6 +282,8 @@ def test_missing_values_of_tiles_and_other_units():
         plan(skybrightness=np.full(len(days), "dark"))
     with pytest.raises(rs.InputError, match="the mjd of tiles must have the unit d, got mm"):
         plan(mjd=days * u.mm)
+    with pytest.raises(rs.InputError, match="the skybrightness of tiles must have no unit, got mag"):
+        plan(skybrightness=np.ones(len(days)) * u.mag)
     with pytest.raises(rs.InputError, match="must have one of the columns time, date and mjd, got mjd, date"):
         plan(date="2026-01-03")
     assert plan(mjd=(days * u.day).to(u.hour)).summary["n_visits_observed"] == usual

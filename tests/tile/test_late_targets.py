@@ -105,7 +105,10 @@ def test_another_time_and_another_field(case):
         for one in ("optimal", options)
     )
     assert found.summary["search"]["n_changed"] == real_changes(before, found) <= min(5, real_changes(before, usual))
-    with pytest.warns(rs.RfpsurveyWarning, match="no fiber of the tile in start has a target that it can keep"):
+    with pytest.warns(
+        rs.RfpsurveyWarning, match="no fiber of the tile in start has a target that it can keep"
+    ) as warned:
         rs.plan_tile(
             replace(early, id=10**6 + early.id), instrument, "10h +20d", allocator=options, position_angle=1 * u.deg
         )
+    assert sum("no fiber of the tile in start" in str(one.message) for one in warned) == 1
