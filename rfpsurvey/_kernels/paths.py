@@ -19,7 +19,7 @@ class Links(NamedTuple):
     own: np.ndarray
     """Positioner of each candidate."""
     target: np.ndarray
-    """Target of each candidate, or -1 for an idle arm."""
+    """Target of each candidate, or -1 if its visits do not count, as those of an idle arm or of a sky position."""
     rank: np.ndarray
     """Class of the target of each candidate; smaller numbers are more important."""
     t_indptr: np.ndarray
@@ -28,6 +28,26 @@ class Links(NamedTuple):
     indptr: np.ndarray
     clique: np.ndarray
     """Cliques of each candidate, as compressed rows; a plan uses at most one candidate of each clique."""
+    r_indptr: np.ndarray
+    rule: np.ndarray
+    share: np.ndarray
+    """Rules of each candidate, as compressed rows, and the number that the candidate adds to the sum of each rule."""
+    room: np.ndarray
+    """For each rule, its limit minus its sum over the candidates in use."""
+
+
+@kernel
+def exchange(old, new, links):
+    """Update the rules for the use of candidate ``new`` in place of ``old``; return whether all rules are kept."""
+    for k in range(links.r_indptr[old], links.r_indptr[old + 1]):
+        links.room[links.rule[k]] += links.share[k]
+    kept = True
+    for k in range(links.r_indptr[new], links.r_indptr[new + 1]):
+        links.room[links.rule[k]] -= links.share[k]
+        kept &= links.room[links.rule[k]] > -1e-6
+    for k in range(links.r_indptr[old], links.r_indptr[old + 1]):
+        kept &= links.room[links.rule[k]] > -1e-6
+    return kept
 
 
 @kernel
@@ -39,12 +59,13 @@ def swap(c, links, chosen, load):
         load[links.clique[k]] -= 1
     for k in range(links.indptr[c], links.indptr[c + 1]):
         load[links.clique[k]] += 1
+    exchange(old, c, links)
     chosen[i] = c
 
 
 @kernel
 def is_free(c, links, chosen, load):
-    """Return whether candidate c collides with no other arm if it replaces the candidate of its positioner."""
+    """Return whether candidate c may replace that of its positioner: no other arm collides, and all rules are kept."""
     old = chosen[links.own[c]]
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] -= 1
@@ -53,6 +74,9 @@ def is_free(c, links, chosen, load):
         free &= load[links.clique[k]] == 0
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] += 1
+    if free and links.room.size > 0:
+        free = exchange(old, c, links)
+        exchange(c, old, links)
     return free
 
 

@@ -27,15 +27,18 @@ def bound_of(start, value, price):
 
 
 @kernel
-def adjust_prices(start, own, row_start, column, value, price, most, width, begin, end, step):
+def adjust_prices(start, own, row_start, column, value, price, limits, width, begin, end, step):
     """Adjust the prices of the cliques from ``begin`` to ``end`` in turn, and update the values of the candidates.
 
     In the upper bound, the largest value of each positioner is replaced by a smooth maximum,
     ``width * log(sum(exp(value / width)))``. The share of a candidate is the derivative of this smooth maximum with
     respect to the value of the candidate. The new price of a clique minimizes the smooth bound: the shares of the
     members of the clique then sum to 1, or the price is 0. In place of a clique, row r of ``column`` can contain a set
-    of which a plan uses at most ``most[r]`` members. The shares of these members then sum to ``most[r]``.
+    of which a plan uses at most ``most[r]`` members. The shares of these members then sum to ``most[r]``. The prices
+    are between ``lowest`` and ``highest``: a set of which a plan uses at least ``most[r]`` members has a price of at
+    most 0. ``limits`` contains ``most``, ``lowest`` and ``highest``.
     """
+    most, lowest, highest = limits
     odds = np.empty(256)
     for r in range(begin, end, step):
         k, last = row_start[r], row_start[r + 1]
@@ -58,16 +61,19 @@ def adjust_prices(start, own, row_start, column, value, price, most, width, begi
             odds[n] = min(inside / max(outside, 1e-300), 1e12)
             total += odds[n] / (1.0 + odds[n])
             n += 1
-        if total <= most[r] and price[r] == 0.0:
+        if (total <= most[r] and price[r] == lowest[r]) or (total >= most[r] and price[r] == highest[r]):
             continue
         # Newton's method with bisection; x is the decrease of the price in units of the width.
-        low, high = -700.0, min(price[r] / width, 700.0)
-        factor, total = math.exp(high), 0.0
-        for m in range(n):
-            total += odds[m] * factor / (1.0 + odds[m] * factor)
-        x = high if total <= most[r] else 0.0  # at the upper end, the price is 0
+        low, high = max((price[r] - highest[r]) / width, -700.0), min((price[r] - lowest[r]) / width, 600.0)
+        x, done = 0.0, False
+        for end in (low, high):  # at an end, the price is a limit
+            factor, total = math.exp(end), 0.0
+            for m in range(n):
+                total += odds[m] * factor / (1.0 + odds[m] * factor)
+            if (end == high and total <= most[r]) or (end == low and total >= most[r] and highest[r] == 0.0):
+                x, done = end, True
         for _ in range(20):
-            if total <= most[r]:
+            if done:
                 break
             factor, excess, slope = math.exp(x), -most[r], 0.0
             for m in range(n):
@@ -83,7 +89,7 @@ def adjust_prices(start, own, row_start, column, value, price, most, width, begi
             x -= excess / max(slope, 1e-12)
             if x <= low or x >= high:
                 x = 0.5 * (low + high)
-        new = max(price[r] - x * width, 0.0)
+        new = min(max(price[r] - x * width, lowest[r]), highest[r])
         for k in range(row_start[r], last):
             value[column[k]] += price[r] - new
         price[r] = new

@@ -18,6 +18,7 @@ from rfpsurvey.allocation._uses import given_options, warn_of_lacks, warn_of_par
 from rfpsurvey.constraints import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
 
 if TYPE_CHECKING:
+    from rfpsurvey.allocation._rules_of_tile import no_rules
     from rfpsurvey.allocation._weighted import (
         GivenPlan,
         ListCandidates,
@@ -60,6 +61,7 @@ __all__ = [
     "hint_of_name",
     "id_numbers",
     "name_of_best",
+    "no_rules",
     "packages",
     "recorded_constraints",
     "sentences",
@@ -74,6 +76,7 @@ __all__ = [
 ]
 
 _IMPORTED_ON_USE = {
+    "_rules_of_tile": ("no_rules",),
     "_weighted": (
         "GivenPlan",
         "ListCandidates",
@@ -81,6 +84,6 @@ _IMPORTED_ON_USE = {
         "TileCandidates",
         "WeightedProblem",
         "solve_weighted",
-    )
+    ),
 }
 __getattr__ = importer(__name__, _IMPORTED_ON_USE)

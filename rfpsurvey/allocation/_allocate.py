@@ -338,7 +338,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     plane, target_of = problem.focal_plane, answer.target_of_positioner
     used = np.flatnonzero(target_of >= 0)
     if len(problem.xy) == n:
-        rows, new, points = slice(None), None, problem.xy
+        rows, new, points = np.arange(n), None, problem.xy
     else:
         rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
         new = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
@@ -366,6 +366,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
         "fiber_type": types,
         "xy_mm": points,
         "n_given": n,
+        "added": rows[n:] - n,
         "target_fiber_type": problem.fiber_type[rows] if problem.several_fiber_types else None,
         "queues": answer.queues,
         "levels": tuple(levels),

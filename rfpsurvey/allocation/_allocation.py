@@ -1,6 +1,6 @@
 """The class `~rfpsurvey.allocation.Allocation`, the result of `allocate`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
@@ -59,6 +59,8 @@ class Allocation:
         Whether constraints exclude each given target; None if no target is excluded.
     counts : tuple of Verdict
         The verdict on each requirement, in the tile or in each spectrograph.
+    added : ndarray of int, shape (n_targets - n_given,)
+        For each observed sky position in a gap, its number among all positions that were found.
 
     Examples
     --------
@@ -89,6 +91,7 @@ class Allocation:
     meta: dict
     excluded: np.ndarray | None = None
     counts: tuple[Verdict, ...] = ()
+    added: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def tips(self) -> u.Quantity:

@@ -36,6 +36,7 @@ class Prices:
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
         self.price, self.most = np.zeros(shape[0]), np.ones(shape[0])
+        self.lowest, self.highest = np.zeros(shape[0]), np.full(shape[0], np.inf)
 
     def values(self, weights: np.ndarray) -> np.ndarray:
         """Return the weight of each candidate minus the prices of its cliques."""
@@ -57,7 +58,7 @@ class Prices:
         ``sweeps`` contains the width and the number of sweeps of each stage. A stage also ends if the bound decreases
         by less than the fraction ``slow`` in a sweep, but not before ``n_least`` sweeps.
         """
-        n = len(self.price)
+        n, limits = len(self.price), (self.most, self.lowest, self.highest)
         best, best_price = self.bound(weights), self.price.copy()
         for width, number in sweeps:
             before = np.inf
@@ -69,7 +70,7 @@ class Prices:
                     end = min(begin + BATCH, n)
                     ends = (begin, end, 1) if sweep % 2 == 0 else (n - begin - 1, n - end - 1, -1)
                     kernels.adjust_prices(
-                        self.start, self.own, self.indptr, self.column, value, self.price, self.most, width, *ends
+                        self.start, self.own, self.indptr, self.column, value, self.price, limits, width, *ends
                     )
                 now = self.bound(weights)
                 if now < best:

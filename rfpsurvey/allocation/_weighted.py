@@ -11,8 +11,12 @@ from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._prices import ROUNDING, Prices
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._rules_of_tile import TileRules, rules_of
 from rfpsurvey.allocation._solver import choose_one_each
 from rfpsurvey.focal_plane import elbow_names
+
+# Rounding error of the sum of a row over the candidates that a plan uses.
+TOLERANCE = 1e-6
 
 
 class TileCandidates(NamedTuple):
@@ -31,6 +35,8 @@ class TileCandidates(NamedTuple):
     """Whether some candidates of each positioner were omitted."""
     pairs: tuple[np.ndarray, np.ndarray]
     """Positioner and target of each reachable pair."""
+    rules: TileRules
+    """Requirements, required standards and sky positions, and rules on the distribution of fibers."""
 
 
 class ListCandidates:
@@ -41,6 +47,8 @@ class ListCandidates:
     keep_target : ndarray of int, shape (n_positioners,)
         For each positioner, the target that is never omitted, or -1 if there is no such target.
     """
+
+    counts = distribution = "exactly"
 
     def __init__(self, keep_target: np.ndarray):
         self.keep_target = keep_target
@@ -58,6 +66,7 @@ class ListCandidates:
             cliques.column.astype(np.int32),
             found.preselection.shortened.any(axis=1),
             (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
+            rules_of(found, self.keep_target),
         )
         return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
 
@@ -72,6 +81,8 @@ class GivenPlan:
     side : ndarray of int, shape (n_positioners,)
         Elbow of each positioner: +1 is right, -1 is left.
     """
+
+    counts = distribution = "exactly"
 
     def __init__(self, target_of: np.ndarray, side: np.ndarray):
         self.target_of, self.side = target_of, side
@@ -90,11 +101,10 @@ class WeightedProblem(NamedTuple):
     start: np.ndarray
     """Index of the first candidate of each positioner, followed by the total number of candidates."""
     weight: np.ndarray
-    indptr: np.ndarray
-    column: np.ndarray
-    """Sets of candidates as compressed rows (``indptr``, ``column``); ``most`` limits how many of a set are used."""
+    sets: csr_array
+    """Matrix with a row for each set, usually of ones, and a column for each candidate."""
     most: np.ndarray
-    """Largest number of candidates of each set that a plan may use."""
+    """Largest sum of the elements of each row over the candidates that a plan uses."""
     first: np.ndarray | None
     """Candidate of each positioner in the plan from which the search starts; None if there is no such plan."""
     nodes: int
@@ -120,9 +130,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     bound : float
         Upper bound of the sum of the weights, including an allowance for the rounding errors of HiGHS.
     """
-    n = len(problem.weight)
-    sets = csr_array((np.ones(len(problem.column)), problem.column, problem.indptr), shape=(len(problem.most), n))
-    first = None
+    n, sets, first = len(problem.weight), problem.sets, None
     if problem.first is not None:
         first = np.zeros(n)
         first[problem.first] = 1.0
@@ -133,7 +141,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
         return None, bound
     chosen = np.flatnonzero(x > 0.5)
     own = np.searchsorted(problem.start, chosen, side="right") - 1
-    if not np.array_equal(own, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + 0.5).any():
+    if not np.array_equal(own, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + TOLERANCE).any():
         return None, bound
     return chosen, bound
 
@@ -154,13 +162,18 @@ class RowPrices(Prices):
     free : ndarray of bool, shape (n_positioners,)
         Whether some candidates of each positioner were omitted. A positioner with omitted candidates contributes at
         least 1 to the upper bound.
+    n_least : int, optional
+        Number of sets, the last ones, of which a plan must use at least the number in ``most``. The prices of these
+        sets are at most 0.
     """
 
-    def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray):
+    def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray, n_least: int = 0):
         self.start, self.matrix, self.most, self.free = start, matrix, most, free
         self.own = np.repeat(np.arange(len(start) - 1), np.diff(start))
         self.indptr, self.column = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
         self.price = np.zeros(len(most))
+        is_least = np.arange(len(most)) >= len(most) - n_least
+        self.lowest, self.highest = np.where(is_least, -np.inf, 0.0), np.where(is_least, 0.0, np.inf)
 
     def bound(self, weights: np.ndarray) -> float:
         """Return an upper bound of the total weight of any plan.
@@ -177,8 +190,10 @@ class RowPrices(Prices):
         """
         total = float(self.price @ self.most)
         best = np.maximum.reduceat(self.values(weights), self.start[:-1])
-        best = np.where(self.free, np.maximum(best, 1.0), best)
-        return total + float(best.sum()) + ROUNDING * (len(self.start) + total + float(np.abs(best).sum()))
+        # an omitted candidate may belong to all sets of which a plan must use a number of candidates
+        best = np.where(self.free, np.maximum(best, 1.0 - np.minimum(self.price, 0.0).sum()), best)
+        terms = float(np.abs(self.price) @ np.abs(self.most)) + float(np.abs(best).sum())
+        return total + float(best.sum()) + ROUNDING * (len(self.start) + terms)
 
     def improve(self, weights: np.ndarray, sweeps: tuple, is_over) -> float:
         """Adjust the prices to reduce the upper bound of the total weight of any plan, and return this bound.

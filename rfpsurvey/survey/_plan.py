@@ -228,10 +228,6 @@ def prepare_request(
 
     if cadences is not None and joint is not None:
         raise InputError("cadences must be used with tiles that are planned one after the other, got a joint plan")
-    if joint is not None:
-        first = catalog.parts.part(0) if isinstance(catalog, PartitionedCatalog) else catalog
-        if first.subpriority is not None:
-            warn("the subpriorities of the catalog have no effect on a joint plan")
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     request = make_request(

@@ -269,7 +269,6 @@ def make_request(
             f"have a radius of {radius:.4g} deg"
         )
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
-    # joint plans ignore subpriorities
-    builder = FieldBuilder(source, options, instrument, visits, subpriority=joint is None, made=made, dropped=dropped)
+    builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped)
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)

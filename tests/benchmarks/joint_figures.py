@@ -11,12 +11,14 @@ import argparse
 import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from survey_figures import peak_gb
 
 import rfpsurvey as rs
 
@@ -59,6 +61,16 @@ def desi(options):
     return catalog, "desi", tiling, {}
 
 
+def with_calibration(catalog, instrument):
+    """Return the catalog with a tenth of its targets as standards, and options with sky fibers and requirements.
+
+    The requirements are those of the instrument, without fiber types. Sky positions are found between the targets.
+    """
+    kind = np.where(np.arange(len(catalog)) % 10 == 0, "standard", "science")
+    needs = ["sky=85", "standard=20"] if instrument == "sdss_apo" else rs.Instrument.preset(instrument).requirements
+    return replace(catalog, kind=kind), {"requirements": needs, "sky_separation": 5 * u.arcsec}
+
+
 CASES = {"sdss": sdss, "lamost": lamost, "moons": moons, "desi": desi}
 
 
@@ -74,11 +86,12 @@ def visits_of(survey):
 def compare(name, options, executor):
     """Print the visits of all plans of a case."""
     catalog, instrument, tiling, joint = CASES[name](options)
-    print(f"{name}: {len(catalog)} targets, {len(tiling)} tiles, {instrument}", flush=True)
-    limit = {"time_limit": options.tile_seconds * u.s}
+    catalog, needs = with_calibration(catalog, instrument) if options.calibration else (catalog, {})
+    print(f"{name}: {len(catalog)} targets, {len(tiling)} tiles, {instrument}, {needs}", flush=True)
+    limit = {"time_limit": options.tile_seconds * u.s, **needs}
     for allocator in ("lamost_rule", "repair", "optimal"):
         begin = perf_counter()
-        some = limit if allocator == "optimal" else {}
+        some = limit if allocator == "optimal" else needs
         survey = rs.plan_survey(
             catalog, instrument, tiling, allocator=rs.AllocationOptions(allocator, **some), executor=executor
         )
@@ -88,6 +101,7 @@ def compare(name, options, executor):
     together = rs.JointOptions(iterations=1000, gap=2e-5, time_limit=options.seconds * u.s, allocator=first, **joint)
     survey = rs.plan_survey(catalog, instrument, tiling, allocator=together, executor=executor)
     print(f"  joint: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
+    print(f"  requirements that are not met: {int(survey.tiles['n_unmet'].sum())}, {peak_gb():.2f} GB")
     survey.joint.pprint_all()
     for level in survey.summary["joint"]["levels"]:
         first = survey.joint[survey.joint["priority"] == level["priority"]]["bound"].max()
@@ -136,6 +150,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("cases", nargs="*", choices=[*CASES, "scan"], default=[*CASES, "scan"])
     parser.add_argument("--seconds", type=float, default=1800.0)
+    parser.add_argument("--calibration", action="store_true", help="with sky fibers, standards and requirements")
     parser.add_argument("--tile-seconds", type=float, default=20.0)
     parser.add_argument("--scan-seconds", type=float, default=60.0)
     parser.add_argument("--tiles", type=int, default=100)

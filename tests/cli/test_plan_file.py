@@ -131,7 +131,7 @@ def test_the_record_of_a_survey_with_a_report_and_plots_can_be_run_again(run, tm
     record = folder / "plan.toml"
     found = tomllib.loads(record.read_text())
     assert found["output"] == {"folder": "."}
-    assert found["joint"] == {"iterations": 1, "gap": 0.0, "patch_size": 800}
+    assert found["joint"] == {"iterations": 1, "gap": 0.0, "patch_size": 800, "early": False}
     message = f"rfpsurvey: {folder} holds a survey; continue it with --resume, or give another folder\n"
     assert run("survey", record)[::2] == (2, message)
     code, _, err = run("survey", record, "--resume")

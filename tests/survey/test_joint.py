@@ -205,14 +205,6 @@ def test_a_fixed_survey_must_belong_to_the_instrument_and_the_catalog(case):
     [
         ({"allocator": "lamost_rule"}, "a joint plan needs the allocator 'optimal', got 'lamost_rule'"),
         ({"allocator": rs.AllocationOptions("optimal", objective="count")}, "the objective 'priority', got 'count'"),
-        ({"allocator": rs.AllocationOptions("optimal", requirements="sky=3")}, "requirements must not be given"),
-        ({"allocator": rs.AllocationOptions("optimal", subpriority=0)}, "subpriority must not be given"),
-        ({"allocator": rs.AllocationOptions("optimal", required=[3])}, "required must not be given"),
-        ({"allocator": rs.AllocationOptions("optimal", rules="dark_rm")}, "rules must not be given"),
-        (
-            {"allocator": rs.AllocationOptions("optimal", constraints="distribution sky 1 95 75")},
-            "a joint plan must have no constraints with counts, distributions or required targets",
-        ),
     ],
 )
 def test_unsupported_options_are_refused(options, message):
@@ -267,14 +259,6 @@ def test_circles_that_no_arm_may_cover_are_obstacles_of_a_joint_plan(case):
     level = found.summary["joint"]["levels"][-1]
     assert level["n_visits_before"] < level["n_visits"] <= level["bound"]
     assert level["bound"] < plan(case).summary["joint"]["levels"][-1]["bound"]
-
-
-def test_subpriorities_of_a_catalog_do_not_change_a_joint_plan(case, survey):
-    catalog, *others = case
-    ranked = replace(catalog, subpriority=np.arange(len(catalog)))
-    with pytest.warns(rs.RfpsurveyWarning, match="subpriorities of the catalog have no effect on a joint plan"):
-        again = plan((ranked, *others))
-    assert rows_of(again) == rows_of(survey)
 
 
 @pytest.mark.parametrize("allocator", ["lamost_rule", "repair", "optimal", "joint"])

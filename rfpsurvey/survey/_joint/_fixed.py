@@ -8,7 +8,7 @@ from astropy.table import QTable
 
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_vectors
-from rfpsurvey.allocation import TileCandidates
+from rfpsurvey.allocation import TileCandidates, no_rules
 from rfpsurvey.catalog import SkyIndex, to_time
 from rfpsurvey.errors import InputError, short
 from rfpsurvey.survey._survey import Survey
@@ -58,11 +58,12 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     _check_request(request, survey)
     side = -1 if plane.positioner.handedness == "left" else 1
     left = request.builder.left.astype(np.int64)
-    requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
+    requested, every, spends = left > 0, np.ones(len(left), dtype=np.uint8), request.builder.spends
     row_of = {name: k for k, name in enumerate(plane.id.tolist())}
     found = {}
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
+        visits = visits[np.asarray(visits["target_row"]) >= 0]  # other rows are blank sky positions
         field = request.job(tile, every, as_file=False).field
         index = _targets_of(visits, field)
         if index is None:
@@ -72,7 +73,8 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
         slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
         slot[own], counted[own] = field.slot[index], np.asarray(visits["observed"]).astype(bool)
-        left[slot[counted]] -= 1
+        counts = slot[counted]
+        left[counts if spends is None else counts[spends[counts]]] -= 1
         bad = np.flatnonzero((left[slot[own]] < 0) | ~requested[slot[own]])
         if len(bad):
             raise InputError(
@@ -94,7 +96,7 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
     n, every = len(plane), np.ones(len(request.builder.left), dtype=np.uint8)
     side = np.full(n, -1 if plane.positioner.handedness == "left" else 1, dtype=np.int8)
     row_of = {name: k for k, name in enumerate(plane.id.tolist())}
-    left = request.builder.left.copy()
+    left, spends = request.builder.left.copy(), request.builder.spends
     found = {row: FixedTile(np.full(n, -1), side, np.zeros(n, dtype=bool)) for row in state.closed}
     for tile, event in state.begun.items():
         visits = read_fits_bytes(state.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[0]
@@ -104,7 +106,8 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
         slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
         slot[own] = field.slot[np.searchsorted(field.row, visits["target_row"])]
         counted[own] = visits["observed"].astype(bool) & (left[slot[own]] > 0)
-        left[slot[counted]] -= 1
+        counts = slot[counted]
+        left[counts if spends is None else counts[spends[counts]]] -= 1
         found[tile] = FixedTile(slot, side, counted)
     return found
 
@@ -204,5 +207,12 @@ def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:
     empty = np.empty(0, dtype=np.int32)
     pairs = own.astype(np.int32), target[own]
     return TileCandidates(
-        np.arange(n + 1), target, fixed.side, np.zeros(1, dtype=np.int64), empty, np.zeros(n, dtype=bool), pairs
+        np.arange(n + 1),
+        target,
+        fixed.side,
+        np.zeros(1, dtype=np.int64),
+        empty,
+        np.zeros(n, dtype=bool),
+        pairs,
+        no_rules(n),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import METHODS, AllocationOptions, as_options
-from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal, short, warn_of_former_name
+from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, refusal, short, warn_of_former_name
 from rfpsurvey.survey._survey import Survey
 
 JOINT = "joint"
@@ -54,8 +54,11 @@ class JointOptions:
         a positioner and a target in one patch, 10 to 100000. The search increases this number when the plan and the
         bounds hardly improve. Larger patches give better plans and bounds, but take longer.
     allocator : AllocationOptions or str, optional
-        The allocator of the first plan, which must be ``optimal``, or options with this allocator. They may contain
-        neither requirements nor required targets.
+        The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
+        requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
+    early : bool, optional
+        Whether visits move to earlier passes, among plans with equally many visits, and equal subpriorities if there
+        are any.
 
     Raises
     ------
@@ -77,6 +80,7 @@ class JointOptions:
     inform: Callable | None = None
     patch_size: int = 800
     allocator: AllocationOptions | str = "optimal"
+    early: bool = False
 
     def __post_init__(self):
         if isinstance(self.gap, bool | str) or not isinstance(self.gap, int | float) or not 0 <= self.gap < 1:
@@ -89,6 +93,7 @@ class JointOptions:
             raise refusal("inform must be a function", self.inform)
         if self.time_limit is not None:
             to_scalar(self.time_limit, u.s, "time_limit", low=0)
+        check_switch(self.early, "early")
         _check_first(as_options(self.allocator))
 
     @property
@@ -117,6 +122,7 @@ class JointOptions:
             "time_limit_s": None if self.time_limit is None else self.seconds,
             "fixed": self._fixed_digest,
             "patch_size": self.patch_size,
+            **({"early": True} if self.early else {}),
         }
 
 
@@ -147,14 +153,3 @@ def _check_first(options: AllocationOptions) -> None:
         raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
-    for name in ("requirements", "required", "sky_separation", "subpriority", "rules"):
-        given = getattr(options, name)
-        if given is not None and np.size(given) > 0:
-            raise InputError(
-                f"{name} must not be given for a joint plan, got {short(given)}; plan the tiles one by one"
-            )
-    for one in options.constraints:
-        if not one.parts <= {"obstacles", "exclusion", "motion"}:
-            raise InputError(
-                f"a joint plan must have no constraints with counts, distributions or required targets, got '{one}'"
-            )

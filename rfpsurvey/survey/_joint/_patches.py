@@ -60,6 +60,7 @@ class Patches:
         np.minimum.at(low, row[inside], of_entry[inside])
         np.maximum.at(high, row[inside], of_entry[inside])
         self.crosses = low < high
+        self.crosses[len(low) - network.n_least :] = True  # bounds always use the prices of minima
         # positioners with only one candidate always use this candidate
         only = network.start[:-1][label < 0]
         x = np.zeros(len(network.target))
@@ -113,11 +114,22 @@ class Patches:
             return False
         return bool(unmet[network.target[rows]].any())
 
-    def within(self, patch: int, chosen: np.ndarray, load: np.ndarray, weight: np.ndarray, nodes: int, deadline: float):
+    def within(
+        self,
+        patch: int,
+        chosen: np.ndarray,
+        load: np.ndarray,
+        limits: np.ndarray,
+        weight: np.ndarray,
+        nodes: int,
+        deadline: float,
+        precision: float = PRECISION,
+    ) -> tuple[np.ndarray, WeightedProblem]:
         """Return the candidates of a patch that can be used while all arms outside the patch remain fixed.
 
         Also return the integer program that selects the best of these candidates. ``load`` is the number of candidates
-        of each set that the plan ``chosen`` uses.
+        of each set that the plan ``chosen`` uses, followed by the sum of each rule, and ``limits`` are the largest
+        allowed values of these numbers.
         """
         network, members = self.network, self._members[patch]
         rows, ends = self.candidates(patch)
@@ -128,10 +140,11 @@ class Patches:
         mine = np.searchsorted(rows, now)
         x = np.zeros(len(rows))
         x[mine] = 1.0
-        rest = network.most[sets] - (load[sets] - part @ x)
-        is_open, start, sets = _without_full_sets(part, rest, ends)
+        rest = limits[sets] - (load[sets] - part @ x)
+        usable = network.usable[rows] | (x > 0)
+        is_open, start, sets = _without_full_sets(part, rest, ends, usable, sets >= len(network.most))
         rows, first = rows[is_open], (np.cumsum(is_open) - 1)[mine]
-        gap = PRECISION / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
+        gap = precision / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
         return rows, WeightedProblem(start, weight[rows], *sets, first, nodes, gap, deadline)
 
     def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
@@ -140,6 +153,7 @@ class Patches:
         rows, ends = self.candidates(patch)
         part = network.columns[:, rows]
         sets = np.unique(part.indices)
+        sets = sets[sets < len(self.crosses)]  # the columns also contain the rules
         sets = sets[~self.crosses[sets]]
         is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
         return WeightedProblem(start, value[rows[is_open]], *sets, None, nodes, gap, deadline)
@@ -149,14 +163,13 @@ class Patches:
         return float(value[self._only].sum())
 
 
-def _without_full_sets(part, rest, ends):
+def _without_full_sets(part, rest, ends, usable=True, is_rule=False):
     """Return the candidates that are in no full set, their first index for each positioner, and the other sets.
 
     ``rest`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
-    number are omitted.
+    number are omitted. Rules (``is_rule``) also have elements other than 1, and are never omitted.
     """
-    is_open = part.T @ (rest < 0.5).astype(float) == 0
+    is_open = (part.T @ ((rest < 0.5) & np.logical_not(is_rule)).astype(float) == 0) & usable
     part = part[:, np.flatnonzero(is_open)].tocsr()
-    binding = np.diff(part.indptr) > rest
-    part = part[np.flatnonzero(binding)]
-    return is_open, np.concatenate([[0], np.cumsum(is_open)])[ends], (part.indptr, part.indices, rest[binding])
+    binding = np.flatnonzero((np.diff(part.indptr) > rest) | is_rule)
+    return is_open, np.concatenate([[0], np.cumsum(is_open)])[ends], (part[binding], rest[binding])

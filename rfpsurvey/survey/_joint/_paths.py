@@ -23,21 +23,28 @@ class Paths:
 
     def __init__(self, network: Network):
         self.network = network
-        real = np.flatnonzero(network.target >= 0)
-        candidate = real[np.argsort(network.target[real], kind="stable")]
-        number = np.bincount(network.target[real], minlength=len(network.slot))
-        cliques = network.matrix[: network.n_cliques].tocsc()
+        target = np.where(network.rank < network.n_classes, network.target, -1).astype(np.int64)
+        real = np.flatnonzero((target >= 0) & network.usable)
+        candidate = real[np.argsort(target[real], kind="stable")]
+        number = np.bincount(target[real], minlength=len(network.slot))
+        cliques, rules = network.matrix[: network.n_cliques].tocsc(), network.rules.tocsc()
         self._links = kernels.Links(
             network.own.astype(np.int64),
-            network.target.astype(np.int64),
+            target,
             network.rank.astype(np.int64),
             np.concatenate([[0], np.cumsum(number)]),
             candidate,
             cliques.indptr.astype(np.int64),
             cliques.indices.astype(np.int64),
+            rules.indptr.astype(np.int64),
+            rules.indices.astype(np.int64),
+            rules.data.astype(float),
+            np.zeros(len(network.rule_most)),
         )
 
-    def improve(self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool]) -> np.ndarray:
+    def improve(
+        self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool], limits: np.ndarray
+    ) -> np.ndarray:
         """Return a plan with at least as many visits as ``chosen``; visits to higher priorities take precedence.
 
         Parameters
@@ -48,6 +55,8 @@ class Paths:
             Generator of the random order in which the search considers the targets.
         is_over : callable
             Function that returns True when the time limit has passed.
+        limits : ndarray of float, shape (n_rules,)
+            Largest sum of each rule.
 
         Returns
         -------
@@ -55,6 +64,7 @@ class Paths:
             Candidate of each positioner in the improved plan.
         """
         network, chosen = self.network, chosen.astype(np.int64)
+        self._links.room[:] = limits - network.sums(chosen)
         used = np.bincount(chosen, minlength=len(network.target))
         load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
         target = network.target[chosen]

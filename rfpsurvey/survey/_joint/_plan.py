@@ -10,7 +10,16 @@ from astropy.table import QTable
 from rfpsurvey._progress import Progress
 from rfpsurvey.survey._joint._fixed import fixed_tiles
 from rfpsurvey.survey._joint._search import Search, levels_of
-from rfpsurvey.survey._joint._start import TilePlan, classes_of, first_plans, given_plan, list_all, place, plans_of
+from rfpsurvey.survey._joint._start import (
+    TilePlan,
+    classes_of,
+    first_plans,
+    given_plan,
+    goals_of,
+    list_all,
+    place,
+    plans_of,
+)
 from rfpsurvey.survey._joint._state import read_state, write_state
 from rfpsurvey.survey._request import Request
 
@@ -69,18 +78,18 @@ def plan_together(request: Request, folder, executor, progress) -> tuple[Request
         else:
             plans = [TilePlan(*columns) for columns in stored.plans]
             tell(n, new=False)
-        network, directions = list_all(request, plans, fixed, executor)
-        chosen = place(network, plans)
-        search = Search(network, chosen, directions, request.joint, request.seed)
-        if stored is not None:
-            search.restore(stored)
-        else:
+        network, directions, subpriority = list_all(request, plans, fixed, executor)
+        goals = goals_of(request, network, subpriority)
+        given = request.joint, request.seed, stored, len(goals)
+        search = Search(network, place(network, plans), directions, *given)
+        if stored is None:
             search.begin(partial(_inform, request.joint.inform))
             _store(folder, network, search)
         while not search.is_over:
             search.iterate(executor)
             tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
             _store(folder, network, search)
+        search.finish(executor, goals)
         tell(steps)
     log.info("planned %d tiles together in %d iterations", n, search.iteration)
     columns = {f.name: getattr(request, f.name) for f in fields(request)}
@@ -115,13 +124,15 @@ def table_of(search: Search, names: list[str]) -> QTable:
             gap = 1.0 - visits / bound if bound else 0.0
             rows.append((step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)))
     table = QTable(rows=rows, names=("iteration", "priority", "n_visits", "bound", "gap", "seconds"))
+    of_all = np.maximum(search.bounds_of_all, search.visits)
+    more = [{"bound_without_requirements": int(bound)} if len(search.limits) else {} for bound in of_all.tolist()]
     last = rows[-len(search.levels) :]
     first = rows[: len(search.levels)]
     table.meta["summary"] = {
         "n_iterations": search.iteration,
         "levels": [
-            {"priority": name, "n_visits_before": before[2], "n_visits": visits, "bound": bound, "gap": gap}
-            for before, (_, name, visits, bound, gap, _) in zip(first, last, strict=True)
+            {"priority": name, "n_visits_before": before[2], "n_visits": visits, "bound": bound, "gap": gap, **other}
+            for before, (_, name, visits, bound, gap, _), other in zip(first, last, more, strict=True)
         ],
         "gap": max((row[4] for row in last), default=0.0),
     }

@@ -17,13 +17,19 @@ from rfpsurvey.allocation import RowPrices, solve_weighted
 from rfpsurvey.errors import InputError
 from rfpsurvey.survey._joint._network import Network
 from rfpsurvey.survey._joint._options import JointOptions
-from rfpsurvey.survey._joint._patches import Patches, divide
+from rfpsurvey.survey._joint._patches import PRECISION, Patches, divide
 from rfpsurvey.survey._joint._paths import Paths
+from rfpsurvey.survey._joint._state import State
 
 # Stages of the computation of prices: width of the smooth maximum (see `RowPrices.improve`), and number of sweeps.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
 # Fraction of the time limit that is available for computing the prices before the first iteration.
 FOR_PRICES = 0.15
+# Goals after the visits: number of divisions into patches for each goal, weight of a goal relative to the preceding
+# goal, error of the sum of the goals, and fraction of the time limit that remains for them.
+N_LAST, LESS, PRECISION_OF_GOALS, FOR_GOALS = 2, 0.1, 0.01, 0.15
+# Rounding error of the sums of rules.
+TOLERANCE = 1e-6
 # Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
 # Largest number of nodes of the search tree of an integer program: NODES if the program improves a plan, and
@@ -48,6 +54,14 @@ def levels_of(n_classes: int) -> np.ndarray:
     return np.unique(np.linspace(0, n_classes - 1, min(n_classes, MOST_LEVELS)).astype(int))
 
 
+def _damaged(expected: str, n: int) -> InputError:
+    """Return the error that the stored state of a search has a wrong number of values."""
+    return InputError(
+        f"the stored state of the search for a joint plan is damaged: it must have {expected}, got {n}; start again in "
+        "another folder"
+    )
+
+
 class Step(NamedTuple):
     """The state after an iteration."""
 
@@ -63,14 +77,31 @@ class Search:
     """A plan of all tiles, and upper bounds of the number of visits; each iteration can improve the plan or a bound.
 
     ``chosen`` is the candidate of each positioner in the first plan; ``directions`` are unit vectors of the centers
-    of all positioners.
+    of all positioners. ``state`` is the stored state of the search, and ``n_goals`` the number of goals of `finish`.
     """
 
-    def __init__(self, network: Network, chosen: np.ndarray, directions: np.ndarray, options: JointOptions, seed: int):
+    def __init__(
+        self,
+        network: Network,
+        chosen: np.ndarray,
+        directions: np.ndarray,
+        options: JointOptions,
+        seed: int,
+        state: State | None = None,
+        n_goals: int = 0,
+    ):
         self.network, self.chosen, self.directions = network, chosen.copy(), directions
         self.options, self.seed = options, seed
+        self._reserved = FOR_GOALS if n_goals else 0.0
+        # Every plan meets the requirements of each tile at least as well as the first plan. The bounds apply to all
+        # plans that do so, except `bounds_of_all`.
+        self.limits = np.maximum(network.rule_most, network.sums(chosen)) if state is None else state.limits
+        if len(self.limits) != len(network.rule_most):
+            raise _damaged(f"{len(network.rule_most)} limits", len(self.limits))
+        self._bounded = network.with_requirements(self.limits)
         self.levels = levels_of(network.n_classes)
         self.bounds = np.full(len(self.levels), np.inf)
+        self.bounds_of_all = self.bounds.copy()
         self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
         self.steps: list[Step] = []
         # The size that the patches must reach before the bound of each level is computed again; an iteration that does
@@ -79,16 +110,18 @@ class Search:
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
         self._begin = perf_counter()
+        if state is not None:
+            self._restore(state)
 
     @property
     def prices(self) -> list:
         """Prices of the sets for each level; None for a level without prices."""
         return [None if one is None else one.price for one in self._prices]
 
-    def restore(self, state) -> None:
+    def _restore(self, state: State) -> None:
         """Continue a search from its stored state."""
         n = len(self.levels)
-        self.next_size = state.next_size
+        self.next_size, self.bounds_of_all = state.next_size, state.bounds_of_all
         self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
         for row in state.steps:
             self.steps.append(Step(int(row[0]), np.nan, row[1 : 1 + n].astype(np.int64), row[1 + n :]))
@@ -96,10 +129,7 @@ class Search:
             if price is not None:
                 prices = self._prices_of(k)
                 if price.shape != prices.price.shape:
-                    raise InputError(
-                        "the stored state of the search for a joint plan is damaged: it must have "
-                        f"{len(prices.price)} prices, got {len(price)}; start again in another folder"
-                    )
+                    raise _damaged(f"{len(prices.price)} prices", len(price))
                 prices.price = price
 
     @property
@@ -130,7 +160,11 @@ class Search:
 
     def out_of_time(self) -> bool:
         """Return whether the time limit has passed."""
-        return self.seconds >= self.options.seconds
+        return self.seconds >= self._limit
+
+    @property
+    def _limit(self):
+        return self.options.seconds * (1.0 - self._reserved)
 
     def _out_of_time_for_prices(self) -> bool:
         """Return whether the time for computing the prices before the first iteration has passed."""
@@ -138,7 +172,7 @@ class Search:
 
     def _deadline(self) -> float:
         """Return the value of `time.time` at which the search ends."""
-        return time() + self.options.seconds - self.seconds
+        return time() + self._limit - self.seconds
 
     def begin(self, tell: Callable | None = None) -> None:
         """Compute the first bounds from a matching and from prices, and improve the plan along augmenting paths."""
@@ -146,9 +180,12 @@ class Search:
             self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
         self._record()
         self._follow_paths()
+        self.bounds_of_all = self.bounds.copy()
         for k in range(len(self.levels)):
             if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
                 self._price(k)
+        if self._bounded is self.network:
+            self.bounds_of_all = self.bounds.copy()
         self._record()
         if tell is not None:
             tell(self)
@@ -178,7 +215,7 @@ class Search:
     def _follow_paths(self):
         """Improve the plan by augmenting paths."""
         rng = np.random.default_rng([self.seed, self.iteration, 1])
-        self.chosen = self._paths.improve(self.chosen, rng, self.out_of_time)
+        self.chosen = self._paths.improve(self.chosen, rng, self.out_of_time, self.limits)
 
     def _record(self):
         self.steps.append(Step(self.iteration, self.seconds, self.visits, self.bounds.copy()))
@@ -189,8 +226,8 @@ class Search:
 
     def _prices_of(self, level) -> RowPrices:
         if self._prices[level] is None:
-            network = self.network
-            self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free)
+            network = self._bounded
+            self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
         return self._prices[level]
 
     def _price(self, level):
@@ -203,59 +240,103 @@ class Search:
 
         In these programs, prices replace the constraints of the sets that contain candidates of several patches.
         """
-        prices, network = self._prices_of(level), self.network
+        prices, network = self._prices_of(level), self._bounded
         if network.free.any():
             return
+        patches = patches if network is self.network else Patches(network, patches.label)
         cross = np.where(patches.crosses, prices.price, 0.0)
         value = self._weights(level) - network.matrix.T @ cross
         deadline = self._deadline()
         problems = [patches.alone(k, value, NODES_OF_BOUND, GAP, deadline) for k in range(patches.n)]
         total = float(cross @ network.most) + patches.value_of_rest(value)
-        total += 1e-9 * (len(network.start) + float(cross @ network.most))
+        total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
             total += bound
         if np.isfinite(total):
             self.bounds[level] = min(self.bounds[level], np.floor(total))
 
     def _class_weights(self, most):
-        """Return weights of the classes, such that higher priorities take precedence; idle arms have the weight 0."""
+        """Return weights of the classes, such that higher priorities take precedence; idle arms have the weight 0.
+
+        Targets whose visits do not count have the weight 0 as well.
+        """
         n = self.network.n_classes
         ratio = min(float(most + 1), STEEPEST ** (1.0 / max(n - 1, 1)))
-        return np.append(ratio ** np.arange(n - 1, -1, -1.0), 0.0)
+        return np.append(ratio ** np.arange(n - 1, -1, -1.0), [0.0, 0.0])
 
     def _improve(self, patches, executor):
-        """Improve the plan patch by patch; patches that share no set of candidates are solved at the same time."""
-        network = self.network
-        load = network.matrix @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
-        price = self._prices[-1]
+        """Improve the plan patch by patch, and prefer targets with low prices among plans of equal value."""
+        network, price = self.network, self._prices[-1]
         scarce = np.zeros(len(network.target))
         if price is not None:
-            of_targets = np.where(np.arange(len(price.price)) >= network.n_cliques, price.price, 0.0)
+            n = len(network.most)
+            of_targets = np.where(np.arange(n) >= network.n_cliques, price.price[:n], 0.0)
             scarce = network.matrix.T @ of_targets
-        scarce /= max(scarce.max(initial=0.0), 1e-12)
-        by_class = self._class_weights(max((len(patches.members(k)) for k in range(patches.n)), default=1))
+        value = -scarce / max(scarce.max(initial=0.0), 1e-12)
+        others = network.rank == network.n_classes
+        if others.any():  # fibers without science targets observe sky positions and standards rather than nothing
+            value = 0.75 * value + 0.25 * others
         unmet = np.append(network.visits > np.bincount(self.chosen_targets(), minlength=len(network.slot)), False)
+        self._replan(patches, executor, value, lambda k: patches.can_gain(k, self.chosen, unmet))
+
+    def finish(self, executor: Executor | None, goals: list[np.ndarray]) -> None:
+        """Replace the plan by plans of equal value with larger sums of the goals, the first goals first.
+
+        Each goal has a value for each candidate, from 0 to 1.
+        """
+        self._reserved = 0.0
+        for n in range(1, len(goals) + 1):
+            value = sum(goal * LESS**k for k, goal in enumerate(goals[:n])) / sum(LESS**k for k in range(n))
+            for k in range(N_LAST):
+                rng = np.random.default_rng([self.seed, n, k, 2])
+                patches = Patches(self.network, divide(self.network, self.directions, int(self.size), rng))
+                self._replan(patches, executor, value, lambda _: True, goals[:n])
+
+    def _replan(self, patches, executor, value, is_useful, goals=()):
+        """Improve the plan patch by patch; patches that share no set of candidates are solved at the same time.
+
+        Among plans with the same visits, those with a large sum of the ``value`` of each candidate, from -1 to 1, are
+        preferred. ``is_useful`` returns whether a patch is worth the effort. If there are ``goals``, the largest sum is
+        found, otherwise only an approximate one.
+        """
+        network = self.network
+        load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
+        limits = np.append(network.most, self.limits)
+        by_class = self._class_weights(max((len(patches.members(k)) for k in range(patches.n)), default=1))
         for group in patches.colors():
             if self.out_of_time():
                 break
             found, deadline = [], self._deadline()
-            group = [k for k in group if patches.can_gain(k, self.chosen, unmet)]
+            group = [k for k in group if is_useful(k)]
             for k in group:
                 tie = TIE / max(len(patches.members(k)), 1)
-                weight = by_class[network.rank] - tie * scarce
-                found.append(patches.within(k, self.chosen, load, weight, NODES, deadline))
+                weight = by_class[network.rank] + tie * value
+                precision = PRECISION_OF_GOALS * tie if goals else PRECISION
+                found.append(patches.within(k, self.chosen, load, limits, weight, NODES, deadline, precision))
             results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
             for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
                 if chosen is not None:
-                    self._take(patches.members(k), rows[chosen], load)
+                    self._take(patches.members(k), rows[chosen], load, limits, goals)
 
-    def _take(self, members, new, load):
-        """Use the new candidates of a patch if the resulting plan is at least as good as before."""
+    def _take(self, members, new, load, limits, goals):
+        """Use the new candidates of a patch if the resulting plan is at least as good as before, and keeps all rules.
+
+        Another patch of the same tile, for which a program was solved at the same time, may have used what a rule
+        allows. If there are ``goals``, plans of equal value must increase the sum of the first of them that differs.
+        """
         network, old = self.network, self.chosen[members]
-        if tuple(network.counts(new)) < tuple(network.counts(old)) or np.array_equal(new, old):
+        counts = [tuple(network.counts(one)) for one in (old, new)]
+        if counts[1] < counts[0] or np.array_equal(new, old):
+            return
+        goals = goals if counts[1] == counts[0] else ()
+        sums = [[one[plan].sum() for one in goals] for plan in (old, new)]
+        if goals and tuple(sums[1]) <= tuple(sums[0]):
             return
         change = new != old
-        columns = network.columns
-        for candidates, sign in ((old[change], -1.0), (new[change], 1.0)):
-            np.add.at(load, columns[:, candidates].indices, sign)
+        before, after = (network.columns[:, one[change]] for one in (old, new))
+        sets, row = np.unique(np.append(before.indices, after.indices), return_inverse=True)
+        added = np.bincount(row.reshape(-1), np.append(-before.data, after.data), len(sets))
+        if (load[sets] + added > limits[sets] + TOLERANCE).any():
+            return
+        load[sets] += added
         self.chosen[members] = new

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._units import exact_text
-from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates
+from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_subpriorities
 from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._work import Job, plan_of, projection_of
@@ -19,16 +19,25 @@ class TilePlan(NamedTuple):
     """The plan of a tile."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target."""
+    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target.
+
+    The slot of the blank sky position with the index k is -2 - k. These positions do not depend on which targets have
+    remaining visits.
+    """
     side: np.ndarray
     """Handedness of each positioner: +1 is right, -1 is left."""
 
 
 def _plan(job: Job):
-    """Plan a tile; return the target (its index among the targets of the field) and handedness of each positioner."""
+    """Plan a tile; return the target and handedness of each positioner.
+
+    The target is an index among the targets of the field, which are followed by all blank sky positions that were
+    found.
+    """
     allocation = plan_of(job).allocation
     side = np.where(allocation.handedness == "left", -1, 1).astype(np.int8)
-    return allocation.target_of_positioner, side
+    rows = np.concatenate([np.arange(allocation.n_given), allocation.n_given + allocation.added, [-1]])
+    return rows[allocation.target_of_positioner], side
 
 
 def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
@@ -41,10 +50,15 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
     left, plans = request.builder.left.copy(), [None] * len(request.tiling)
-    done = 0
+    done, spends = 0, request.builder.spends
+
+    def spend(slot):
+        slot = slot[slot >= 0]
+        left[slot if spends is None else slot[spends[slot]]] -= 1
+
     for tile, observed in fixed.items():
         slot = np.where(observed.counted, observed.slot, -1)
-        left[slot[slot >= 0]] -= 1
+        spend(slot)
         plans[tile] = TilePlan(slot, observed.side)
         done += 1
     for round_ in request.rounds:
@@ -53,52 +67,75 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         for tile, job, (target, side) in zip(
             tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
-            slot = np.append(job.field.slot, -1)[target]
-            left[slot[slot >= 0]] -= 1
+            n = len(job.field.slot)
+            inside = np.append(job.field.slot, -1)[np.where(target < n, target, -1)]
+            slot = np.where(target >= n, n - 2 - target, inside)
+            spend(slot)
             plans[tile] = TilePlan(slot, side)
             done += 1
             tell(done)
     return plans
 
 
-def list_all(request, plans: list, fixed: dict, executor: Executor | None) -> tuple[Network, np.ndarray]:
-    """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners."""
-    left = request.builder.left
-    jobs, slots, n = [], [], len(request.tiling)
+def list_all(
+    request, plans: list, fixed: dict, executor: Executor | None
+) -> tuple[Network, np.ndarray, np.ndarray | None]:
+    """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners.
+
+    Also return the subpriority of each target in the order of slots; None if there are no subpriorities.
+    """
+    left, given = request.builder.left, request.options.subpriority
+    jobs, slots, n, subpriority = [], [], len(request.tiling), None
     for tile in range(n):
         job = request.job(tile, left, as_file=False)
         slots.append(job.field.slot)
+        values = job.field.targets.columns.subpriority
+        if given is not None:
+            values = to_subpriorities(given, job.field.targets.id, job.field.targets.extra)
+        if values is not None:
+            subpriority = np.zeros(len(left)) if subpriority is None else subpriority
+            subpriority[job.field.slot] = values
         if tile in fixed:
             continue
         keep = _rows(job.field.slot, plans[tile].slot)
-        options = replace(request.options, allocator=ListCandidates(keep))
-        jobs.append(job.bare()._replace(model=replace(request.model, options=options)))
+        jobs.append(_with_allocator(request, job.bare(), ListCandidates(keep)))
     lists = map_in_order(executor, _list, jobs)
     nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(lists) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
-    return make_network(list(tiles), slots, left, classes_of(request)[0]), np.concatenate(vectors)
+    class_of, names = classes_of(request)
+    network = make_network(list(tiles), slots, left, class_of, len(names))
+    return network, np.concatenate(vectors), subpriority
 
 
 def classes_of(request) -> tuple[np.ndarray, list[str]]:
     """Return the class of each target in the order of slots, and the name of each class, which is its priority.
 
-    The classes are the distinct priorities of the targets with requested visits, largest first.
+    The classes are the required targets, if there are any, and the distinct priorities of the other targets with
+    requested visits, largest first. The class of standards and sky positions is the number of classes.
     """
-    priority, wanted = request.source.by_slot("priority"), request.builder.left > 0
-    if priority is None or not wanted.any():
-        return np.zeros(len(wanted), dtype=np.int64), ["all"]
-    values = np.unique(priority[wanted])[::-1]
-    return np.clip(np.searchsorted(-values, -priority), 0, len(values) - 1), [exact_text(value) for value in values]
+    builder = request.builder
+    priority, wanted, required = request.source.by_slot("priority"), builder.left > 0, builder.is_required
+    wanted = wanted if builder.spends is None else wanted & builder.spends
+    first = np.zeros(len(wanted), dtype=bool) if required is None else required & wanted
+    rest = wanted & ~first
+    if priority is None or not rest.any():
+        class_of, names = np.zeros(len(wanted), dtype=np.int64), ["all"]
+    else:
+        values = np.unique(priority[rest])[::-1]
+        class_of, names = np.searchsorted(-values, -priority), [exact_text(value) for value in values]
+    if first.any():
+        class_of, names = np.where(first, 0, class_of + 1), ["required", *names]
+    last = len(names) - 1
+    return np.where(builder.spends is None or builder.spends, np.clip(class_of, 0, last), last + 1), names
 
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
     """Return the planned candidate of each positioner, or its idle arm if the planned target is not a candidate."""
     slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
-    place = np.searchsorted(network.slot, slot)
-    target = np.where(slot >= 0, place, -2)
     own = network.own
-    fits = (network.target == target[own]) & (network.side == side[own]) & (network.target >= 0)
+    same = np.append(network.slot, -1)[network.target] == slot[own]
+    fits = same & (network.side == side[own]) & (network.target >= 0)
     chosen = network.start[1:] - 1
     rows = np.flatnonzero(fits)
     chosen[own[rows]] = rows
@@ -115,12 +152,35 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
     """Return a copy of the job whose allocator returns the given plan."""
-    allocator = GivenPlan(_rows(job.field.slot, plan.slot), plan.side)
-    return job._replace(model=replace(request.model, options=replace(request.options, allocator=allocator)))
+    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, plan.slot), plan.side))
+
+
+def _with_allocator(request, job: Job, allocator: Callable) -> Job:
+    """Return a copy of the job with another allocator, and without subpriorities, which would sort the targets."""
+    options = replace(request.options, allocator=allocator, subpriority=None)
+    targets = job.field.targets
+    targets = targets._replace(columns=targets.columns._replace(subpriority=None))
+    return job._replace(model=replace(request.model, options=options), field=job.field._replace(targets=targets))
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return the index of each slot of ``wanted`` in the array ``slots``; the index of slot -1 is -1."""
+    """Return the index of each slot of ``wanted`` in the array ``slots``; blank sky positions follow, -1 remains -1."""
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
-    return np.where(wanted >= 0, index, -1)
+    return np.where(wanted >= 0, index, np.where(wanted == -1, -1, len(slots) - 2 - wanted))
+
+
+def goals_of(request, network: Network, subpriority: np.ndarray | None) -> list[np.ndarray]:
+    """Return the goals after the visits, with a value from 0 to 1 for each candidate.
+
+    They are the sum of the subpriorities of all visits and, if requested, the number of visits in early passes.
+    """
+    real, found = network.rank < network.n_classes, []
+    if subpriority is not None:
+        value = np.append(subpriority, 0.0)[np.append(network.slot, -1)[network.target]]
+        low, high = value[real].min(initial=np.inf), value[real].max(initial=-np.inf)
+        found.append(np.where(real, (value - low) / max(high - low, 1e-300), 0.0))
+    if request.joint.early:
+        number = np.repeat(request.number, np.diff(network.first))[network.own]
+        found.append(np.where(real, 1.0 - number / max(len(request.passes) - 1, 1), 0.0))
+    return found

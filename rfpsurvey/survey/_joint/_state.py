@@ -26,6 +26,9 @@ class State(NamedTuple):
     """Iteration, visits and bounds of each step, one row per step."""
     prices: list
     """For each level, the prices of all sets (see `Search.prices`); None for a level without prices."""
+    bounds_of_all: np.ndarray
+    limits: np.ndarray
+    """Largest sum of each rule (see `Search`)."""
 
 
 def write_state(folder, plans: list, search) -> None:
@@ -40,6 +43,8 @@ def write_state(folder, plans: list, search) -> None:
         "next_size": search.next_size,
         "steps": np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps]),
     }
+    if len(search.limits):
+        columns |= {"bounds_of_all": search.bounds_of_all, "limits": search.limits}
     for k, price in enumerate(search.prices):
         if price is not None:
             columns[f"price{k}"] = price
@@ -61,6 +66,8 @@ def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> State
         "bounds": one_per_level,
         "next_size": one_per_level,
         "steps": ("f8", (None, 1 + 2 * n_levels)),
+        "bounds_of_all?": one_per_level,
+        "limits?": ("f8", (None,)),
         **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
     }
     try:
@@ -70,7 +77,9 @@ def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> State
         size, iteration, seconds = found["numbers"].tolist()
         plans = list(zip(*(found[name].reshape(n_tiles, n_positioners) for name in ("slot", "side")), strict=True))
         prices = [found.get(f"price{k}") for k in range(n_levels)]
-        return State(plans, found["bounds"], found["next_size"], size, int(iteration), seconds, found["steps"], prices)
+        columns = (found[name] for name in ("bounds", "next_size"))
+        more = found.get("bounds_of_all", found["bounds"]), found.get("limits", np.empty(0))
+        return State(plans, *columns, size, int(iteration), seconds, found["steps"], prices, *more)
     except InputError as error:
         text = f"the search for a joint plan starts again, because its stored state cannot be read: {error}"
         warn(text)

@@ -1,0 +1,104 @@
+"""Random small surveys, and an integer program that contains all tiles of a survey."""
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from scipy.optimize import Bounds, LinearConstraint, milp
+
+import rfpsurvey as rs
+from brute import bodies_of, conflicts_of, options_of
+from scenes import random_plane
+
+MM = u.mm
+SCALE = 200 * MM / u.deg
+
+
+def random_survey(seed):
+    """Return an instrument with few positioners, overlapping tiles, targets and options."""
+    rng = np.random.default_rng(seed)
+    plane = random_plane(rng)
+    instrument = rs.Instrument("small", plane, plate_scale=SCALE)
+    m, n = int(rng.integers(5, 31)), int(rng.integers(2, 4))
+    center = SkyCoord(10 * u.deg, 40 * u.deg)
+    xi, eta = rng.uniform(-32, 32, (2, m)) * MM / SCALE
+    sky = center.spherical_offsets_by(xi, eta)
+    xi, eta = rng.uniform(-14, 14, (2, n)) * MM / SCALE
+    tiles = center.spherical_offsets_by(xi, eta)
+    columns = {"priority": rng.integers(0, rng.integers(1, 4), m).astype(float), "visits": rng.integers(0, 4, m)}
+    if plane.fiber_types != ("",):
+        columns["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
+    options = rs.AllocationOptions("optimal", parked_obstacles=bool(rng.random() < 0.5))
+    return instrument, tiles, rs.Catalog(sky, **columns), options
+
+
+def visits_by_class(survey, catalog, classes):
+    rows = np.concatenate([np.asarray(part["target_row"])[np.asarray(part["observed"])] for part in survey])
+    rows = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]
+    return np.array([(catalog.priority[rows] == p).sum() for p in classes])
+
+
+class JointProgram:
+    """The plans of all tiles: constraints of binary variables, the candidates, and the visits of each priority.
+
+    ``target`` and ``tile`` are the target of each candidate (-1 for none) and its tile.
+    """
+
+    def __init__(self, instrument, tiles, catalog, parked):
+        plane = instrument.focal_plane
+        both = plane.positioner.handedness == "both"
+        self.rows, self.low, self.high, self.target, self.tile, of_target = [], [], [], [], [], {}
+        science = np.ones(len(catalog), bool) if catalog.kind is None else catalog.kind == "science"
+        for number, tile in enumerate(tiles):
+            place = np.deg2rad([tile.ra.deg, tile.dec.deg, 0.0])
+            types = catalog.fiber_type
+            xy = instrument.field_projection(*place, None).project(catalog.arrays.vectors, types)
+            choices = options_of(plane, xy, types, both)
+            pairs, barred = conflicts_of(plane, bodies_of(plane, xy, choices, types, parked))
+            index, here = {}, {}
+            for i, mine in enumerate(choices):
+                for k, option in enumerate(mine):
+                    index[i, k] = len(self.target)
+                    self.target.append(-1 if option is None else option[0])
+                    self.tile.append(number)
+                    if option is not None:
+                        here.setdefault(option[0], []).append(index[i, k])
+                self.add([index[i, k] for k in range(len(mine))], 1, 1)
+            for a, b in pairs:
+                self.add([index[a], index[b]], 1)
+            for a in barred:
+                self.add([index[a]], 0)
+            for t, indices in here.items():
+                self.add(indices, 1 if catalog.visits[t] > 0 else 0)
+                of_target.setdefault(t, []).extend(indices)
+        for t, indices in of_target.items():
+            if science[t]:
+                self.add(indices, catalog.visits[t])
+        self.target, self.tile = np.array(self.target), np.array(self.tile)
+        self.classes = np.unique(catalog.priority[(catalog.visits > 0) & science])[::-1]
+        priority = np.append(np.where(science, catalog.priority, np.nan), np.nan)[self.target]
+        self.hits = (priority == self.classes[:, None]).astype(float)
+
+    def add(self, indices, most, least=-np.inf):
+        """Limit the sum of some variables."""
+        self.rows.append(indices)
+        self.high.append(most)
+        self.low.append(least)
+
+    def maximize(self, weights):
+        """Return the variables with the largest sum of weights."""
+        matrix = np.zeros((len(self.rows), len(self.target)))
+        for k, indices in enumerate(self.rows):
+            matrix[k, indices] = 1.0
+        constraints = LinearConstraint(matrix, self.low, self.high)
+        found = milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
+        assert found.success
+        return np.round(found.x)
+
+    def best(self):
+        """Return the largest lexicographic numbers of visits by priority."""
+        return self.hits @ self.maximize(64.0 ** np.arange(len(self.classes) - 1, -1, -1) @ self.hits)
+
+    def sums(self):
+        """Return the largest number of visits of each priority and all higher priorities."""
+        levels = [self.hits[: k + 1].sum(axis=0) for k in range(len(self.classes))]
+        return np.array([weights @ self.maximize(weights) for weights in levels])

@@ -1,0 +1,233 @@
+"""Joint plans with sky fibers, standards and requirements, compared with an integer program of all tiles."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from joint_program import JointProgram, random_survey, visits_by_class
+
+import rfpsurvey as rs
+from rfpsurvey.survey._joint import _search
+
+N_CASES, CHUNK = 500, 20
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:no target was observed",
+    "ignore:.*requirement",
+    "ignore:.*standards",
+    "ignore:constraint distribution",
+    "ignore:required targets",
+)
+
+
+def survey_with_kinds(seed):
+    """Return a small survey with standards and sky positions, and requirements that cannot always be met."""
+    instrument, tiles, catalog, options = random_survey(seed)
+    rng = np.random.default_rng([seed, 1])
+    kind = rng.choice(["science", "standard", "sky"], len(catalog), p=[0.5, 0.25, 0.25])
+    low = rng.integers(0, 4, 2)
+    high = [None if rng.random() < 0.5 else int(k) + int(rng.integers(0, 2)) for k in low]
+    needs = [rs.Requirement(*row) for row in zip(("sky", "standard"), low.tolist(), high, strict=True)]
+    return instrument, tiles, replace(catalog, kind=kind), replace(options, requirements=needs), needs
+
+
+def counts_by_tile(survey, catalog, needs):
+    rows = [np.asarray(part["target_row"]) for part in survey]
+    return [[int((catalog.kind[one] == need.what).sum()) for need in needs] for one in rows]
+
+
+def limit(program, catalog, needs, counts):
+    """Add the requirements to a program; minima that the counts of a plan miss are replaced by these counts."""
+    kind = np.append(catalog.kind, "")[program.target]
+    for tile, row in enumerate(counts):
+        for need, n in zip(needs, row, strict=True):
+            most = np.inf if need.maximum is None else need.maximum
+            program.add(np.flatnonzero((kind == need.what) & (program.tile == tile)), most, min(need.minimum, n))
+    return program
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    "chunk", [0, 1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, N_CASES // CHUNK))]
+)
+def test_requirements_are_kept_and_bounds_are_valid(chunk):
+    n_best = n_better = n_unmet = n_cases = 0
+    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+        instrument, tiles, catalog, options, needs = survey_with_kinds(seed)
+        if not catalog.visits[catalog.kind == "science"].any():
+            continue
+        first = rs.plan_survey(catalog, instrument, tiles, allocator=options)
+        size = [10, 40, 2000][seed % 3]
+        joint = rs.JointOptions(iterations=4, patch_size=size, allocator=options)
+        survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+        scene = instrument, tiles, catalog, options.parked_obstacles
+        before = counts_by_tile(first, catalog, needs)
+        program = limit(JointProgram(*scene), catalog, needs, before)
+        best, classes = program.best(), program.classes
+        visits, old = (visits_by_class(one, catalog, classes) for one in (survey, first))
+        assert tuple(visits) >= tuple(old), seed
+        assert tuple(visits) <= tuple(best), seed
+        for row, earlier in zip(counts_by_tile(survey, catalog, needs), before, strict=True):
+            for need, n, m in zip(needs, row, earlier, strict=True):
+                assert n >= min(need.minimum, m), seed
+                assert need.maximum is None or n <= need.maximum, seed
+                n_unmet += m < need.minimum
+        levels = survey.summary["joint"]["levels"]
+        bounds = np.array([level["bound"] for level in levels])
+        assert (bounds >= program.sums()).all(), seed
+        if "bound_without_requirements" in levels[0]:
+            assert ([level["bound_without_requirements"] for level in levels] >= JointProgram(*scene).sums()).all(), (
+                seed
+            )
+        number = np.bincount(
+            np.concatenate([np.asarray(part["target_row"]) for part in survey]), minlength=len(catalog)
+        )
+        assert (number <= catalog.visits)[catalog.kind == "science"].all()
+        if size == 2000:  # a single patch contains all positioners
+            assert tuple(visits) == tuple(best), seed
+        n_best += tuple(visits) == tuple(best)
+        n_better += tuple(visits) > tuple(old)
+        n_cases += 1
+    assert n_best >= 0.75 * n_cases
+    assert n_better or chunk
+    assert n_unmet or chunk
+
+
+def goal_scene(seed):
+    instrument, tiles, catalog, options = random_survey(seed)
+    catalog = replace(catalog, subpriority=np.random.default_rng([seed, 2]).random(len(catalog)).round(3))
+    columns = {"ra": tiles.ra, "dec": tiles.dec, "pass": np.arange(1, len(tiles) + 1)}
+    tiles = rs.Tiling.from_table(QTable(columns))
+    return instrument, tiles, catalog, options
+
+
+def goals_of(survey, catalog):
+    """Return the sum of the subpriorities of all visits, and the sum of their passes."""
+    rows = [np.asarray(part["target_row"]) for part in survey]
+    number = sum(len(one) * int(k) for one, k in zip(rows, survey.tiles["pass"], strict=True))
+    return catalog.subpriority[np.concatenate(rows)].sum(), number
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_subpriorities_and_early_passes_decide_between_plans_with_equal_visits(seed):
+    instrument, tiles, catalog, options = goal_scene(seed)
+    plan = lambda **more: rs.plan_survey(  # noqa: E731
+        catalog, instrument, tiles, allocator=rs.JointOptions(patch_size=2000, allocator=options, **more)
+    )
+    survey, early = plan(), plan(early=True)
+    program = JointProgram(instrument, tiles.coord, catalog, options.parked_obstacles)
+    best = program.best()
+    for one in (survey, early):
+        assert visits_by_class(one, catalog, program.classes).tolist() == best.tolist()
+    for hits, n in zip(program.hits, best, strict=True):
+        program.add(np.flatnonzero(hits), n, n)
+    value = np.append(catalog.subpriority, 0)[program.target]
+    largest = value @ program.maximize(value)
+    sums = [goals_of(one, catalog) for one in (survey, early)]
+    assert sums[0][0] == pytest.approx(largest, abs=0.02)
+    assert sums[1][0] == pytest.approx(largest, abs=0.02)
+    assert sums[1][1] <= sums[0][1]
+    # with equal subpriorities, the passes are as early as possible
+    equal = replace(catalog, subpriority=None)
+    joint = rs.JointOptions(patch_size=2000, allocator=options, early=True)
+    only = rs.plan_survey(equal, instrument, tiles, allocator=joint)
+    least = np.where(program.target >= 0, program.tile + 1.0, 0.0)
+    assert goals_of(only, catalog)[1] == least @ program.maximize(-least)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_required_targets_come_first(seed):
+    instrument, tiles, catalog, options = random_survey(seed)
+    wanted = np.flatnonzero(catalog.visits > 0)
+    rows = np.random.default_rng([seed, 3]).permutation(wanted)[:4]
+    required = replace(options, required=catalog.id[rows])
+    joint = rs.JointOptions(patch_size=2000, allocator=required)
+    survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+    priority = catalog.priority.copy()
+    priority[rows] = 99.0
+    first = replace(catalog, priority=priority)
+    program = JointProgram(instrument, tiles, first, options.parked_obstacles)
+    best = program.best()
+    assert visits_by_class(survey, first, program.classes).tolist() == best.tolist()
+    levels = survey.summary["joint"]["levels"]
+    assert (levels[0]["priority"] == "required") == (len(rows) > 0)
+    assert [level["n_visits"] for level in levels] == np.cumsum(best).tolist()
+    assert all(level["bound"] >= n for level, n in zip(levels, program.sums(), strict=True))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_rules_on_the_distribution_remain_fulfilled(seed):
+    instrument, tiles, catalog, options, _ = survey_with_kinds(seed)
+    options = replace(options, requirements=(), constraints=["distribution sky 1 60 12"])
+    plans = [
+        rs.plan_survey(catalog, instrument, tiles, allocator=one)
+        for one in (options, rs.JointOptions(iterations=3, patch_size=[20, 2000][seed % 2], allocator=options))
+    ]
+    lacks = []
+    for survey in plans:
+        of_survey = []
+        for tile, part in zip(tiles, survey, strict=True):
+            place = np.deg2rad([tile.ra.deg, tile.dec.deg, 0.0])
+            xy = instrument.field_projection(*place, None).project(catalog.arrays.vectors, catalog.fiber_type)
+            rows = np.asarray(part["target_row"])
+            fibers, sky = (xy[rows[catalog.kind[rows] == kind]] for kind in ("science", "sky"))
+            apart = np.linalg.norm(fibers[:, None] - sky[None], axis=2).min(axis=1, initial=np.inf)
+            of_survey.append(max(int(np.ceil(0.6 * len(fibers) - 1e-9)) - int((apart <= 12).sum()), 0))
+        lacks.append(of_survey)
+    assert (np.array(lacks[1]) <= lacks[0]).all()
+    first, last = (one.summary["n_visits_observed"] for one in plans)
+    assert last >= first
+
+
+@pytest.fixture(scope="module")
+def blank():
+    """Return the arguments of a survey with added sky positions and standards."""
+    model = rs.Instrument.preset("sdss_apo")
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    sky = rs.synthetic_catalog("poisson", center, 2.2 * u.deg, density=250 / u.deg**2, rng=2)
+    kind = np.where(np.arange(len(sky)) % 9 == 0, "standard", "science")
+    tiles = rs.Tiling.from_table(QTable({"ra": [94.5, 95.5, 95.0] * u.deg, "dec": [23, 23, 23.4] * u.deg}))
+    options = rs.AllocationOptions("optimal", requirements=["sky=80", "standard=15"], sky_separation=8 * u.arcsec)
+    return rs.Catalog(sky.coord, kind=kind), model, tiles, options
+
+
+def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatch):
+    catalog, model, tiles, options = blank
+    joint = rs.JointOptions(iterations=2, patch_size=300, allocator=options)
+    survey = rs.plan_survey(catalog, model, tiles, allocator=joint, folder=tmp_path / "one")
+    assert survey.tiles["n_unmet"].tolist() == [0, 0, 0]
+    assert min(survey.tiles["n_sky"]) >= 80
+    level = survey.summary["joint"]["levels"][0]
+    assert level["n_visits_before"] < level["n_visits"] <= level["bound"] < level["bound_without_requirements"]
+    for part in survey:
+        added = part[np.asarray(part["target_row"]) < 0]
+        assert len(added) >= 80
+        apart = SkyCoord(added["ra"], added["dec"]).match_to_catalog_sky(catalog.coord)[1]
+        assert apart.min() > 7.9 * u.arcsec
+    # a search that is interrupted after an iteration gives the same bytes
+    old = _search.Search.iterate
+
+    def stop(self, executor):
+        if self.iteration == 1:
+            raise KeyboardInterrupt
+        old(self, executor)
+
+    monkeypatch.setattr(_search.Search, "iterate", stop)
+    with pytest.raises(KeyboardInterrupt):
+        rs.plan_survey(catalog, model, tiles, allocator=joint, folder=tmp_path / "two")
+    monkeypatch.undo()
+    rs.plan_survey(catalog, model, tiles, allocator=joint, folder=tmp_path / "two", resume=True)
+    for path in sorted((tmp_path / "one" / "tiles").rglob("*.fits")):
+        assert path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
+    # observed tiles with added sky positions keep their plans
+    one = rs.plan_survey(catalog, model, rs.Tiling(tiles.table[:1]), allocator=options)
+    given = replace(joint, fixed=one)
+    rest = rs.plan_survey(catalog, model, tiles, allocator=given)
+    name = tiles.table["tile"][0]
+    for column in ("target_row", "positioner"):
+        kept = [
+            np.asarray(tile[column])[np.asarray(tile["target_row"]) >= 0] for tile in (rest.tile(name), one.tile(name))
+        ]
+        assert np.array_equal(*kept)
