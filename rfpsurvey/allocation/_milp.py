@@ -290,7 +290,7 @@ class Program:
             columns[k], worth[k], high[k] = self.short, -1.0, 0
             low[k] = -sum(g.requirement.minimum for g in problem.groups)
             low[k] -= len(self.spreads) * (len(self.candidates.options.start) - 1)
-        sizes = [len(used) for used in columns]
-        row, column = np.repeat(np.arange(len(columns)), sizes), np.concatenate(columns)
+        sizes, no_columns = [len(used) for used in columns], np.empty(0, dtype=np.int64)  # there may be no classes
+        row, column = np.repeat(np.arange(len(columns)), sizes), np.concatenate([*columns, no_columns])
         matrix = csr_array((np.repeat(worth, sizes), (row, column)), shape=(len(columns), self.n))
         return matrix, low, np.array(high, dtype=float)

@@ -96,6 +96,8 @@ class Bookkeeping:
         left, self.left[closed] = self.left[closed], 0
         job = request.job(tile, self.left, as_file=as_file)
         self.left[closed] = left
+        if request.is_planned:
+            return job
         targets = job.field.targets
         closing = self.windows.state(job.field.slot, tile)[1]
         order = np.unique(closing, return_inverse=True)[1].reshape(-1)

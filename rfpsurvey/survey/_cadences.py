@@ -107,6 +107,14 @@ class Cadences:
         return found
 
     @property
+    def epochs(self) -> list[np.ndarray]:
+        """The values of ``delta_min``, ``delta_max``, ``n_exp`` and ``skybrightness`` of the epochs of each cadence.
+
+        The last element is for targets without a cadence, which are observed once.
+        """
+        return [*self._epochs, np.array([[-1.0], [-1.0], [1.0], [np.inf]])]
+
+    @property
     def record(self) -> str:
         """A digest of the cadences, which surveys record."""
         text = repr([self.column, self.names, [one.tolist() for one in self._epochs]])
@@ -177,7 +185,7 @@ class Windows:
     """
 
     def __init__(self, cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray):
-        epochs = [*cadences._epochs, np.array([[-1.0], [-1.0], [1.0], [np.inf]])]
+        epochs = cadences.epochs
         self._n = np.array([one.shape[1] for one in epochs])
         self._values = np.full((4, len(epochs), self._n.max()), np.nan)
         for k, one in enumerate(epochs):
@@ -191,6 +199,11 @@ class Windows:
     def n_epochs(self) -> np.ndarray:
         """Number of completed epochs of each target, in the order of slots."""
         return self._epoch
+
+    def exposures(self, slot: int) -> np.ndarray:
+        """Return the number of exposures of each epoch of a target."""
+        row = self._row[slot]
+        return self._values[2, row, : self._n[row]].astype(np.int64)
 
     def state(self, slot: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the window of each target is open at a tile, and when it closes (MJD)."""

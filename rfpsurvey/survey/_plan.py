@@ -13,7 +13,16 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_lacks, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    short,
+    warn,
+    warn_no_effect,
+)
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits, in_memory
@@ -226,8 +235,10 @@ def prepare_request(
             for one in (state.first, state.before(0).catalog):  # without and with the rule
                 yield InMemory(one if used is None else one.at_epoch(used))
 
-    if cadences is not None and joint is not None:
-        raise InputError("cadences must be used with tiles that are planned one after the other, got a joint plan")
+    if cadences is not None and joint is not None and joint.fixed is not None:
+        raise InputError("fixed must not be given for a joint plan with cadences")
+    if cadences is not None and joint is not None and joint.early:
+        warn_no_effect("early", "with cadences")
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     request = make_request(

@@ -70,6 +70,9 @@ class Request:
     first: dict = field(default_factory=dict)
     """Tiles and passes before the recorded events, in the form of `identity`."""
 
+    is_planned = False
+    """Whether the plan of each tile is already known."""
+
     @property
     def source(self):
         """The catalog of the survey."""

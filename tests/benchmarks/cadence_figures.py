@@ -1,10 +1,10 @@
 """Measure completed cadences on a field of 30 dated SDSS-V tiles with the published cadences of SDSS-V.
 
-RFPSURVEY_TEST_DATA=... python tests/benchmarks/cadence_figures.py [--targets 1500] [--tiles 30]
+RFPSURVEY_TEST_DATA=... python tests/benchmarks/cadence_figures.py [--targets 1500] [--tiles 30] [--iterations 10]
 
 Each allocator plans the tiles in the order of their dates; targets whose windows close first have precedence, or, for
 comparison, random subpriorities decide. The bound is the number of targets whose cadences the dates and the brightness
-of the tiles allow, if every target in the field could be observed on every tile.
+of the tiles allow, if every target in the field could be observed on every tile. The joint plan has bounds of its own.
 """
 
 import argparse
@@ -49,6 +49,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--targets", type=int, default=1500)
     parser.add_argument("--tiles", type=int, default=30)
+    parser.add_argument("--iterations", type=int, default=10)
     options = parser.parse_args()
     table = Table.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "sdssv_rules/cadences.ecsv")
     table = table[table["n_epochs"] > 0]
@@ -75,6 +76,10 @@ def main():
                 f"{found['n_released']} released, {process_time() - begin:.1f} s",
                 flush=True,
             )
+    begin, joint = process_time(), rs.JointOptions(iterations=options.iterations)
+    survey = rs.plan_survey(catalog, apo, tiling, visits=cadences, allocator=joint)
+    print(f"joint: {survey.summary['n_complete']} complete, {process_time() - begin:.1f} s")
+    survey.joint.pprint_all()
 
 
 if __name__ == "__main__":

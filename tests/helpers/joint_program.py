@@ -78,21 +78,28 @@ class JointProgram:
         priority = np.append(np.where(science, catalog.priority, np.nan), np.nan)[self.target]
         self.hits = (priority == self.classes[:, None]).astype(float)
 
-    def add(self, indices, most, least=-np.inf):
-        """Limit the sum of some variables."""
-        self.rows.append(indices)
+    def add(self, indices, most, least=-np.inf, values=1.0):
+        """Limit the sum of some variables, which are multiplied by values."""
+        self.rows.append((indices, values))
         self.high.append(most)
         self.low.append(least)
 
     def maximize(self, weights):
         """Return the variables with the largest sum of weights."""
         matrix = np.zeros((len(self.rows), len(self.target)))
-        for k, indices in enumerate(self.rows):
-            matrix[k, indices] = 1.0
+        for k, (indices, values) in enumerate(self.rows):
+            matrix[k, indices] = values
         constraints = LinearConstraint(matrix, self.low, self.high)
         found = milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
         assert found.success
         return np.round(found.x)
+
+    def extend(self, number):
+        """Add variables that are no candidates, and return their indices."""
+        first = len(self.target)
+        self.target = np.append(self.target, np.full(number, -1))
+        self.tile = np.append(self.tile, np.full(number, -1))
+        return np.arange(first, first + number)
 
     def best(self):
         """Return the largest lexicographic numbers of visits by priority."""

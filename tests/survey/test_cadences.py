@@ -7,21 +7,12 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 from living import content, instrument
+from naive_cadences import NAMES, TABLE, Naive
 
 import rfpsurvey as rs
 from rfpsurvey.survey import Cadences
 
 CENTER = SkyCoord(120 * u.deg, 30 * u.deg)
-NAMES = ["once", "twice", "pairs", "thrice", "dark"]
-TABLE = Table(
-    {
-        "cadence": NAMES,
-        "delta_min": ["0", "0 3", "0 2", "0 1 5", "0 -1"],
-        "delta_max": ["0", "0 6", "0 30", "0 4 9", "0 -1"],
-        "n_exp": ["1", "1 1", "2 2", "1 2 1", "1 1"],
-        "skybrightness": ["1", "1 1", "1 1", "1 0.5 1", "0.35 0.35"],
-    }
-)
 
 
 def scene(seed, n=80, n_tiles=40):
@@ -38,46 +29,7 @@ def scene(seed, n=80, n_tiles=40):
     return catalog, rs.Tiling.from_table(table[rng.permutation(n_tiles)])
 
 
-class Naive:
-    """The exposures of one target, in the order of time."""
-
-    def __init__(self, name):
-        row = TABLE[NAMES.index(name)] if name else None
-        columns = ("delta_min", "delta_max", "n_exp", "skybrightness")
-        values = [[float(x) for x in row[one].split()] for one in columns] if name else [[-1], [-1], [1], [9]]
-        self.epochs, self.starts, self.now = list(zip(*values, strict=True)), [], []
-
-    def allows(self, day, brightness):
-        """Return whether the target may be observed, and when its window closes."""
-        if self.now and day - self.now[0] > 0.5:
-            self.now = []
-        if len(self.starts) == len(self.epochs):
-            return False, np.inf
-        low, high, _, limit = self.epochs[len(self.starts)]
-        closes, fits = np.inf, True
-        if self.now:
-            closes = self.now[0] + 0.5
-        elif self.starts:
-            since = day - self.starts[-1]
-            fits = (low < 0 or since >= low) and (high < 0 or since <= high)
-            closes = self.starts[-1] + high if high >= 0 else np.inf
-        return fits and brightness <= limit, closes
-
-    def observe(self, day):
-        self.now.append(day)
-        if len(self.now) == self.epochs[len(self.starts)][2]:
-            self.starts.append(self.now[0])
-            self.now = []
-
-    def is_released(self, day):
-        self.allows(day, 0)
-        if self.now or not self.starts or len(self.starts) == len(self.epochs):
-            return False
-        high = self.epochs[len(self.starts)][1]
-        return high >= 0 and day - self.starts[-1] > high
-
-
-@pytest.mark.parametrize("allocator", ["nearest", "repair", "optimal"])
+@pytest.mark.parametrize("allocator", ["nearest", "repair", "optimal", "joint"])
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 31))])
 def test_every_visit_is_in_an_open_window(allocator, seed):
     """Each visit is allowed, each tile reaches no open target that a free fiber could observe, and all sums agree."""
@@ -209,7 +161,8 @@ def test_bad_catalogs_and_tiles(tmp_path):
             rs.plan_survey(catalog, instrument(), tiling, **{"visits": cadences, "allocator": "nearest", **options})
 
     refuse("the catalog must have the column 'other'", visits=Cadences(TABLE, column="other"))
-    refuse("cadences must be used with tiles that are planned one after the other", allocator="joint")
+    fixed = rs.JointOptions(fixed=tmp_path)
+    refuse("fixed must not be given for a joint plan with cadences", allocator=fixed)
     without = [name for name in tiling.table.colnames if name not in ("mjd", "skybrightness")]
     refuse(
         "tiles of a survey with cadences must have one of the columns time, date and mjd",

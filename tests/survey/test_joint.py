@@ -274,3 +274,6 @@ def test_a_tile_without_targets_whose_idle_arms_touch(allocator):
     assert survey.tiles["n_assigned"][0] > 0
     nothing = rs.Catalog(sky.coord, visits=np.zeros(len(sky), dtype=int))
     assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator).summary["n_assigned"] == 0
+    # a second regression: if the catalog has priorities, a tile without targets has no classes
+    nothing = rs.Catalog(sky.coord, visits=np.zeros(len(sky), dtype=int), priority=np.arange(len(sky)))
+    assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator).summary["n_assigned"] == 0

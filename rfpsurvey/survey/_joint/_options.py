@@ -23,8 +23,9 @@ JOINT = "joint"
 class JointOptions:
     """Options of a joint plan, in which all tiles of a survey are planned together; the allocator of `plan_survey`.
 
-    The tiles are first planned one after the other, and then together, such that the number of visits increases. The
-    search ends when the gap is small enough, after the given number of iterations, or at the time limit.
+    The tiles are first planned one after the other, and then together, such that the number of visits increases. If the
+    targets have cadences (`~rfpsurvey.survey.Cadences`), the number of complete cadences increases first. The search
+    ends when the gap is small enough, after the given number of iterations, or at the time limit.
 
     Parameters
     ----------

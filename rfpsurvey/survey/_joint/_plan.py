@@ -21,6 +21,7 @@ from rfpsurvey.survey._joint._start import (
     plans_of,
 )
 from rfpsurvey.survey._joint._state import read_state, write_state
+from rfpsurvey.survey._joint._windows import WindowSearch
 from rfpsurvey.survey._request import Request
 
 log = logging.getLogger("rfpsurvey")
@@ -32,6 +33,7 @@ class PlannedRequest(Request):
 
     plans: list[TilePlan] = field(default_factory=list)
     fixed: dict = field(default_factory=dict)
+    is_planned = True
 
     def job(self, tile: int, left: np.ndarray, *, as_file: bool):
         """Return the job that makes a tile from its known plan."""
@@ -64,6 +66,8 @@ def plan_together(request: Request, folder, executor, progress) -> tuple[Request
     progress : bool or callable
         The value of ``progress`` for the step after the search, in which the tiles are written.
     """
+    if request.cadences is not None:
+        return _plan_windows(request, executor, progress)
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
     names = classes_of(request)[1]
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
@@ -92,9 +96,31 @@ def plan_together(request: Request, folder, executor, progress) -> tuple[Request
         search.finish(executor, goals)
         tell(steps)
     log.info("planned %d tiles together in %d iterations", n, search.iteration)
-    columns = {f.name: getattr(request, f.name) for f in fields(request)}
-    planned = PlannedRequest(**columns, plans=plans_of(network, search.chosen), fixed=fixed)
-    return planned, table_of(search, names), progress
+    return _planned(request, plans_of(network, search.chosen), fixed), table_of(search, names), progress
+
+
+def _plan_windows(request: Request, executor, progress) -> tuple[Request, QTable, object]:
+    """Plan dated tiles with cadences; the parameters and results are those of `plan_together`."""
+    n, last = len(request.tiling), request.joint.iterations + 1
+    tell = progress
+    if callable(progress):
+        tell, progress = (partial(_tell, progress, before, 2 * n + last) for before in (0, n + last))
+    with Progress(tell, n + last, "steps") as tell:
+        plans = first_plans(request, {}, executor, partial(tell, note="planning one tile after the other"))
+        network = list_all(request, plans, {}, executor)[0]
+        search = WindowSearch(network, place(network, plans), request)
+        search.begin()
+        while not search.is_over:
+            search.iterate()
+            tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
+        tell(n + last)
+    planned = _planned(request, plans_of(network, search.chosen), {})
+    return planned, table_of(search, classes_of(request)[1]), progress
+
+
+def _planned(request: Request, plans: list[TilePlan], fixed: dict) -> PlannedRequest:
+    """Return the request with the plan of each tile."""
+    return PlannedRequest(**{f.name: getattr(request, f.name) for f in fields(request)}, plans=plans, fixed=fixed)
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:
@@ -124,10 +150,17 @@ def table_of(search: Search, names: list[str]) -> QTable:
             gap = 1.0 - visits / bound if bound else 0.0
             rows.append((step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)))
     table = QTable(rows=rows, names=("iteration", "priority", "n_visits", "bound", "gap", "seconds"))
+    if search.steps[-1].complete is not None:
+        of_steps = [(step.complete, np.maximum(step.complete, step.bound_complete)) for step in search.steps]
+        columns = (np.concatenate(values) for values in zip(*of_steps, strict=True))
+        for name, values in zip(("n_complete", "bound_complete"), columns, strict=True):
+            table[name] = values.astype(np.int64)
     of_all = np.maximum(search.bounds_of_all, search.visits)
     more = [{"bound_without_requirements": int(bound)} if len(search.limits) else {} for bound in of_all.tolist()]
     last = rows[-len(search.levels) :]
     first = rows[: len(search.levels)]
+    for name in ("n_complete", "bound_complete") if "n_complete" in table.colnames else ():
+        more = [{**other, name: int(value)} for other, value in zip(more, table[name][-len(first) :], strict=True)]
     table.meta["summary"] = {
         "n_iterations": search.iteration,
         "levels": [

@@ -71,6 +71,9 @@ class Step(NamedTuple):
     visits: np.ndarray
     """Number of visits of each level."""
     bound: np.ndarray
+    complete: np.ndarray | None = None
+    bound_complete: np.ndarray | None = None
+    """Number of complete cadences of each level, and its bound; None without cadences."""
 
 
 class Search:

@@ -61,16 +61,24 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         spend(slot)
         plans[tile] = TilePlan(slot, observed.side)
         done += 1
+    state = None if request.cadences is None else request.open_state()
     for round_ in request.rounds:
         tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
-        jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
+        if state is None:
+            jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
+        else:
+            jobs = [state.open_job(request, tile, as_file=False) for tile in tiles.tolist()]
         for tile, job, (target, side) in zip(
             tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
             n = len(job.field.slot)
             inside = np.append(job.field.slot, -1)[np.where(target < n, target, -1)]
             slot = np.where(target >= n, n - 2 - target, inside)
-            spend(slot)
+            if state is None:
+                spend(slot)
+            else:
+                made = slot[slot >= 0]
+                state.enter(job.field, np.zeros(n, dtype=bool), made, np.ones(len(made), dtype=bool), 0, tile)
             plans[tile] = TilePlan(slot, side)
             done += 1
             tell(done)

@@ -1,0 +1,263 @@
+"""The search for a joint plan of dated tiles, whose targets have cadences.
+
+A *place* is a pair of a target and a tile that can observe it. A *sequence* is a list of places of a target that
+completes its first epochs. The plan changes by moves that remove a few targets and add them again
+(``_kernels/windows``). Visits of the first plan that complete no epoch remain until a move removes them. In the upper
+bounds, prices replace the limits that a positioner has one target and that arms do not collide (subgradient
+optimization); each target then has its own best sequence.
+"""
+
+from time import perf_counter
+
+import numpy as np
+
+from rfpsurvey._kernels import windows as kernels
+from rfpsurvey.survey._cadences import NIGHT
+from rfpsurvey.survey._joint._network import Network
+from rfpsurvey.survey._joint._paths import Paths
+from rfpsurvey.survey._joint._search import FOR_PRICES, Step, levels_of
+
+# Number of times that an iteration considers each target that is not complete.
+PASSES = 20
+# Number of adjustments of the prices for each bound. The step is halved if the bound does not decrease LATE times.
+N_STEPS, LATE = 150, 8
+# Values of a visit and of a complete cadence in the bounds of the numbers of complete cadences and of visits.
+WHOLE, VISIT = (0.0, 1.0), (1.0, 0.0)
+# Absolute and relative rounding error of a bound.
+ROUNDING = 1e-6, 1e-9
+
+
+class WindowSearch:
+    """A plan of all tiles that observes targets in their windows, and upper bounds.
+
+    Parameters
+    ----------
+    network : Network
+        The candidates of all tiles.
+    chosen : ndarray of int, shape (n_positioners,)
+        Candidate of each positioner in the first plan.
+    request : Request
+        The request of the survey, with cadences.
+    """
+
+    def __init__(self, network: Network, chosen: np.ndarray, request):
+        self.network, self.request, self.options = network, request, request.joint
+        self.chosen = chosen.astype(np.int64)
+        self.levels, self.iteration, self.steps = levels_of(network.n_classes), 0, []
+        self.limits = np.maximum(network.rule_most, network.sums(chosen))
+        self._begin, self._links = perf_counter(), Paths(network)._links
+        self._dates, place_of = _dates_of(network, request)
+        n_places, m = len(self._dates.p_tile), int(np.diff(self._dates.p_indptr).max(initial=1))
+        shape = int(np.diff(self._dates.e_indptr).max(initial=1)), m, m
+        self._work = kernels.Work(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(m, dtype=bool))
+        self._cost, self._found, self._picked = (
+            np.empty(n_places),
+            np.empty(n_places, np.int64),
+            np.empty(m, dtype=bool),
+        )
+        self._load = network.matrix[: network.n_cliques] @ np.bincount(chosen, minlength=len(network.target))
+        self._load = self._load.astype(np.int64)
+        self._links.room[:] = self.limits - network.sums(chosen)
+        self._used, self._done = np.full(n_places, -1), self._counts_of_targets()
+        mine = chosen[place_of[chosen] >= 0]
+        self._used[place_of[mine]] = mine
+        self.bounds, self.bounds_complete, self.bounds_of_all = np.full((3, len(self.levels)), np.inf)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
+        return self._by_level(self._done)
+
+    @property
+    def visits(self) -> np.ndarray:
+        """Number of visits of each level."""
+        return self.counts[:, 1]
+
+    def _by_level(self, done: np.ndarray) -> np.ndarray:
+        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        np.add.at(by_class, self.network.rank_of_target, done)
+        return np.cumsum(by_class, axis=0)[self.levels]
+
+    def _counts_of_targets(self) -> np.ndarray:
+        """Return whether each target is complete, and its number of visits, in the first plan."""
+        network, windows = self.network, self.request.open_state().windows
+        slots = network.slot[network.target[self.chosen]]
+        counted = network.rank[self.chosen] < network.n_classes
+        for tile in np.argsort(self.request.days, kind="stable").tolist():
+            part = slice(network.first[tile], network.first[tile + 1])
+            slot = slots[part][counted[part]]
+            windows.enter(slot[windows.state(slot, tile)[0]], tile)
+        epochs = windows.n_epochs[np.maximum(network.slot, 0)]
+        done = np.array([_visits_of(windows, slot, n) for slot, n in zip(network.slot, epochs, strict=True)])
+        done[network.rank_of_target == network.n_classes] = 0
+        return done
+
+    def begin(self) -> None:
+        """Improve the first plan, and compute the bounds."""
+        for k in range(len(self.levels)):  # the first bounds are those without limits of fibers
+            self.bounds_complete[k], self.bounds[k] = (self._bound(k, *one, 0, [], 0.0) for one in (WHOLE, VISIT))
+        self._record()
+        self._improve(1)
+        for k in range(len(self.levels)):
+            self._bound_level(k)
+        self._record()
+
+    def iterate(self) -> None:
+        """Run one iteration, which considers each target that is not complete several times."""
+        self._improve(PASSES)
+        self.iteration += 1
+        self._record()
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Relative difference between the number of complete cadences of each level and its upper bound."""
+        n = self.counts[:, 0]
+        return 1.0 - n / np.maximum(np.maximum(self.bounds_complete, n), 1.0)
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the search in seconds."""
+        return perf_counter() - self._begin
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further iteration is required or allowed."""
+        small = bool((self.gaps <= self.options.gap).all() and (self.counts[:, 1] >= self.bounds).all())
+        return small or self.iteration >= self.options.iterations or self.seconds >= self.options.seconds
+
+    def _record(self) -> None:
+        counts = self.counts
+        bounds = self.bounds.copy(), self.bounds_complete.copy()
+        self.steps.append(Step(self.iteration, self.seconds, counts[:, 1], bounds[0], counts[:, 0], bounds[1]))
+
+    def _improve(self, passes: int) -> None:
+        """Try to complete each target that is not complete, a number of times."""
+        rng = np.random.default_rng([self.request.seed, self.iteration, passes])
+        totals = np.diff(self._dates.e_indptr)[self._dates.cadence]
+        real = (self.network.rank_of_target < self.network.n_classes) & (totals > 0)
+        gain = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        for _ in range(passes):
+            if self.seconds >= self.options.seconds:
+                break
+            order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
+            rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
+            state = self.chosen, self._load, self._used, self._done
+            kernels.move(
+                order, rolls, self._links, self._dates, *state, self._cost, self._found, self._work, self._picked, gain
+            )
+
+    def _bound_level(self, k: int) -> None:
+        """Compute the bounds of the numbers of complete cadences and of visits of a level."""
+        whole, visits = self.counts[k].tolist()
+        rules = self._minima()
+        limit = (1 + 2 * k) / (2 * len(self.levels)) * FOR_PRICES
+        self.bounds_complete[k] = self._bound(k, *WHOLE, whole, rules, limit)
+        self.bounds[k] = self._bound(k, *VISIT, visits, rules, limit + FOR_PRICES / (2 * len(self.levels)))
+        self.bounds_of_all[k] = self._bound(k, *VISIT, visits, [], FOR_PRICES) if rules else self.bounds[k]
+
+    def _minima(self) -> list:
+        """Return the candidates and the smallest number of requirements that share no candidates."""
+        network, taken, found = self.network, np.zeros(len(self.network.target), dtype=bool), []
+        for row in np.flatnonzero(network.is_count & (self.limits < 0)).tolist():
+            part = network.rules[[row]]
+            members = part.indices[part.data < 0]
+            if len(members) and not taken[members].any():
+                taken[members] = True
+                found.append((np.sort(members), int(-self.limits[row])))
+        return found
+
+    def _bound(self, level: int, per_visit: float, per_whole: float, value: int, rules: list, limit: float) -> float:
+        """Return an upper bound of the sum of the values of all targets of a level, by adjusting prices.
+
+        Parameters
+        ----------
+        level : int
+            Index of the level.
+        per_visit, per_whole : float
+            Value of a visit and of a complete cadence.
+        value : int
+            Value of the present plan.
+        rules : list
+            Candidates and smallest number of each requirement.
+        limit : float
+            Fraction of the time limit after which the adjustment ends.
+        """
+        network, links, n = self.network, self._links, self.network.n_cliques
+        active = (network.rank_of_target <= self.levels[level]).astype(float)
+        price, own = np.zeros(n), np.zeros(len(network.start) - 1)
+        best, step, late = np.inf, 1.0, 0
+        cliques = network.matrix[:n]
+        for k in range(N_STEPS if not network.free.any() else 1):
+            usage, own_usage = np.zeros(n), np.zeros(len(own))
+            args = price, own, per_visit * active, per_whole * active, links, self._dates, self._work, self._picked
+            total = kernels.use_prices(*args, self._cost, usage, own_usage) + price.sum() + own.sum()
+            for members, number in rules:
+                costs = own[network.own[members]] + cliques[:, members].T @ price
+                order = np.argsort(costs, kind="stable")
+                order = order[np.sort(np.unique(network.own[members][order], return_index=True)[1])][:number]
+                total -= costs[order].sum()
+                own_usage[network.own[members][order]] += 1.0
+                usage += cliques[:, members[order]].sum(axis=1)
+            late = 0 if total < best else late + 1
+            best = min(best, total)
+            if late >= LATE:
+                step, late = step / 2, 0
+            if best < value + 1 or limit == 0 or (k and self.seconds >= limit * self.options.seconds):
+                break
+            more, own_more = usage - 1.0, own_usage - 1.0
+            more[(price == 0) & (more < 0)] = own_more[(own == 0) & (own_more < 0)] = 0.0
+            norm = more @ more + own_more @ own_more
+            if norm == 0:
+                break
+            size = step * (total - value) / norm
+            price, own = np.maximum(price + size * more, 0.0), np.maximum(own + size * own_more, 0.0)
+        return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + own.sum())))
+
+
+def _visits_of(windows, slot: int, n: int) -> tuple[int, int]:
+    """Return whether a target has completed all epochs, and the number of visits of its first n epochs."""
+    numbers = windows.exposures(slot) if slot >= 0 else np.empty(0)
+    return int(n == len(numbers) > 0), int(numbers[:n].sum())
+
+
+def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray]:
+    """Return the cadences and times for the kernels, and the place of each candidate, or -1 if it has none."""
+    cadences, row = request.cadences
+    in_time = np.argsort(request.days, kind="stable")
+    time_of = np.empty_like(in_time)
+    time_of[in_time] = np.arange(len(in_time))
+    n_tiles, n_targets = len(in_time), len(network.slot)
+    epochs = cadences.epochs
+    real = np.flatnonzero((network.rank < network.n_classes) & network.usable)
+    tile = np.repeat(time_of, np.diff(network.first))[network.own[real]]
+    key = network.target[real].astype(np.int64) * n_tiles + tile
+    order = np.argsort(key, kind="stable")
+    places, place = np.unique(key, return_inverse=True)
+    place_of = np.full(len(network.target), -1)
+    place_of[real] = place.reshape(-1)
+    own = request.source.to_slots(row)
+    cadence = np.where(network.slot >= 0, own[np.maximum(network.slot, 0)], -1)
+    cliques = network.matrix[: network.n_cliques]
+
+    def starts(index: np.ndarray, n: int) -> np.ndarray:
+        return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
+
+    dates = kernels.Dates(
+        np.where(cadence < 0, len(epochs) - 1, cadence),
+        np.concatenate([[0], np.cumsum([one.shape[1] for one in epochs])]),
+        *(np.ascontiguousarray(values) for values in np.concatenate(epochs, axis=1)[:2]),
+        np.concatenate(epochs, axis=1)[2].astype(np.int64),
+        np.ascontiguousarray(np.concatenate(epochs, axis=1)[3]),
+        starts(places // n_tiles, n_targets),
+        places % n_tiles,
+        starts(place.reshape(-1), len(places)),
+        real[order],
+        cliques.indptr.astype(np.int64),
+        cliques.indices.astype(np.int64),
+        network.start[1:] - 1,
+        network.rank_of_target.astype(np.int64),
+        request.days[in_time],
+        request.brightness[in_time],
+        NIGHT,
+    )
+    return dates, place_of

@@ -1,0 +1,181 @@
+"""Joint plans of small surveys with cadences, compared with an integer program of all sequences of visits."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from joint_program import SCALE, JointProgram
+from naive_cadences import NAMES, TABLE, Naive
+
+import rfpsurvey as rs
+from rfpsurvey.survey import Cadences
+from scenes import random_plane
+
+N_CASES, CHUNK = 300, 20
+CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
+pytestmark = pytest.mark.filterwarnings("ignore:no target was observed")
+
+
+def random_survey(seed, n_tiles=7):
+    """Return an instrument with few positioners, dated tiles in random order, targets with cadences, and options."""
+    rng = np.random.default_rng(seed)
+    plane = random_plane(rng)
+    instrument = rs.Instrument("small", plane, plate_scale=SCALE)
+    m = int(rng.integers(4, 25))
+    sky = CENTER.spherical_offsets_by(*(rng.uniform(-25, 25, (2, m)) * u.mm / SCALE))
+    columns = {"priority": rng.integers(0, 2, m), "extra": QTable({"cadence": rng.choice([*NAMES, ""], m)})}
+    if plane.fiber_types != ("",):
+        columns["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
+    night = np.sort(rng.integers(0, 8, n_tiles))
+    place = CENTER.spherical_offsets_by(*(rng.uniform(-4, 4, (2, n_tiles)) * u.mm / SCALE))
+    table = QTable({"ra": place.ra, "dec": place.dec, "mjd": 60000 + night + np.arange(n_tiles) / 50})
+    table["skybrightness"] = rng.choice([0.2, 1.0], n_tiles)
+    table["pass"] = np.arange(n_tiles)
+    tiling = rs.Tiling.from_table(table[rng.permutation(n_tiles)])
+    return instrument, tiling, rs.Catalog(sky, **columns), rs.AllocationOptions("optimal", parked_obstacles=False)
+
+
+def sequences(name, tiles, days, brightness):
+    """Yield each list of tiles that completes epochs of a cadence only, its number of visits, and whether it is all."""
+    for number in range(1, len(tiles) + 1):
+        for some in combinations(tiles, number):
+            target = Naive(name)
+            for tile in some:
+                if not target.allows(days[tile], brightness[tile])[0]:
+                    break
+                target.observe(days[tile])
+            else:
+                epochs = len(target.starts)
+                visits = int(sum(one[2] for one in target.epochs[:epochs]))
+                if visits == number:
+                    yield some, visits, epochs == len(target.epochs)
+
+
+def with_sequences(instrument, tiling, catalog):
+    """Return the integer program, and the weights of visits and of complete cadences of each class."""
+    program = JointProgram(instrument, tiling.coord, catalog_with_visits(catalog, tiling), False)
+    days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
+    n = len(program.target)
+    target, tile, found = program.target.copy(), program.tile.copy(), []
+    for t, name in enumerate(catalog.extra["cadence"]):
+        tiles = [k for k in np.argsort(days).tolist() if ((target == t) & (tile == k)).any()]
+        some = list(sequences(str(name), tiles, days, brightness))
+        index = program.extend(len(some))
+        if some:
+            program.add(index, 1)
+        for k in tiles:
+            mine, uses = np.flatnonzero((target == t) & (tile == k)), index[[k in one[0] for one in some]]
+            values = np.append(np.ones(len(mine)), -np.ones(len(uses)))
+            program.add(np.append(mine, uses), 0, 0, values)
+        found += [(t, visits, whole) for _, visits, whole in some]
+    rows = np.array(found, dtype=int).reshape(-1, 3)
+    classes = np.unique(catalog.priority)[::-1]
+    weights = np.zeros((len(classes), 2, len(program.target)))
+    for k, value in enumerate(classes):
+        mine = catalog.priority[rows[:, 0]] == value
+        weights[k, 0, n:], weights[k, 1, n:] = rows[:, 2] * mine, rows[:, 1] * mine
+    return program, weights
+
+
+def catalog_with_visits(catalog, tiling):
+    return rs.Catalog(
+        catalog.coord,
+        priority=catalog.priority,
+        fiber_type=catalog.fiber_type,
+        visits=np.full(len(catalog), len(tiling)),
+    )
+
+
+def counts_of(survey, catalog):
+    """Return the complete cadences and the visits of each class, class by class."""
+    whole = np.asarray(survey.outcomes["observed"] == survey.outcomes["requested"])
+    visits = np.asarray(survey.outcomes["observed"])
+    classes = np.unique(catalog.priority)[::-1]
+    return [[int(one[catalog.priority == value].sum()) for one in (whole, visits)] for value in classes]
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    "chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, N_CASES // CHUNK))]
+)
+def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(chunk):
+    n_best = n_better = 0
+    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+        instrument, tiling, catalog, options = random_survey(seed)
+        cadences = Cadences(TABLE)
+        common = {"visits": cadences, "rng": seed}
+        first = rs.plan_survey(catalog, instrument, tiling, allocator=options, **common)
+        joint = rs.JointOptions(iterations=3, allocator=options)
+        survey = rs.plan_survey(catalog, instrument, tiling, allocator=joint, **common)
+        program, weights = with_sequences(instrument, tiling, catalog)
+        found, before = (np.ravel(counts_of(one, catalog)).tolist() for one in (survey, first))
+        n_levels = weights.shape[0]
+        last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()][-n_levels:]
+        assert np.asarray(last["n_visits"]).tolist() == np.cumsum(found[1::2]).tolist(), seed
+        assert np.asarray(last["n_complete"]).tolist() == np.cumsum(found[::2]).tolist(), seed
+        first_rows = survey.joint[:n_levels]
+        assert np.asarray(first_rows["n_visits"]).tolist() == np.cumsum(before[1::2]).tolist(), seed
+        for k in range(n_levels):
+            for j, name in enumerate(("bound_complete", "bound")):
+                goal = weights[: k + 1, j].sum(axis=0)
+                assert last[name][k] >= round(goal @ program.maximize(goal)), (seed, k, name)
+        best = []
+        for goal in weights.reshape(2 * n_levels, -1):  # the first goals have precedence
+            best.append(round(goal @ program.maximize(goal)))
+            program.add(np.flatnonzero(goal), np.inf, best[-1], goal[goal > 0])
+        assert before <= found <= best, seed
+        check_windows(survey, tiling, catalog)
+        n_best += found == best
+        n_better += found > before
+    assert n_best >= 0.8 * CHUNK
+    assert n_better
+
+
+def check_windows(survey, tiling, catalog):
+    """Check that every visit is allowed, completes an epoch, and collides with no other arm."""
+    targets = [Naive(str(name)) for name in catalog.extra["cadence"]]
+    days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
+    for tile in np.argsort(days).tolist():
+        visits = survey._visits(tile)
+        assert not np.asarray(visits["in_collision"]).any()
+        rows = np.asarray(visits["target_row"])
+        for row in rows[rows >= 0].tolist():
+            if catalog.kind is not None and catalog.kind[row] != "science":
+                continue
+            assert targets[row].allows(days[tile], brightness[tile])[0]
+            targets[row].observe(days[tile])
+
+
+def test_sky_fibers_remain_and_other_options_have_no_effect():
+    """On a larger scene, requirements are met, the bounds are valid, and the seed alone determines the plan."""
+    rng = np.random.default_rng(4)
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=900, rng=4)
+    kind = np.where(np.arange(900) % 8 == 0, "standard", "science")
+    catalog = rs.Catalog(sky.coord, kind=kind, extra=QTable({"cadence": rng.choice(NAMES, 900)}))
+    night = np.sort(rng.integers(0, 12, 12))
+    table = QTable({"ra": [CENTER.ra.deg] * 12 * u.deg, "dec": [CENTER.dec.deg] * 12 * u.deg})
+    table["mjd"], table["pass"], table["skybrightness"] = 60000 + night + np.arange(12) / 50, np.arange(12), 0.3
+    tiling = rs.Tiling.from_table(table)
+    options = rs.AllocationOptions("optimal", requirements=["sky=12", "standard=3"], sky_separation=5 * u.arcsec)
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    model = rs.Instrument("small", rs.FocalPlane.hexagonal(robot, rings=3, pitch=14 * u.mm), plate_scale=SCALE)
+    joint = rs.JointOptions(iterations=2, allocator=options)
+    common = {"visits": Cadences(TABLE), "allocator": joint}
+    survey = rs.plan_survey(catalog, model, tiling, **common)
+    first = rs.plan_survey(catalog, model, tiling, **{**common, "allocator": options})
+    assert survey.summary["n_complete"] > first.summary["n_complete"]
+    assert (survey.tiles["n_unmet"] <= first.tiles["n_unmet"]).all()
+    assert (survey.tiles["n_sky"] >= np.minimum(12, first.tiles["n_sky"])).all()
+    level = survey.summary["joint"]["levels"][0]
+    assert survey.summary["n_complete"] == level["n_complete"] <= level["bound_complete"]
+    assert survey.summary["n_visits_observed"] == level["n_visits"] <= level["bound"]
+    assert level["bound"] <= level["bound_without_requirements"]
+    check_windows(survey, tiling, catalog)
+    with pytest.warns(rs.RfpsurveyWarning, match="early has no effect with cadences"):
+        again = rs.plan_survey(catalog, model, tiling, **{**common, "allocator": replace(joint, early=True)})
+    for tile in range(12):
+        assert np.array_equal(survey._visits(tile)["target_row"], again._visits(tile)["target_row"])
