@@ -153,23 +153,23 @@ def check_windows(survey, tiling, catalog):
 def test_sky_fibers_remain_and_other_options_have_no_effect():
     """On a larger scene, requirements are met, the bounds are valid, and the seed alone determines the plan."""
     rng = np.random.default_rng(4)
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=900, rng=4)
-    kind = np.where(np.arange(900) % 8 == 0, "standard", "science")
-    catalog = rs.Catalog(sky.coord, kind=kind, extra=QTable({"cadence": rng.choice(NAMES, 900)}))
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=250, rng=4)
+    kind = np.where(np.arange(250) % 8 == 0, "standard", "science")
+    catalog = rs.Catalog(sky.coord, kind=kind, extra=QTable({"cadence": rng.choice(NAMES, 250)}))
     night = np.sort(rng.integers(0, 12, 12))
     table = QTable({"ra": [CENTER.ra.deg] * 12 * u.deg, "dec": [CENTER.dec.deg] * 12 * u.deg})
     table["mjd"], table["pass"], table["skybrightness"] = 60000 + night + np.arange(12) / 50, np.arange(12), 0.3
     tiling = rs.Tiling.from_table(table)
-    options = rs.AllocationOptions("optimal", requirements=["sky=12", "standard=3"], sky_separation=5 * u.arcsec)
+    options = rs.AllocationOptions("optimal", requirements=["sky=6", "standard=3"], sky_separation=5 * u.arcsec)
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
-    model = rs.Instrument("small", rs.FocalPlane.hexagonal(robot, rings=3, pitch=14 * u.mm), plate_scale=SCALE)
+    model = rs.Instrument("small", rs.FocalPlane.hexagonal(robot, rings=2, pitch=25.6 * u.mm), plate_scale=SCALE)
     joint = rs.JointOptions(iterations=2, allocator=options)
     common = {"visits": Cadences(TABLE), "allocator": joint}
     survey = rs.plan_survey(catalog, model, tiling, **common)
     first = rs.plan_survey(catalog, model, tiling, **{**common, "allocator": options})
     assert survey.summary["n_complete"] > first.summary["n_complete"]
     assert (survey.tiles["n_unmet"] <= first.tiles["n_unmet"]).all()
-    assert (survey.tiles["n_sky"] >= np.minimum(12, first.tiles["n_sky"])).all()
+    assert (survey.tiles["n_sky"] >= np.minimum(6, first.tiles["n_sky"])).all()
     level = survey.summary["joint"]["levels"][0]
     assert survey.summary["n_complete"] == level["n_complete"] <= level["bound_complete"]
     assert survey.summary["n_visits_observed"] == level["n_visits"] <= level["bound"]
