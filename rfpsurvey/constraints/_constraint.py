@@ -94,7 +94,7 @@ class ConstraintField:
             If the catalog has no column of this name.
         """
         if name not in self.extra:
-            known = f"{listed(self.extra, 8)} (Catalog.read reads the columns that its parameter keep names)"
+            known = f"{listed(self.extra, 8)} (further columns are read by keep= or --set catalog.keep=NAME)"
             raise InputError(f"the catalog must have the column {name!r}, but its further columns are: {known}")
         return self.extra[name]
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpsurvey.constraints._constraint import ConstraintField
+from rfpsurvey.constraints._requirement import hint_of_name
 from rfpsurvey.constraints._rule import Rule, check_limits, check_text
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import check_choice, check_keywords, number_of
@@ -96,7 +97,9 @@ class MagnitudeLimits(Rule):
         mine = has_fiber & self._concerned(field)
         n, known = int(mine.sum()), int((np.isfinite(self._magnitudes(field)) & mine).sum())
         if n == 0 or (known == 0 and self.missing == "allowed"):
-            return self._not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude" if n else NONE)
+            hint = hint_of_name(self.what, np.unique(field.category).tolist()) if self.what and n == 0 else ""
+            none = f"{NONE}; {hint}" if hint else NONE
+            return self._not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude" if n else none)
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
         limits = {f"at most {self.brightest:g}": self.brightest, f"at least {self.faintest:g}": self.faintest}
         words = [text for text, value in limits.items() if np.isfinite(value)]

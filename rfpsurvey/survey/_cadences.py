@@ -142,7 +142,7 @@ class Cadences:
         if self.column not in extra:
             raise InputError(
                 f"the catalog must have the column {self.column!r} with the cadence of each target, got the further "
-                f"columns {listed(extra)} (Catalog.read reads the columns that its parameter keep names)"
+                f"columns {listed(extra)} (further columns are read by keep= or --set catalog.keep=NAME)"
             )
         text = np.char.strip(np.asarray(extra[self.column]).astype(str))
         names, place = np.unique(text, return_inverse=True)

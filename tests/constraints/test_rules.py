@@ -359,3 +359,9 @@ def test_texts_of_rules_can_be_read():
         (one,) = as_constraints(text)
         assert str(one) == text
     assert str(rs.Requirement("magnitude", 3)) == "'magnitude'=3"
+
+
+def test_an_unknown_kind_of_magnitude_limits_has_a_hint(sky, small):
+    tile = plan(sky, small, ["magnitude mag 0 30 standards"])
+    assert tile.rules["verdict"].tolist() == ["not checkable"]
+    assert tile.rules["note"][0] == "no fiber has such a target; did you mean 'standard'?"
