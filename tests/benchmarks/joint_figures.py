@@ -98,7 +98,8 @@ def compare(name, options, executor):
         print(f"  {allocator}: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
     begin = perf_counter()
     first = rs.AllocationOptions("optimal", **limit)
-    together = rs.JointOptions(iterations=1000, gap=2e-5, time_limit=options.seconds * u.s, allocator=first, **joint)
+    joint |= {"time_limit": options.seconds * u.s, "allocator": first, "early": options.early}
+    together = rs.JointOptions(iterations=1000, gap=2e-5, **joint)
     survey = rs.plan_survey(catalog, instrument, tiling, allocator=together, executor=executor)
     print(f"  joint: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
     print(f"  requirements that are not met: {int(survey.tiles['n_unmet'].sum())}, {peak_gb():.2f} GB")
@@ -151,6 +152,7 @@ def main():
     parser.add_argument("cases", nargs="*", choices=[*CASES, "scan"], default=[*CASES, "scan"])
     parser.add_argument("--seconds", type=float, default=1800.0)
     parser.add_argument("--calibration", action="store_true", help="with sky fibers, standards and requirements")
+    parser.add_argument("--early", action="store_true", help="move visits to earlier passes")
     parser.add_argument("--tile-seconds", type=float, default=20.0)
     parser.add_argument("--scan-seconds", type=float, default=60.0)
     parser.add_argument("--tiles", type=int, default=100)
