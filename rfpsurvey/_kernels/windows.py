@@ -38,6 +38,8 @@ class Dates(NamedTuple):
     k_indptr: np.ndarray
     member: np.ndarray
     """Candidates of each clique, as compressed rows."""
+    usable: np.ndarray
+    """Whether moves may use each candidate."""
     idle: np.ndarray
     """Idle candidate of each positioner."""
     rank: np.ndarray
@@ -174,6 +176,8 @@ def insert(t, turn, links, dates, chosen, load, used, done, cost, found, work, p
         begin, size = dates.c_indptr[p], dates.c_indptr[p + 1] - dates.c_indptr[p]
         for k in range(size):
             c = dates.candidate[begin + (turn + k) % size]
+            if not dates.usable[c]:
+                continue
             if links.target[chosen[links.own[c]]] < 0 and is_free(c, links, chosen, load):
                 cost[p], found[p] = 0.0, c
                 break

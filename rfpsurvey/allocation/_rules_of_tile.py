@@ -37,14 +37,12 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
     problem, options, rows, most = candidates.problem, candidates.options, [], []
     stuck = np.empty(0, dtype=int) if problem.watched is None else np.flatnonzero(problem.watched >= 0)
     seen = stuck if problem.watched is None else problem.watched[stuck]
-    place = problem.spectrograph_of(stuck, seen) if problem.groups else stuck
-    for group, held in zip(problem.groups, candidates.held, strict=True):
-        n, one = int(group.holds(seen, place, stuck).sum()), group.requirement
-        limits = ((-1.0, one.minimum or None), (1.0, one.maximum))
-        for sign, limit in limits:
+    for group, held in zip(problem.groups, candidates.held, strict=True):  # the idle arms of stuck fibers may count
+        one = group.requirement
+        for sign, limit in ((-1.0, one.minimum or None), (1.0, one.maximum)):
             if limit is not None:
                 rows.append(sign * held)
-                most.append(sign * (limit - n))
+                most.append(sign * limit)
     if problem.any_required:
         others = np.append(problem.is_required & ~problem.science, False)
         if others.any():

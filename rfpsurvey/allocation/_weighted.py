@@ -17,6 +17,8 @@ from rfpsurvey.focal_plane import elbow_names
 
 # Rounding error of the sum of a row over the candidates that a plan uses.
 TOLERANCE = 1e-6
+# Largest distance (mm) between two positions of the same blank sky, which differ by rounding errors.
+SAME_MM = 1e-3
 
 
 class TileCandidates(NamedTuple):
@@ -80,16 +82,27 @@ class GivenPlan:
         Target of each positioner, or -1 for no target.
     side : ndarray of int, shape (n_positioners,)
         Elbow of each positioner: +1 is right, -1 is left.
+    blank_mm : ndarray of float, shape (n_positioners, 2), optional
+        Position of the blank sky that each positioner observes, in mm; NaN for positioners that observe none. They
+        observe the nearest of the added sky positions.
     """
 
     counts = distribution = "exactly"
 
-    def __init__(self, target_of: np.ndarray, side: np.ndarray):
-        self.target_of, self.side = target_of, side
+    def __init__(self, target_of: np.ndarray, side: np.ndarray, blank_mm: np.ndarray | None = None):
+        self.target_of, self.side, self.blank_mm = target_of, side, blank_mm
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
         """Return the given plan as the answer of an allocator."""
-        return AllocationAnswer(self.target_of, elbow_names(self.side.astype(float)))
+        target_of, reach = self.target_of.copy(), problem.pairs
+        for i in [] if self.blank_mm is None else np.flatnonzero(np.isfinite(self.blank_mm[:, 0])).tolist():
+            mine = reach.target[reach.owner == i]
+            if problem.watched is not None and problem.watched[i] >= 0:
+                mine = problem.watched[[i]]
+            apart = np.linalg.norm(problem.xy[mine] - self.blank_mm[i], axis=1)
+            if (apart <= SAME_MM).any():
+                target_of[i] = mine[np.argmin(apart)]
+        return AllocationAnswer(target_of, elbow_names(self.side.astype(float)))
 
 
 class WeightedProblem(NamedTuple):

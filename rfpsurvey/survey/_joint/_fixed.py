@@ -11,7 +11,9 @@ from rfpsurvey._units import to_vectors
 from rfpsurvey.allocation import TileCandidates, no_rules
 from rfpsurvey.catalog import SkyIndex, to_time
 from rfpsurvey.errors import InputError, short
+from rfpsurvey.pipeline import project_field
 from rfpsurvey.survey._survey import Survey
+from rfpsurvey.survey._work import projection_of
 from rfpsurvey.tiling import Tiling, places_of_tiles, when_of
 
 # Options that determine where the arms of a tile are, and whether a visit counts.
@@ -29,6 +31,8 @@ class FixedTile(NamedTuple):
     """Handedness of each positioner: +1 is right, -1 is left."""
     counted: np.ndarray
     """Whether the visit of each positioner counts as an observation."""
+    blank_mm: np.ndarray | None = None
+    """Position of the blank sky that each positioner observes, in mm; NaN if it observes none."""
 
 
 def fixed_tiles(request) -> dict[int, FixedTile]:
@@ -63,7 +67,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     found = {}
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
-        visits = visits[np.asarray(visits["target_row"]) >= 0]  # other rows are blank sky positions
+        visits, blank = (visits[(np.asarray(visits["target_row"]) >= 0) == one] for one in (True, False))
         field = request.job(tile, every, as_file=False).field
         index = _targets_of(visits, field)
         if index is None:
@@ -81,7 +85,14 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
                 "fixed must not have more visits of a target than requested, got too many visits of target "
                 f"{field.targets.id[index[bad[0]]]}"
             )
-        found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted)
+        blank_mm = np.full((len(plane), 2), np.nan)
+        if len(blank):
+            own = np.array([row_of[one] for one in np.asarray(blank["positioner"]).tolist()], dtype=np.int64)
+            types = np.asarray(blank["fiber_type"]).astype(str) if "fiber_type" in blank.colnames else None
+            vectors = to_vectors(SkyCoord(blank["ra"], blank["dec"]))
+            projection = projection_of(request.job(tile, every, as_file=False))
+            blank_mm[own] = project_field(request.instrument, projection, vectors, types)[0]
+        found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted, blank_mm)
     return found
 
 

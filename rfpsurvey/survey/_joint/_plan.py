@@ -110,6 +110,7 @@ def _plan_windows(request: Request, executor, progress) -> tuple[Request, QTable
         network = list_all(request, plans, {}, executor)[0]
         search = WindowSearch(network, place(network, plans), request)
         search.begin()
+        _inform(request.joint.inform, search)
         while not search.is_over:
             search.iterate()
             tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")

@@ -160,7 +160,8 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
     """Return a copy of the job whose allocator returns the given plan."""
-    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, plan.slot), plan.side))
+    given = GivenPlan(_rows(job.field.slot, plan.slot), plan.side, getattr(plan, "blank_mm", None))
+    return _with_allocator(request, job, given)
 
 
 def _with_allocator(request, job: Job, allocator: Callable) -> Job:
@@ -175,6 +176,8 @@ def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return the index of each slot of ``wanted`` in the array ``slots``; blank sky positions follow, -1 remains -1."""
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
+    if (wanted >= 0).any() and not np.isin(wanted[wanted >= 0], slots).all():
+        raise RuntimeError("a joint plan must contain only targets of the field of each tile")
     return np.where(wanted >= 0, index, np.where(wanted == -1, -1, len(slots) - 2 - wanted))
 
 

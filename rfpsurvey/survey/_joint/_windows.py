@@ -46,15 +46,10 @@ class WindowSearch:
         self.levels, self.iteration, self.steps = levels_of(network.n_classes), 0, []
         self.limits = np.maximum(network.rule_most, network.sums(chosen))
         self._begin, self._links = perf_counter(), Paths(network)._links
-        self._dates, place_of = _dates_of(network, request)
-        n_places, m = len(self._dates.p_tile), int(np.diff(self._dates.p_indptr).max(initial=1))
-        shape = int(np.diff(self._dates.e_indptr).max(initial=1)), m, m
-        self._work = kernels.Work(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(m, dtype=bool))
-        self._cost, self._found, self._picked = (
-            np.empty(n_places),
-            np.empty(n_places, np.int64),
-            np.empty(m, dtype=bool),
-        )
+        self._dates, place_of, self._time_of = _dates_of(network, request)
+        self._work, self._picked = _work_for(self._dates)
+        n_places = len(self._dates.p_tile)
+        self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
         self._load = network.matrix[: network.n_cliques] @ np.bincount(chosen, minlength=len(network.target))
         self._load = self._load.astype(np.int64)
         self._links.room[:] = self.limits - network.sums(chosen)
@@ -81,24 +76,26 @@ class WindowSearch:
     def _counts_of_targets(self) -> np.ndarray:
         """Return whether each target is complete, and its number of visits, in the first plan."""
         network, windows = self.network, self.request.open_state().windows
-        slots = network.slot[network.target[self.chosen]]
+        slots = np.append(network.slot, -1)[network.target[self.chosen]]
         counted = network.rank[self.chosen] < network.n_classes
         for tile in np.argsort(self.request.days, kind="stable").tolist():
             part = slice(network.first[tile], network.first[tile + 1])
             slot = slots[part][counted[part]]
             windows.enter(slot[windows.state(slot, tile)[0]], tile)
         epochs = windows.n_epochs[np.maximum(network.slot, 0)]
-        done = np.array([_visits_of(windows, slot, n) for slot, n in zip(network.slot, epochs, strict=True)])
+        found = [_visits_of(windows, slot, n) for slot, n in zip(network.slot, epochs, strict=True)]
+        done = np.array(found, dtype=np.int64).reshape(-1, 2)
         done[network.rank_of_target == network.n_classes] = 0
         return done
 
     def begin(self) -> None:
         """Improve the first plan, and compute the bounds."""
         for k in range(len(self.levels)):  # the first bounds are those without limits of fibers
-            self.bounds_complete[k], self.bounds[k] = (self._bound(k, *one, 0, [], 0.0) for one in (WHOLE, VISIT))
+            self.bounds_complete[k], self.bounds[k] = (self._without_limits(k, *one) for one in (WHOLE, VISIT))
+        self.bounds_of_all = self.bounds.copy()
         self._record()
         self._improve(1)
-        for k in range(len(self.levels)):
+        for k in range(len(self.levels)) if not self.network.free.any() else ():
             self._bound_level(k)
         self._record()
 
@@ -156,15 +153,36 @@ class WindowSearch:
         self.bounds_of_all[k] = self._bound(k, *VISIT, visits, [], FOR_PRICES) if rules else self.bounds[k]
 
     def _minima(self) -> list:
-        """Return the candidates and the smallest number of requirements that share no candidates."""
+        """Return the candidates and the smallest number of requirements on sky fibers and standards.
+
+        The requirements share no candidates.
+        """
         network, taken, found = self.network, np.zeros(len(self.network.target), dtype=bool), []
         for row in np.flatnonzero(network.is_count & (self.limits < 0)).tolist():
             part = network.rules[[row]]
             members = part.indices[part.data < 0]
-            if len(members) and not taken[members].any():
+            is_sky = (network.rank[members] >= network.n_classes).all()  # the prices of science fibers count elsewhere
+            if len(members) and is_sky and not taken[members].any():
                 taken[members] = True
                 found.append((np.sort(members), int(-self.limits[row])))
         return found
+
+    def _without_limits(self, level: int, per_visit: float, per_whole: float) -> float:
+        """Return the largest sum of the values of all targets of a level if every tile observes all targets in reach.
+
+        The parameters are those of `_bound`.
+        """
+        network, n_tiles = self.network, len(self._dates.day)
+        own, target = network.pairs
+        tile = np.repeat(self._time_of, np.diff(network.first))[own]
+        places = np.unique(target.astype(np.int64) * n_tiles + tile)
+        dates = self._dates._replace(p_indptr=_starts(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
+        work, picked = _work_for(dates)
+        active = (network.rank_of_target <= self.levels[level]).astype(float)
+        total, cost = 0.0, np.zeros(len(places))
+        for t in np.flatnonzero(active).tolist():
+            total += kernels.best_sequence(t, cost, per_visit, per_whole, dates, work, picked)[0]
+        return total
 
     def _bound(self, level: int, per_visit: float, per_whole: float, value: int, rules: list, limit: float) -> float:
         """Return an upper bound of the sum of the values of all targets of a level, by adjusting prices.
@@ -187,7 +205,7 @@ class WindowSearch:
         price, own = np.zeros(n), np.zeros(len(network.start) - 1)
         best, step, late = np.inf, 1.0, 0
         cliques = network.matrix[:n]
-        for k in range(N_STEPS if not network.free.any() else 1):
+        for _ in range(N_STEPS):
             usage, own_usage = np.zeros(n), np.zeros(len(own))
             args = price, own, per_visit * active, per_whole * active, links, self._dates, self._work, self._picked
             total = kernels.use_prices(*args, self._cost, usage, own_usage) + price.sum() + own.sum()
@@ -202,7 +220,7 @@ class WindowSearch:
             best = min(best, total)
             if late >= LATE:
                 step, late = step / 2, 0
-            if best < value + 1 or limit == 0 or (k and self.seconds >= limit * self.options.seconds):
+            if best < value + 1 or self.seconds >= limit * self.options.seconds:
                 break
             more, own_more = usage - 1.0, own_usage - 1.0
             more[(price == 0) & (more < 0)] = own_more[(own == 0) & (own_more < 0)] = 0.0
@@ -220,15 +238,18 @@ def _visits_of(windows, slot: int, n: int) -> tuple[int, int]:
     return int(n == len(numbers) > 0), int(numbers[:n].sum())
 
 
-def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray]:
-    """Return the cadences and times for the kernels, and the place of each candidate, or -1 if it has none."""
+def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
+    """Return the cadences and times for the kernels, the place of each candidate, and the time rank of each tile.
+
+    The place is -1 for candidates without a place.
+    """
     cadences, row = request.cadences
     in_time = np.argsort(request.days, kind="stable")
     time_of = np.empty_like(in_time)
     time_of[in_time] = np.arange(len(in_time))
     n_tiles, n_targets = len(in_time), len(network.slot)
     epochs = cadences.epochs
-    real = np.flatnonzero((network.rank < network.n_classes) & network.usable)
+    real = np.flatnonzero(network.rank < network.n_classes)
     tile = np.repeat(time_of, np.diff(network.first))[network.own[real]]
     key = network.target[real].astype(np.int64) * n_tiles + tile
     order = np.argsort(key, kind="stable")
@@ -239,25 +260,36 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray]:
     cadence = np.where(network.slot >= 0, own[np.maximum(network.slot, 0)], -1)
     cliques = network.matrix[: network.n_cliques]
 
-    def starts(index: np.ndarray, n: int) -> np.ndarray:
-        return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
-
     dates = kernels.Dates(
         np.where(cadence < 0, len(epochs) - 1, cadence),
         np.concatenate([[0], np.cumsum([one.shape[1] for one in epochs])]),
         *(np.ascontiguousarray(values) for values in np.concatenate(epochs, axis=1)[:2]),
         np.concatenate(epochs, axis=1)[2].astype(np.int64),
         np.ascontiguousarray(np.concatenate(epochs, axis=1)[3]),
-        starts(places // n_tiles, n_targets),
+        _starts(places // n_tiles, n_targets),
         places % n_tiles,
-        starts(place.reshape(-1), len(places)),
+        _starts(place.reshape(-1), len(places)),
         real[order],
         cliques.indptr.astype(np.int64),
         cliques.indices.astype(np.int64),
+        network.usable,
         network.start[1:] - 1,
         network.rank_of_target.astype(np.int64),
         request.days[in_time],
         request.brightness[in_time],
         NIGHT,
     )
-    return dates, place_of
+    return dates, place_of, time_of
+
+
+def _starts(index: np.ndarray, n: int) -> np.ndarray:
+    """Return where the rows 0 to n begin in a sorted array of row numbers."""
+    return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
+
+
+def _work_for(dates: kernels.Dates) -> tuple[kernels.Work, np.ndarray]:
+    """Return the arrays that `best_sequence` uses."""
+    m = int(np.diff(dates.p_indptr).max(initial=1))
+    shape = int(np.diff(dates.e_indptr).max(initial=1)), m, m
+    work = kernels.Work(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(m, dtype=bool))
+    return work, np.empty(m, dtype=bool)
