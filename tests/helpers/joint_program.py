@@ -84,15 +84,22 @@ class JointProgram:
         self.high.append(most)
         self.low.append(least)
 
+    def is_feasible(self):
+        """Return whether there is a plan that satisfies all constraints."""
+        return self._solve(np.zeros(len(self.target))).success
+
     def maximize(self, weights):
         """Return the variables with the largest sum of weights."""
+        found = self._solve(weights)
+        assert found.success
+        return np.round(found.x)
+
+    def _solve(self, weights):
         matrix = np.zeros((len(self.rows), len(self.target)))
         for k, (indices, values) in enumerate(self.rows):
             matrix[k, indices] = values
         constraints = LinearConstraint(matrix, self.low, self.high)
-        found = milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
-        assert found.success
-        return np.round(found.x)
+        return milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
 
     def extend(self, number):
         """Add variables that are no candidates, and return their indices."""

@@ -1,5 +1,6 @@
 """Joint plans of small surveys with cadences, compared with an integer program of all sequences of visits."""
 
+import warnings
 from dataclasses import replace
 from itertools import combinations
 
@@ -77,6 +78,8 @@ def with_sequences(instrument, tiling, catalog):
     weights = np.zeros((len(classes), 2, len(program.target)))
     for k, value in enumerate(classes):
         mine = catalog.priority[rows[:, 0]] == value
+        if catalog.kind is not None:
+            mine &= catalog.kind[rows[:, 0]] == "science"
         weights[k, 0, n:], weights[k, 1, n:] = rows[:, 2] * mine, rows[:, 1] * mine
     return program, weights
 
@@ -179,3 +182,59 @@ def test_sky_fibers_remain_and_other_options_have_no_effect():
         again = rs.plan_survey(catalog, model, tiling, **{**common, "allocator": replace(joint, early=True)})
     for tile in range(12):
         assert np.array_equal(survey._visits(tile)["target_row"], again._visits(tile)["target_row"])
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("goal", ["science", "distribution"])
+def test_bounds_are_valid_with_other_constraints(seed, goal):
+    """Regression: prices of science fibers were subtracted twice, and targets of kept sky fibers were omitted."""
+    instrument, tiling, catalog, options = random_survey(seed)
+    kind = np.where(np.random.default_rng(seed).random(len(catalog)) < 0.3, "sky", "science")
+    catalog = replace(catalog, kind=kind)
+    given = {"requirements": ["science=3"]} if goal == "science" else {"constraints": ["distribution sky 1 60 12"]}
+    joint = rs.JointOptions(iterations=1, allocator=replace(options, **given))
+    common = {"visits": Cadences(TABLE), "rng": seed}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rs.RfpsurveyWarning)
+        survey = rs.plan_survey(catalog, instrument, tiling, allocator=joint, **common)
+        first = rs.plan_survey(catalog, instrument, tiling, allocator=joint.allocator, **common)
+    levels = survey.summary["joint"]["levels"]
+    program, weights = with_sequences(instrument, tiling, catalog)
+    for tile in range(len(tiling) if goal == "science" else 0):
+        rows = np.asarray(first._visits(tile)["target_row"])
+        mine = (program.tile == tile) & np.append(kind == "science", False)[program.target]
+        program.add(np.flatnonzero(mine), np.inf, min(3, int((kind[rows] == "science").sum())))
+    for k, level in enumerate(levels):
+        for j, name in enumerate(("bound_complete", "bound")):
+            values = weights[: k + 1, j].sum(axis=0)
+            if goal == "science" and program.is_feasible():
+                assert level[name] >= round(values @ program.maximize(values)), (name, k)
+            assert level[name] >= {"bound": level["n_visits"], "bound_complete": level["n_complete"]}[name]
+
+
+def test_bounds_are_valid_if_targets_are_omitted():
+    """Regression: the bounds contained only the targets that the preselection of a positioner kept."""
+    robot, n = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), 300
+    model = rs.Instrument("one", rs.FocalPlane([[0, 0]] * u.mm, robot), plate_scale=SCALE)
+    rng = np.random.default_rng(0)
+    radius, angle = np.sqrt(rng.uniform(0.1, 1, n)) * 15, rng.uniform(0, 2 * np.pi, n)
+    sky = CENTER.spherical_offsets_by(radius * np.cos(angle) * u.mm / SCALE, radius * np.sin(angle) * u.mm / SCALE)
+    names = np.where(np.argsort(np.argsort(radius)) < n - 3, "pairs", "once")
+    table = QTable({"ra": [CENTER.ra.deg] * 4 * u.deg, "dec": [CENTER.dec.deg] * 4 * u.deg})
+    table["mjd"], table["pass"], table["skybrightness"] = 60000.0 + np.arange(4), np.arange(4), 0.3
+    catalog = rs.Catalog(sky, extra=QTable({"cadence": names}))
+    joint = rs.JointOptions(iterations=0)
+    survey = rs.plan_survey(catalog, model, rs.Tiling.from_table(table), visits=Cadences(TABLE), allocator=joint)
+    level = survey.summary["joint"]["levels"][0]
+    assert level["bound_complete"] >= 3
+    assert level["bound"] >= 3
+
+
+def test_surveys_without_candidates():
+    """Regression: a survey whose targets no tile can observe failed with an IndexError."""
+    instrument, tiling, catalog, options = random_survey(3)
+    far = SkyCoord(catalog.coord.ra + 30 * u.deg, catalog.coord.dec)
+    joint, cadences = rs.JointOptions(iterations=1, allocator=options), Cadences(TABLE)
+    for changes in ({"coord": far}, {"visits": np.zeros(len(catalog), dtype=int)}):
+        survey = rs.plan_survey(replace(catalog, **changes), instrument, tiling, visits=cadences, allocator=joint)
+        assert survey.summary["n_visits_observed"] == 0

@@ -222,6 +222,7 @@ def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatc
     for path in sorted((tmp_path / "one" / "tiles").rglob("*.fits")):
         assert path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
     # observed tiles with added sky positions keep their plans
+    # (regression: their sky fibers were lost)
     one = rs.plan_survey(catalog, model, rs.Tiling(tiles.table[:1]), allocator=options)
     given = replace(joint, fixed=one)
     rest = rs.plan_survey(catalog, model, tiles, allocator=given)
@@ -231,3 +232,23 @@ def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatc
             np.asarray(tile[column])[np.asarray(tile["target_row"]) >= 0] for tile in (rest.tile(name), one.tile(name))
         ]
         assert np.array_equal(*kept)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("need", ["sky=6", "sky=0-6"])
+def test_stuck_fibers_on_sky_count_once(seed, need):
+    """Regression: sky positions that stuck fibers observe were counted twice, so that a tile lacked sky fibers."""
+    rng = np.random.default_rng(seed)
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane, stuck = rs.FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm), np.full((19, 2), np.nan)
+    stuck[rng.permutation(19)[:5]] = rng.uniform(0, 170, (5, 2))
+    model = rs.Instrument("stuck", replace(plane, stuck=stuck * u.deg), plate_scale=200 * u.mm / u.deg)
+    center, scale = SkyCoord(10 * u.deg, 40 * u.deg), 200 * u.mm / u.deg
+    sky = center.spherical_offsets_by(*(rng.uniform(-50, 50, (2, 90)) * u.mm / scale))
+    tiles = center.spherical_offsets_by(*(rng.uniform(-6, 6, (2, 3)) * u.mm / scale))
+    options = rs.AllocationOptions("optimal", requirements=need, sky_separation=8 * u.arcsec)
+    joint = rs.JointOptions(iterations=3, patch_size=2000, allocator=options)
+    first, survey = (rs.plan_survey(rs.Catalog(sky), model, tiles, allocator=one) for one in (options, joint))
+    assert survey.tiles["n_unmet"].tolist() == first.tiles["n_unmet"].tolist() == [0, 0, 0]
+    level = survey.summary["joint"]["levels"][0]
+    assert first.summary["n_visits_observed"] <= level["n_visits"] <= level["bound"]
