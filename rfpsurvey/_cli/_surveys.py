@@ -164,7 +164,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
         if "bound_without_requirements" in levels[-1]:
             print_text(
                 "the bounds apply to plans in which every tile meets each requirement at least as well as in the first "
-                f"plan; no other plan makes more than {levels[-1]['bound_without_requirements']} visits"
+                f"plan; no plan makes more than {levels[-1]['bound_without_requirements']} visits"
             )
     if survey.rules is not None:
         print("constraints, with the numbers of tiles with each verdict, and the first tiles that fail:")

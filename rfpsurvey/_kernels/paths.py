@@ -12,6 +12,9 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 
+TOLERANCE = 1e-6
+"""Rounding error of the sum of a rule over the candidates in use."""
+
 
 class Links(NamedTuple):
     """The candidates of all positioners."""
@@ -44,9 +47,9 @@ def exchange(old, new, links):
     kept = True
     for k in range(links.r_indptr[new], links.r_indptr[new + 1]):
         links.room[links.rule[k]] -= links.share[k]
-        kept &= links.room[links.rule[k]] > -1e-6
+        kept &= links.room[links.rule[k]] > -TOLERANCE
     for k in range(links.r_indptr[old], links.r_indptr[old + 1]):
-        kept &= links.room[links.rule[k]] > -1e-6
+        kept &= links.room[links.rule[k]] > -TOLERANCE
     return kept
 
 

@@ -66,11 +66,13 @@ def adjust_prices(start, own, row_start, column, value, price, limits, width, be
         # Newton's method with bisection; x is the decrease of the price in units of the width.
         low, high = max((price[r] - highest[r]) / width, -700.0), min((price[r] - lowest[r]) / width, 600.0)
         x, done = 0.0, False
-        for end in (low, high):  # at an end, the price is a limit
+        for end in (low, high):  # at an end, the price is a limit, except at the lower end of a price without a limit
+            if end == low and highest[r] > 0.0:
+                continue
             factor, total = math.exp(end), 0.0
             for m in range(n):
                 total += odds[m] * factor / (1.0 + odds[m] * factor)
-            if (end == high and total <= most[r]) or (end == low and total >= most[r] and highest[r] == 0.0):
+            if (end == high and total <= most[r]) or (end == low and total >= most[r]):
                 x, done = end, True
         for _ in range(20):
             if done:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.paths import is_free, swap
+from rfpsurvey._kernels.paths import TOLERANCE, is_free, swap
 
 # Largest number of targets that a move removes from the plan.
 MOST_REMOVED = 6
@@ -220,14 +220,14 @@ def add(h, t, n, out):
 
 
 @kernel
-def keeps_limits(begin, links, chosen, load, journal):
+def keeps_limits(links, chosen, load, journal):
     """Return whether the positioners of a journal collide with no other arm, and all rules are kept."""
-    for k in range(begin, len(journal)):
-        c = chosen[links.own[journal[k]]]
+    for old in journal:
+        c = chosen[links.own[old]]
         for r in range(links.indptr[c], links.indptr[c + 1]):
             if load[links.clique[r]] > 1:
                 return False
-    return links.room.size == 0 or links.room.min() > -1e-6
+    return links.room.size == 0 or links.room.min() > -TOLERANCE
 
 
 @kernel
@@ -235,10 +235,9 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
     """Try to complete the targets in ``order``: remove targets that prevent this, and add all of them again.
 
     A move is undone if the numbers of complete cadences and of visits are smaller than before, class by class.
-    ``rolls`` contains ``MOST_REMOVED + 4`` random whole numbers for each target. Returns the number of moves that
-    increased these numbers.
+    ``rolls`` contains ``MOST_REMOVED + 4`` random whole numbers for each target.
     """
-    out, ranks, n_better = np.empty(64, np.int64), dates.rank, 0
+    out, ranks = np.empty(64, np.int64), dates.rank
     for step in range(order.size):
         t, roll = order[step], rolls[step]
         n = blockers(t, 0, links, dates, chosen, load, out)
@@ -271,13 +270,12 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
             insert(h, turn, links, dates, chosen, load, used, done, cost, found, work, picked, journal, places)
             gain[ranks[h], 0] += done[h, 0]
             gain[ranks[h], 1] += done[h, 1]
-        sign = 0
+        is_worse = False
         for value in gain.ravel():
             if value != 0:
-                sign = 1 if value > 0 else -1
+                is_worse = value < 0
                 break
-        if sign >= 0 and keeps_limits(0, links, chosen, load, journal):
-            n_better += sign
+        if not is_worse and keeps_limits(links, chosen, load, journal):
             continue
         for k in range(len(journal) - 1, -1, -1):
             swap(journal[k], links, chosen, load)
@@ -286,7 +284,6 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
         done[t] = old
         for k in range(number):
             done[out[k], 0], done[out[k], 1] = before[k]
-    return n_better
 
 
 @kernel

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._distribution import members, pairs_within
+from rfpsurvey.allocation._distribution import pairs_within
 
 
 class TileRules(NamedTuple):
@@ -32,12 +32,11 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
 
     Required science targets impose no constraint. ``planned`` is the target of each positioner in the given plan, or
     -1: plans observe at least as many required standards and sky positions as the given plan. A rule on the
-    distribution of fibers becomes linear, because all neighbors of the given plan are kept.
+    distribution of fibers becomes linear, because all neighbors of the given plan are kept. Stuck fibers that observe
+    sky count, because the targets of their candidates are these sky positions.
     """
     problem, options, rows, most = candidates.problem, candidates.options, [], []
-    stuck = np.empty(0, dtype=int) if problem.watched is None else np.flatnonzero(problem.watched >= 0)
-    seen = stuck if problem.watched is None else problem.watched[stuck]
-    for group, held in zip(problem.groups, candidates.held, strict=True):  # the idle arms of stuck fibers may count
+    for group, held in zip(problem.groups, candidates.held, strict=True):
         one = group.requirement
         for sign, limit in ((-1.0, one.minimum or None), (1.0, one.maximum)):
             if limit is not None:
@@ -54,8 +53,7 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
         is_kept = np.zeros(len(planned), dtype=bool)
         is_kept[options.own[kept]] = True
         usable &= ~is_kept[options.own] | kept
-        neighbors = np.append(options.target[kept], seen[members(problem, rule, rule.what, stuck, seen)])
-        first = pairs_within(problem.xy, problem.xy[np.unique(neighbors)], rule.distance_mm)[0]
+        first = pairs_within(problem.xy, problem.xy[np.unique(options.target[kept])], rule.distance_mm)[0]
         served = np.bincount(first, minlength=len(problem.xy)) >= rule.k
         rows.append(np.where(science, rule.percent / 100 - np.append(served, False)[options.target], 0.0))
         most.append(0.0)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
+from rfpsurvey._kernels.paths import TOLERANCE
 from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import now
@@ -13,10 +14,9 @@ from rfpsurvey.allocation._prices import ROUNDING, Prices
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._rules_of_tile import TileRules, rules_of
 from rfpsurvey.allocation._solver import choose_one_each
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import elbow_names
 
-# Rounding error of the sum of a row over the candidates that a plan uses.
-TOLERANCE = 1e-6
 # Largest distance (mm) between two positions of the same blank sky, which differ by rounding errors.
 SAME_MM = 1e-3
 
@@ -83,8 +83,13 @@ class GivenPlan:
     side : ndarray of int, shape (n_positioners,)
         Elbow of each positioner: +1 is right, -1 is left.
     blank_mm : ndarray of float, shape (n_positioners, 2), optional
-        Position of the blank sky that each positioner observes, in mm; NaN for positioners that observe none. They
-        observe the nearest of the added sky positions.
+        Position of the blank sky that each positioner observes, in mm; NaN for positioners that observe none. The
+        position must be one of the added sky positions.
+
+    Raises
+    ------
+    InputError
+        If it is not.
     """
 
     counts = distribution = "exactly"
@@ -100,8 +105,12 @@ class GivenPlan:
             if problem.watched is not None and problem.watched[i] >= 0:
                 mine = problem.watched[[i]]
             apart = np.linalg.norm(problem.xy[mine] - self.blank_mm[i], axis=1)
-            if (apart <= SAME_MM).any():
-                target_of[i] = mine[np.argmin(apart)]
+            if apart.min(initial=np.inf) > SAME_MM:
+                raise InputError(
+                    f"the sky position of positioner {problem.focal_plane.id[i]} in a fixed tile is not among the "
+                    "added sky positions; use the targets, requirements and sky_separation of the fixed survey"
+                )
+            target_of[i] = mine[np.argmin(apart)]
         return AllocationAnswer(target_of, elbow_names(self.side.astype(float)))
 
 

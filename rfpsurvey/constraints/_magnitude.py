@@ -96,10 +96,11 @@ class MagnitudeLimits(Rule):
             return self._not_checkable(why)
         mine = has_fiber & self._concerned(field)
         n, known = int(mine.sum()), int((np.isfinite(self._magnitudes(field)) & mine).sum())
-        if n == 0 or (known == 0 and self.missing == "allowed"):
-            hint = hint_of_name(self.what, np.unique(field.category).tolist()) if self.what and n == 0 else ""
-            none = f"{NONE}; {hint}" if hint else NONE
-            return self._not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude" if n else none)
+        if n == 0:
+            hint = hint_of_name(self.what, np.unique(field.category).tolist()) if self.what else ""
+            return self._not_checkable(f"{NONE}; {hint}" if hint else NONE)
+        if known == 0 and self.missing == "allowed":
+            return self._not_checkable(f"{number_of(n, 'such target')}, none of them with a magnitude")
         rows = np.flatnonzero(self.excluded(field) & has_fiber)
         limits = {f"at most {self.brightest:g}": self.brightest, f"at least {self.faintest:g}": self.faintest}
         words = [text for text, value in limits.items() if np.isfinite(value)]

@@ -177,8 +177,6 @@ class FieldBuilder:
     visits : int or ndarray of int, optional
         Requested number of visits of each target, in the order of the catalog; by default, the column ``visits`` of the
         catalog or, without this column, 1.
-    subpriority : bool, optional
-        Whether the allocator uses the subpriorities of the catalog.
     made : ndarray of int, optional
         Number of these visits that were already made, in the order of the catalog; by default 0.
     dropped : ndarray of bool, optional
@@ -212,11 +210,10 @@ class FieldBuilder:
         instrument: Instrument,
         visits=None,
         *,
-        subpriority: bool = True,
         made=None,
         dropped=None,
     ):
-        self.source, self.options, self._instrument, self._subpriority = source, options, instrument, subpriority
+        self.source, self.options, self._instrument = source, options, instrument
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
         self.around_rad = max(margins, default=None)
         marked = mark_required(options.required_ids, source.ids_by_part())
@@ -240,6 +237,21 @@ class FieldBuilder:
             if not uses_others:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.left)
+
+    def spending(self, slot: np.ndarray) -> np.ndarray:
+        """Return the targets in ``slot`` of which a visit reduces the number of remaining visits.
+
+        Parameters
+        ----------
+        slot : ndarray of int
+            Slots of targets.
+
+        Returns
+        -------
+        ndarray of int
+            Some of the slots.
+        """
+        return slot if self.spends is None else slot[self.spends[slot]]
 
     @cached_property
     def blank(self) -> BlankIds | None:
@@ -280,6 +292,4 @@ class FieldBuilder:
         columns = field.targets.columns
         if self.is_required is not None:
             columns = columns._replace(is_required=self.is_required[field.slot])
-        if not self._subpriority:
-            columns = columns._replace(subpriority=None)
         return field._replace(targets=field.targets._replace(columns=columns))

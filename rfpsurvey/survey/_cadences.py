@@ -200,10 +200,11 @@ class Windows:
         """Number of completed epochs of each target, in the order of slots."""
         return self._epoch
 
-    def exposures(self, slot: int) -> np.ndarray:
-        """Return the number of exposures of each epoch of a target."""
-        row = self._row[slot]
-        return self._values[2, row, : self._n[row]].astype(np.int64)
+    def counts(self) -> np.ndarray:
+        """Return whether each target has completed all epochs, and the visits of its epochs, shape (n_targets, 2)."""
+        total = np.nancumsum(self._values[2], axis=1)[self._row, np.maximum(self._epoch - 1, 0)]
+        n = self._n[self._row]
+        return np.column_stack([(self._epoch >= n) & (n > 0), np.where(self._epoch > 0, total, 0)]).astype(np.int64)
 
     def state(self, slot: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the window of each target is open at a tile, and when it closes (MJD)."""

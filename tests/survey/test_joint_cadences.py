@@ -207,9 +207,9 @@ def test_bounds_are_valid_with_other_constraints(seed, goal):
     for k, level in enumerate(levels):
         for j, name in enumerate(("bound_complete", "bound")):
             values = weights[: k + 1, j].sum(axis=0)
-            if goal == "science" and program.is_feasible():
+            # rules on the distribution do not lower the bounds
+            if goal == "distribution" or program.is_feasible():
                 assert level[name] >= round(values @ program.maximize(values)), (name, k)
-            assert level[name] >= {"bound": level["n_visits"], "bound_complete": level["n_complete"]}[name]
 
 
 def test_bounds_are_valid_if_targets_are_omitted():

@@ -113,10 +113,8 @@ def goals_of(survey, catalog):
 @pytest.mark.parametrize("seed", range(12))
 def test_subpriorities_and_early_passes_decide_between_plans_with_equal_visits(seed):
     instrument, tiles, catalog, options = goal_scene(seed)
-    plan = lambda **more: rs.plan_survey(  # noqa: E731
-        catalog, instrument, tiles, allocator=rs.JointOptions(patch_size=2000, allocator=options, **more)
-    )
-    survey, early = plan(), plan(early=True)
+    joints = [rs.JointOptions(patch_size=2000, allocator=options, early=early) for early in (False, True)]
+    survey, early = (rs.plan_survey(catalog, instrument, tiles, allocator=joint) for joint in joints)
     program = JointProgram(instrument, tiles.coord, catalog, options.parked_obstacles)
     best = program.best()
     for one in (survey, early):
@@ -131,8 +129,7 @@ def test_subpriorities_and_early_passes_decide_between_plans_with_equal_visits(s
     assert sums[1][1] <= sums[0][1]
     # with equal subpriorities, the passes are as early as possible
     equal = replace(catalog, subpriority=None)
-    joint = rs.JointOptions(patch_size=2000, allocator=options, early=True)
-    only = rs.plan_survey(equal, instrument, tiles, allocator=joint)
+    only = rs.plan_survey(equal, instrument, tiles, allocator=joints[1])
     least = np.where(program.target >= 0, program.tile + 1.0, 0.0)
     assert goals_of(only, catalog)[1] == least @ program.maximize(-least)
 

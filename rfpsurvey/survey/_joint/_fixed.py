@@ -62,13 +62,14 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     _check_request(request, survey)
     side = -1 if plane.positioner.handedness == "left" else 1
     left = request.builder.left.astype(np.int64)
-    requested, every, spends = left > 0, np.ones(len(left), dtype=np.uint8), request.builder.spends
+    requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
     row_of = {name: k for k, name in enumerate(plane.id.tolist())}
     found = {}
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
         visits, blank = (visits[(np.asarray(visits["target_row"]) >= 0) == one] for one in (True, False))
-        field = request.job(tile, every, as_file=False).field
+        job = request.job(tile, every, as_file=False)
+        field = job.field
         index = _targets_of(visits, field)
         if index is None:
             raise InputError(
@@ -77,8 +78,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
         own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
         slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
         slot[own], counted[own] = field.slot[index], np.asarray(visits["observed"]).astype(bool)
-        counts = slot[counted]
-        left[counts if spends is None else counts[spends[counts]]] -= 1
+        left[request.builder.spending(slot[counted])] -= 1
         bad = np.flatnonzero((left[slot[own]] < 0) | ~requested[slot[own]])
         if len(bad):
             raise InputError(
@@ -90,8 +90,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
             own = np.array([row_of[one] for one in np.asarray(blank["positioner"]).tolist()], dtype=np.int64)
             types = np.asarray(blank["fiber_type"]).astype(str) if "fiber_type" in blank.colnames else None
             vectors = to_vectors(SkyCoord(blank["ra"], blank["dec"]))
-            projection = projection_of(request.job(tile, every, as_file=False))
-            blank_mm[own] = project_field(request.instrument, projection, vectors, types)[0]
+            blank_mm[own] = project_field(request.instrument, projection_of(job), vectors, types)[0]
         found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted, blank_mm)
     return found
 
@@ -107,7 +106,7 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
     n, every = len(plane), np.ones(len(request.builder.left), dtype=np.uint8)
     side = np.full(n, -1 if plane.positioner.handedness == "left" else 1, dtype=np.int8)
     row_of = {name: k for k, name in enumerate(plane.id.tolist())}
-    left, spends = request.builder.left.copy(), request.builder.spends
+    left = request.builder.left.copy()
     found = {row: FixedTile(np.full(n, -1), side, np.zeros(n, dtype=bool)) for row in state.closed}
     for tile, event in state.begun.items():
         visits = read_fits_bytes(state.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[0]
@@ -117,8 +116,7 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
         slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
         slot[own] = field.slot[np.searchsorted(field.row, visits["target_row"])]
         counted[own] = visits["observed"].astype(bool) & (left[slot[own]] > 0)
-        counts = slot[counted]
-        left[counts if spends is None else counts[spends[counts]]] -= 1
+        left[request.builder.spending(slot[counted])] -= 1
         found[tile] = FixedTile(slot, side, counted)
     return found
 

@@ -31,7 +31,8 @@ class JointOptions:
     ----------
     gap : float, optional
         The search ends when, for every priority, the relative difference between the number of visits and its upper
-        bound is at most this value. The visits of a priority are all visits to targets with at least this priority.
+        bound is at most this value. The visits of a priority are all visits to targets with at least this priority. If
+        the targets have cadences, the numbers of complete cadences are compared instead.
     iterations : int, optional
         Largest number of iterations. If this number is 0, visits are only moved between tiles along augmenting paths,
         and the first bounds are computed.
@@ -58,8 +59,8 @@ class JointOptions:
         The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
         requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
     early : bool, optional
-        Whether visits move to earlier passes, among plans with equally many visits, and equal subpriorities if there
-        are any.
+        Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
+        subpriorities if there are any, are compared. This option has no effect with cadences.
 
     Raises
     ------

@@ -28,7 +28,7 @@ class Paths:
         candidate = real[np.argsort(target[real], kind="stable")]
         number = np.bincount(target[real], minlength=len(network.slot))
         cliques, rules = network.matrix[: network.n_cliques].tocsc(), network.rules.tocsc()
-        self._links = kernels.Links(
+        self.links = kernels.Links(
             network.own.astype(np.int64),
             target,
             network.rank.astype(np.int64),
@@ -64,7 +64,7 @@ class Paths:
             Candidate of each positioner in the improved plan.
         """
         network, chosen = self.network, chosen.astype(np.int64)
-        self._links.room[:] = limits - network.sums(chosen)
+        self.links.room[:] = limits - network.sums(chosen)
         used = np.bincount(chosen, minlength=len(network.target))
         load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
         target = network.target[chosen]
@@ -76,6 +76,6 @@ class Paths:
                     gained, number = 1, 0
                     while gained and number < PASSES and not is_over():
                         order = rng.permutation(mine[left[mine] > 0])
-                        gained = kernels.find_paths(order, level, replace, depth, self._links, chosen, load, left)
+                        gained = kernels.find_paths(order, level, replace, depth, self.links, chosen, load, left)
                         number += 1
         return chosen

@@ -156,12 +156,11 @@ def table_of(search: Search, names: list[str]) -> QTable:
         columns = (np.concatenate(values) for values in zip(*of_steps, strict=True))
         for name, values in zip(("n_complete", "bound_complete"), columns, strict=True):
             table[name] = values.astype(np.int64)
-    of_all = np.maximum(search.bounds_of_all, search.visits)
-    more = [{"bound_without_requirements": int(bound)} if len(search.limits) else {} for bound in of_all.tolist()]
-    last = rows[-len(search.levels) :]
-    first = rows[: len(search.levels)]
-    for name in ("n_complete", "bound_complete") if "n_complete" in table.colnames else ():
-        more = [{**other, name: int(value)} for other, value in zip(more, table[name][-len(first) :], strict=True)]
+    n = len(search.levels)
+    first, last, others = rows[:n], rows[-n:], {name: table[name][-n:] for name in table.colnames[6:]}
+    if len(search.limits):
+        others["bound_without_requirements"] = np.maximum(search.bounds_of_all, search.visits)
+    more = [{name: int(values[k]) for name, values in others.items()} for k in range(n)]
     table.meta["summary"] = {
         "n_iterations": search.iteration,
         "levels": [

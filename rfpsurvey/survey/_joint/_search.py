@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._kernels.paths import TOLERANCE
 from rfpsurvey.allocation import RowPrices, solve_weighted
 from rfpsurvey.errors import InputError
 from rfpsurvey.survey._joint._network import Network
@@ -28,8 +29,6 @@ FOR_PRICES = 0.15
 # Goals after the visits: number of divisions into patches for each goal, weight of a goal relative to the preceding
 # goal, error of the sum of the goals, and fraction of the time limit that remains for them.
 N_LAST, LESS, PRECISION_OF_GOALS, FOR_GOALS = 2, 0.1, 0.01, 0.15
-# Rounding error of the sums of rules.
-TOLERANCE = 1e-6
 # Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
 # Largest number of nodes of the search tree of an integer program: NODES if the program improves a plan, and
@@ -166,7 +165,8 @@ class Search:
         return self.seconds >= self._limit
 
     @property
-    def _limit(self):
+    def _limit(self) -> float:
+        """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
         return self.options.seconds * (1.0 - self._reserved)
 
     def _out_of_time_for_prices(self) -> bool:

@@ -26,6 +26,8 @@ class TilePlan(NamedTuple):
     """
     side: np.ndarray
     """Handedness of each positioner: +1 is right, -1 is left."""
+    blank_mm: np.ndarray | None = None
+    """Position of the blank sky that each positioner of an observed tile observes (see `FixedTile`)."""
 
 
 def _plan(job: Job):
@@ -49,36 +51,22 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    left, plans = request.builder.left.copy(), [None] * len(request.tiling)
-    done, spends = 0, request.builder.spends
-
-    def spend(slot):
-        slot = slot[slot >= 0]
-        left[slot if spends is None else slot[spends[slot]]] -= 1
-
+    state, plans, done = request.open_state(), [None] * len(request.tiling), 0
     for tile, observed in fixed.items():
-        slot = np.where(observed.counted, observed.slot, -1)
-        spend(slot)
-        plans[tile] = TilePlan(slot, observed.side)
+        state.left[request.builder.spending(observed.slot[observed.counted])] -= 1
+        plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
         done += 1
-    state = None if request.cadences is None else request.open_state()
     for round_ in request.rounds:
         tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
-        if state is None:
-            jobs = [request.job(tile, left, as_file=False) for tile in tiles.tolist()]
-        else:
-            jobs = [state.open_job(request, tile, as_file=False) for tile in tiles.tolist()]
+        jobs = [state.open_job(request, tile, as_file=False) for tile in tiles.tolist()]
         for tile, job, (target, side) in zip(
             tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
             n = len(job.field.slot)
             inside = np.append(job.field.slot, -1)[np.where(target < n, target, -1)]
             slot = np.where(target >= n, n - 2 - target, inside)
-            if state is None:
-                spend(slot)
-            else:
-                made = slot[slot >= 0]
-                state.enter(job.field, np.zeros(n, dtype=bool), made, np.ones(len(made), dtype=bool), 0, tile)
+            made = np.ones(len(slot), dtype=bool)
+            state.enter(job.field, np.zeros(n, dtype=bool), slot, made, request.number[tile], tile)
             plans[tile] = TilePlan(slot, side)
             done += 1
             tell(done)
@@ -140,7 +128,7 @@ def classes_of(request) -> tuple[np.ndarray, list[str]]:
 
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
     """Return the planned candidate of each positioner, or its idle arm if the planned target is not a candidate."""
-    slot, side = (np.concatenate(column) for column in zip(*plans, strict=True))
+    slot, side = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("slot", "side"))
     own = network.own
     same = np.append(network.slot, -1)[network.target] == slot[own]
     fits = same & (network.side == side[own]) & (network.target >= 0)
@@ -160,8 +148,7 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
     """Return a copy of the job whose allocator returns the given plan."""
-    given = GivenPlan(_rows(job.field.slot, plan.slot), plan.side, getattr(plan, "blank_mm", None))
-    return _with_allocator(request, job, given)
+    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, plan.slot), plan.side, plan.blank_mm))
 
 
 def _with_allocator(request, job: Job, allocator: Callable) -> Job:
@@ -176,7 +163,7 @@ def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Return the index of each slot of ``wanted`` in the array ``slots``; blank sky positions follow, -1 remains -1."""
     order = np.argsort(slots, kind="stable")
     index = order[np.minimum(np.searchsorted(slots[order], wanted), max(len(slots) - 1, 0))] if len(slots) else wanted
-    if (wanted >= 0).any() and not np.isin(wanted[wanted >= 0], slots).all():
+    if not np.isin(wanted[wanted >= 0], slots).all():
         raise RuntimeError("a joint plan must contain only targets of the field of each tile")
     return np.where(wanted >= 0, index, np.where(wanted == -1, -1, len(slots) - 2 - wanted))
 

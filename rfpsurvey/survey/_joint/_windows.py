@@ -45,7 +45,7 @@ class WindowSearch:
         self.chosen = chosen.astype(np.int64)
         self.levels, self.iteration, self.steps = levels_of(network.n_classes), 0, []
         self.limits = np.maximum(network.rule_most, network.sums(chosen))
-        self._begin, self._links = perf_counter(), Paths(network)._links
+        self._begin, self._links = perf_counter(), Paths(network).links
         self._dates, place_of, self._time_of = _dates_of(network, request)
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
@@ -82,16 +82,12 @@ class WindowSearch:
             part = slice(network.first[tile], network.first[tile + 1])
             slot = slots[part][counted[part]]
             windows.enter(slot[windows.state(slot, tile)[0]], tile)
-        epochs = windows.n_epochs[np.maximum(network.slot, 0)]
-        found = [_visits_of(windows, slot, n) for slot, n in zip(network.slot, epochs, strict=True)]
-        done = np.array(found, dtype=np.int64).reshape(-1, 2)
-        done[network.rank_of_target == network.n_classes] = 0
-        return done
+        counts = np.concatenate([windows.counts(), np.zeros((1, 2), dtype=np.int64)])
+        return counts[np.where(network.rank_of_target < network.n_classes, network.slot, -1)]
 
     def begin(self) -> None:
         """Improve the first plan, and compute the bounds."""
-        for k in range(len(self.levels)):  # the first bounds are those without limits of fibers
-            self.bounds_complete[k], self.bounds[k] = (self._without_limits(k, *one) for one in (WHOLE, VISIT))
+        self.bounds_complete, self.bounds = (self._without_limits(*one) for one in (WHOLE, VISIT))
         self.bounds_of_all = self.bounds.copy()
         self._record()
         self._improve(1)
@@ -153,22 +149,24 @@ class WindowSearch:
         self.bounds_of_all[k] = self._bound(k, *VISIT, visits, [], FOR_PRICES) if rules else self.bounds[k]
 
     def _minima(self) -> list:
-        """Return the candidates and the smallest number of requirements on sky fibers and standards.
+        """Return the candidates, their cliques and the smallest number of requirements on sky fibers and standards.
 
         The requirements share no candidates.
         """
         network, taken, found = self.network, np.zeros(len(self.network.target), dtype=bool), []
+        cliques = network.matrix[: network.n_cliques].tocsc()
         for row in np.flatnonzero(network.is_count & (self.limits < 0)).tolist():
             part = network.rules[[row]]
             members = part.indices[part.data < 0]
             is_sky = (network.rank[members] >= network.n_classes).all()  # the prices of science fibers count elsewhere
             if len(members) and is_sky and not taken[members].any():
                 taken[members] = True
-                found.append((np.sort(members), int(-self.limits[row])))
+                members = np.sort(members)
+                found.append((members, cliques[:, members], int(-self.limits[row])))
         return found
 
-    def _without_limits(self, level: int, per_visit: float, per_whole: float) -> float:
-        """Return the largest sum of the values of all targets of a level if every tile observes all targets in reach.
+    def _without_limits(self, per_visit: float, per_whole: float) -> np.ndarray:
+        """Return the largest sum of the values of the targets of each level if tiles observe all targets in reach.
 
         The parameters are those of `_bound`.
         """
@@ -178,11 +176,11 @@ class WindowSearch:
         places = np.unique(target.astype(np.int64) * n_tiles + tile)
         dates = self._dates._replace(p_indptr=_starts(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
         work, picked = _work_for(dates)
-        active = (network.rank_of_target <= self.levels[level]).astype(float)
-        total, cost = 0.0, np.zeros(len(places))
-        for t in np.flatnonzero(active).tolist():
-            total += kernels.best_sequence(t, cost, per_visit, per_whole, dates, work, picked)[0]
-        return total
+        by_class, cost = np.zeros(network.n_classes + 1), np.zeros(len(places))
+        for t in np.flatnonzero(np.diff(dates.p_indptr)).tolist():
+            value = kernels.best_sequence(t, cost, per_visit, per_whole, dates, work, picked)[0]
+            by_class[network.rank_of_target[t]] += value
+        return np.cumsum(by_class)[self.levels]
 
     def _bound(self, level: int, per_visit: float, per_whole: float, value: int, rules: list, limit: float) -> float:
         """Return an upper bound of the sum of the values of all targets of a level, by adjusting prices.
@@ -196,7 +194,7 @@ class WindowSearch:
         value : int
             Value of the present plan.
         rules : list
-            Candidates and smallest number of each requirement.
+            Candidates, cliques and smallest number of each requirement (`_minima`).
         limit : float
             Fraction of the time limit after which the adjustment ends.
         """
@@ -204,18 +202,17 @@ class WindowSearch:
         active = (network.rank_of_target <= self.levels[level]).astype(float)
         price, own = np.zeros(n), np.zeros(len(network.start) - 1)
         best, step, late = np.inf, 1.0, 0
-        cliques = network.matrix[:n]
+        given = per_visit * active, per_whole * active, links, self._dates, self._work, self._picked, self._cost
         for _ in range(N_STEPS):
             usage, own_usage = np.zeros(n), np.zeros(len(own))
-            args = price, own, per_visit * active, per_whole * active, links, self._dates, self._work, self._picked
-            total = kernels.use_prices(*args, self._cost, usage, own_usage) + price.sum() + own.sum()
-            for members, number in rules:
-                costs = own[network.own[members]] + cliques[:, members].T @ price
+            total = kernels.use_prices(price, own, *given, usage, own_usage) + price.sum() + own.sum()
+            for members, cliques, number in rules:
+                costs = own[network.own[members]] + cliques.T @ price
                 order = np.argsort(costs, kind="stable")
                 order = order[np.sort(np.unique(network.own[members][order], return_index=True)[1])][:number]
                 total -= costs[order].sum()
                 own_usage[network.own[members][order]] += 1.0
-                usage += cliques[:, members[order]].sum(axis=1)
+                usage += cliques[:, order].sum(axis=1)
             late = 0 if total < best else late + 1
             best = min(best, total)
             if late >= LATE:
@@ -232,12 +229,6 @@ class WindowSearch:
         return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + own.sum())))
 
 
-def _visits_of(windows, slot: int, n: int) -> tuple[int, int]:
-    """Return whether a target has completed all epochs, and the number of visits of its first n epochs."""
-    numbers = windows.exposures(slot) if slot >= 0 else np.empty(0)
-    return int(n == len(numbers) > 0), int(numbers[:n].sum())
-
-
 def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
     """Return the cadences and times for the kernels, the place of each candidate, and the time rank of each tile.
 
@@ -249,6 +240,7 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     time_of[in_time] = np.arange(len(in_time))
     n_tiles, n_targets = len(in_time), len(network.slot)
     epochs = cadences.epochs
+    low, high, n_exp, limit = np.concatenate(epochs, axis=1)
     real = np.flatnonzero(network.rank < network.n_classes)
     tile = np.repeat(time_of, np.diff(network.first))[network.own[real]]
     key = network.target[real].astype(np.int64) * n_tiles + tile
@@ -259,13 +251,13 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     own = request.source.to_slots(row)
     cadence = np.where(network.slot >= 0, own[np.maximum(network.slot, 0)], -1)
     cliques = network.matrix[: network.n_cliques]
-
     dates = kernels.Dates(
         np.where(cadence < 0, len(epochs) - 1, cadence),
         np.concatenate([[0], np.cumsum([one.shape[1] for one in epochs])]),
-        *(np.ascontiguousarray(values) for values in np.concatenate(epochs, axis=1)[:2]),
-        np.concatenate(epochs, axis=1)[2].astype(np.int64),
-        np.ascontiguousarray(np.concatenate(epochs, axis=1)[3]),
+        low,
+        high,
+        n_exp.astype(np.int64),
+        limit,
         _starts(places // n_tiles, n_targets),
         places % n_tiles,
         _starts(place.reshape(-1), len(places)),

@@ -112,7 +112,7 @@ def plan_together(scene: Scene, seconds: float, *, allocator: str) -> tuple[Tabl
     """
     t = scene.targets
     if not scene.n_tiles or scene.settings["requirements"] or set(t["fiber_type"]) != {""}:
-        raise NotImplementedError("a joint plan needs several tiles, without requirements and fiber types")
+        raise NotImplementedError("a joint plan needs several tiles; requirements and fiber types are not translated")
     instrument = replace(rs.Instrument.preset(scene.settings["preset"]), focal_plane=focal_plane(scene))
     rows = np.unique(np.asarray(t["id"]), return_index=True)[1]
     catalog = Table({"id": t["id"][rows], "ra": t["ra"][rows] * u.deg, "dec": t["dec"][rows] * u.deg})
