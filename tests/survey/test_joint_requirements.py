@@ -231,6 +231,14 @@ def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatc
         assert np.array_equal(*kept)
 
 
+def test_sky_fibers_of_fixed_tiles_are_not_lost(blank):
+    catalog, model, tiles, options = blank
+    one = rs.plan_survey(catalog, model, rs.Tiling(tiles.table[:1]), allocator=options)
+    other = replace(options, sky_separation=60 * u.arcsec)
+    with pytest.raises(rs.InputError, match="in a fixed tile is not among the added sky positions"):
+        rs.plan_survey(catalog, model, tiles, allocator=rs.JointOptions(iterations=0, allocator=other, fixed=one))
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("need", ["sky=6", "sky=0-6"])
 def test_stuck_fibers_on_sky_count_once(seed, need):

@@ -32,7 +32,8 @@ class JointOptions:
     gap : float, optional
         The search ends when, for every priority, the relative difference between the number of visits and its upper
         bound is at most this value. The visits of a priority are all visits to targets with at least this priority. If
-        the targets have cadences, the numbers of complete cadences are compared instead.
+        the targets have cadences, the numbers of complete cadences are compared instead, and the number of visits must
+        be equal to its bound.
     iterations : int, optional
         Largest number of iterations. If this number is 0, visits are only moved between tiles along augmenting paths,
         and the first bounds are computed.
