@@ -231,6 +231,19 @@ def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatc
         assert np.array_equal(*kept)
 
 
+def test_subpriorities_and_added_sky_positions_from_partitions(blank, tmp_path):
+    """Regression: the subpriorities were also looked up for added sky positions, with an IndexError."""
+    catalog, model, tiles, options = blank
+    catalog = rs.Catalog(catalog.coord[::4], id=np.arange(len(catalog))[::4])
+    options = replace(options, requirements="sky=20", subpriority=3, required=[4, 8])
+    joint = rs.JointOptions(iterations=1, allocator=options)
+    parts = rs.catalog.partition_catalog(catalog, tmp_path / "parts")
+    surveys = [rs.plan_survey(one, model, tiles, allocator=joint) for one in (catalog, parts)]
+    assert surveys[0].summary["joint"] == surveys[1].summary["joint"]
+    assert surveys[0].summary["joint"]["levels"][0]["priority"] == "required"
+    assert surveys[0].tiles["n_unmet"].tolist() == [0, 0, 0]
+
+
 def test_sky_fibers_of_fixed_tiles_are_not_lost(blank):
     catalog, model, tiles, options = blank
     one = rs.plan_survey(catalog, model, rs.Tiling(tiles.table[:1]), allocator=options)

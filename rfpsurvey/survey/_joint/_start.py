@@ -175,7 +175,8 @@ def goals_of(request, network: Network, subpriority: np.ndarray | None) -> list[
     """
     real, found = network.rank < network.n_classes, []
     if subpriority is not None:
-        value = np.append(subpriority, 0.0)[np.append(network.slot, -1)[network.target]]
+        slot = np.where(real, np.append(network.slot, -1)[network.target], -1)  # blank sky has no subpriority
+        value = np.append(subpriority, 0.0)[slot]
         low, high = value[real].min(initial=np.inf), value[real].max(initial=-np.inf)
         found.append(np.where(real, (value - low) / max(high - low, 1e-300), 0.0))
     if request.joint.early:
