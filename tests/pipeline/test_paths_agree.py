@@ -157,11 +157,8 @@ def check(name, allocator, monkeypatch):
     assert len(observed & science) >= 4
     assert by_tile(catalog, instrument, tiling, asked) == (observed, lost)
     assert by_tiling(catalog, instrument, tiling, asked, monkeypatch) == observed & science
-    if allocator == "optimal" and not {"required", "requirements"} & {*options}:
-        alone = replace(catalog, subpriority=None)  # a joint plan does not use the subpriorities of the catalog
-        if options.get("subpriority") is None:
-            expected = by_tile(alone, instrument, tiling, asked)
-            assert by_survey(catalog, instrument, tiling, rs.JointOptions(allocator=asked)) == expected
+    if allocator == "optimal":
+        assert by_survey(catalog, instrument, tiling, rs.JointOptions(allocator=asked)) == (observed, lost)
     if options.get("subpriority") is None:
         seeded = replace(asked, subpriority=SEED)
         observed, lost = by_tile(catalog, instrument, tiling, seeded)
