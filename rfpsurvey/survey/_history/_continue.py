@@ -21,13 +21,17 @@ def begin(request, bookkeeping: Bookkeeping) -> None:
     own, source = request.state.replayed, request.source
     about = json.dumps([request.instrument.provenance["digest"], request.parameters], default=str, sort_keys=True)
     own.mark_for(hashlib.sha256(about.encode()).hexdigest())
-    unseen = source.to_slots((own.made == 0).astype(np.uint8))
-    for event in own.attempts[own.n_flagged :]:
-        if event.state == OBSERVED:
-            job = request.job(event.row, unseen, as_file=False)
-            covered = reach_of(job).pairs.covered
-            own.flags[job.field.row] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
-    own.n_flagged = len(own.attempts)
+    unseen = (own.made == 0).astype(np.uint8)
+    added = unseen.copy()
+    added[: own.n_searched] = 0
+    for attempts, searched in ((own.attempts[: own.n_flagged], added), (own.attempts[own.n_flagged :], unseen)):
+        left = source.to_slots(searched)
+        for event in attempts if searched.any() else ():
+            if event.state == OBSERVED:
+                job = request.job(event.row, left, as_file=False)
+                covered = reach_of(job).pairs.covered
+                own.flags[job.field.row] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
+    own.n_flagged, own.n_searched = len(own.attempts), len(unseen)
     bookkeeping.flags |= source.to_slots(own.flags)
     bookkeeping.flags[source.to_slots(own.made) > 0] |= DONE
 

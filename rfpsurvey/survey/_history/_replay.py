@@ -109,8 +109,9 @@ class Replay:
         Flags of `Bookkeeping`.
     attempts : list of TileEvent
         The observations.
-    n_flagged : int
-        Number of observations whose targets in reach are marked in ``flags``.
+    n_flagged, n_searched : int
+        The targets in reach of the first ``n_flagged`` observations are marked in ``flags``, as far as they are among
+        the first ``n_searched`` targets.
     marked_for : str
         Digest of the instrument and the options for which they are marked.
     counts : dict
@@ -123,7 +124,7 @@ class Replay:
         self.made, self.failed, self.flags = (np.zeros(n_targets, dtype=np.uint8) for _ in range(3))
         self.last, self.is_good = np.full(n_targets, -1, dtype=np.int32), np.zeros(n_targets, dtype=bool)
         self.attempts: list[TileEvent] = []
-        self.n_flagged, self.marked_for = 0, ""
+        self.n_flagged, self.n_searched, self.marked_for = 0, 0, ""
         self.counts: dict[int, dict[str, int]] = {}
         self.n_good: dict[int, int] = {}
         self.n_failed: dict[int, int] = {}
@@ -131,8 +132,6 @@ class Replay:
     def extend(self, n_targets: int) -> None:
         """Add targets without visits, so that there are ``n_targets`` targets."""
         more = n_targets - len(self.made)
-        if more:  # the new targets can be in the fields of all observed tiles
-            self.n_flagged = 0
         for name, value in {"made": 0, "failed": 0, "flags": 0, "last": -1, "is_good": False}.items():
             values = getattr(self, name)
             setattr(self, name, np.concatenate([values, np.full(more, value, dtype=values.dtype)]))
@@ -141,7 +140,7 @@ class Replay:
         """Remove the marks of targets in fields and in reach if they were made for another instrument or options."""
         if self.marked_for != digest:
             self.flags &= LOST
-            self.n_flagged, self.marked_for = 0, digest
+            self.n_flagged, self.n_searched, self.marked_for = 0, 0, digest
 
     def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
         """Add an observation, and the visits of its plan."""
@@ -175,7 +174,7 @@ class Replay:
         arrays = {
             "keys": np.array([_key(one) for one in self.attempts], dtype="S64"),
             **{name: getattr(self, name) for name in ("made", "failed", "last", "is_good", "flags")},
-            "n_flagged": np.array(self.n_flagged),
+            "n_flagged": np.array([self.n_flagged, self.n_searched]),
             "marked_for": np.array([self.marked_for], dtype="S64"),
             "names": np.array(names, dtype="S24"),
             "rows": np.array(rows, dtype=np.int64),
@@ -248,7 +247,7 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
         **dict.fromkeys(("made", "failed", "flags"), ("u1", n)),
         "last": ("i4", n),
         "is_good": ("?", n),
-        "n_flagged": ("i8", ()),
+        "n_flagged": ("i8", (2,)),
         "marked_for": ("S64", (1,)),
         "names": ("S24", n),
         **dict.fromkeys(("rows", "n_good", "n_failed"), ("i8", n)),
@@ -264,7 +263,7 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
     found = Replay(0)
     for name in ("made", "failed", "flags", "last", "is_good"):
         setattr(found, name, stored[name])
-    found.attempts, found.n_flagged = attempts[: len(keys)], int(stored["n_flagged"])
+    found.attempts, (found.n_flagged, found.n_searched) = attempts[: len(keys)], stored["n_flagged"].tolist()
     found.marked_for = stored["marked_for"].tolist()[0].decode()
     names, rows = [name.decode() for name in stored["names"].tolist()], stored["rows"].tolist()
     for row, counts in zip(rows, stored["counts"].tolist(), strict=True):
