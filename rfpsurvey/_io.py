@@ -48,6 +48,8 @@ __all__ = [
 TEMPORARY_PREFIX = ".rfpsurvey-"
 # Number of bytes of a block of a FITS file, which is also the size of a primary header without data.
 BLOCK = PRIMARY = 2880
+# Values of boolean columns in FITS files.
+TRUE, FALSE = np.frombuffer(b"TF", dtype=np.uint8)
 
 
 def write_table(
@@ -222,16 +224,18 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
         os.replace(own, path)
 
 
-def fits_bytes(rows: np.ndarray, cards: dict, fixed: tuple = ()) -> bytes:
-    """Return the bytes of a FITS file with one table; the same rows and cards give the same bytes.
+def fits_bytes(columns: dict[str, np.ndarray], cards: dict, fixed: tuple = ()) -> bytes:
+    """Return the bytes of a FITS file with one table; the same columns and cards give the same bytes.
 
     This function is fast for thousands of small tables with the same columns, because astropy makes the header only in
     the first call. The header contains the ``fixed`` cards, which are pairs of a name and a value; instead of a value,
     a tuple of a value and a comment is allowed. Each card in ``cards`` replaces the fixed card of the same name, or is
     added if there is none.
     """
-    body = _fits_body(rows, _fits_template(rows.dtype, fixed)[-1])
-    return b"".join([_fits_header(rows.dtype, {"NAXIS2": len(rows), **cards}, fixed), body, bytes(-len(body) % BLOCK)])
+    dtype = np.dtype([(name, column.dtype) for name, column in columns.items()])
+    n_rows = len(next(iter(columns.values())))
+    body = _fits_body(columns, n_rows, _fits_template(dtype, fixed)[-1])
+    return b"".join([_fits_header(dtype, {"NAXIS2": n_rows, **cards}, fixed), body, bytes(-len(body) % BLOCK)])
 
 
 class FitsRows(NamedTuple):
@@ -256,7 +260,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
             disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0
             file.write(_fits_header(dtype, {"NAXIS2": 0}, fixed)[skipped:])
             for rows in parts:
-                n_bytes += file.write(_fits_body(rows, disk))
+                n_bytes += file.write(_fits_body(rows, len(rows), disk))
                 n_rows += len(rows)
             end = file.tell() + file.write(bytes(-n_bytes % BLOCK))
             file.seek(begin)
@@ -278,13 +282,13 @@ def _fits_header(dtype: np.dtype, cards: dict, fixed: tuple) -> bytes:
     return primary + bytes(image) + b" " * (-len(image) % BLOCK)
 
 
-def _fits_body(rows: np.ndarray, disk: np.dtype) -> bytes:
+def _fits_body(columns: np.ndarray | dict, n_rows: int, disk: np.dtype) -> bytes:
     """Return the bytes of the rows of a FITS table, without padding."""
-    body = np.empty(len(rows), disk)
-    for name in rows.dtype.names:
-        column = rows[name]
+    body = np.empty(n_rows, disk)
+    for name in disk.names:
+        column = columns[name]
         try:
-            body[name] = np.where(column, ord("T"), ord("F")) if column.dtype.kind == "b" else column
+            body[name] = np.where(column, TRUE, FALSE) if column.dtype.kind == "b" else column
         except UnicodeEncodeError as error:
             raise InputError(
                 f"FITS files can contain only ASCII text, but the column {name!r} has other characters: {error}"

@@ -125,8 +125,8 @@ def test_cards_are_those_of_astropy(value, comment):
 
 
 def test_parts_of_surveys_are_valid_fits_files():
-    rows = np.rec.fromarrays([np.arange(3), np.array(["a", "bc", "d"]), np.ones(3, dtype=bool)], names="id,name,flag")
-    content = _io.fits_bytes(rows, {"TILE": "t1", "RA": 1.5, "NREACH": (7, "in reach"), "TUNIT1": "deg"})
+    columns = {"id": np.arange(3), "name": np.array(["a", "bc", "d"]), "flag": np.ones(3, dtype=bool)}
+    content = _io.fits_bytes(columns, {"TILE": "t1", "RA": 1.5, "NREACH": (7, "in reach"), "TUNIT1": "deg"})
     with fits.open(io.BytesIO(content)) as units:
         units.verify("exception")
         header, table = units[1].header, units[1].data

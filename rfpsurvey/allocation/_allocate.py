@@ -225,7 +225,8 @@ def assign(
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
-    problem = replace(problem, motion=Motion(problem) if options.motion_law else None)
+    if options.motion_law:
+        problem = replace(problem, motion=Motion(problem))
     ids = ids if ids is None or order is None else ids[order]
     given = cache(partial(from_tile, getattr(options.start, "table", None), problem, ids))
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, given))
@@ -350,7 +351,7 @@ def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dic
     counts = tuple(count_verdicts(problem.groups, problem.counts_of(target_of)))
     checked = {"unmet": tuple(problem.shortfalls(target_of)), "counts": counts}
     tips = np.full((len(plane), 2), np.nan)
-    tips[used] = problem.xy[target_of[used]]
+    tips[used] = problem.xy.take(target_of[used], axis=0)
     fiber = problem.fiber_of(np.arange(len(plane)), target_of)
     types = np.full(len(plane), "", dtype=f"U{max(max(len(t) for t in plane.fiber_types), 1)}")
     types[used] = np.asarray(plane.fiber_types)[fiber[used]]

@@ -3,7 +3,7 @@
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
-from rfpsurvey.collision._find import find_collisions, touching
+from rfpsurvey.collision._find import collisions_of, find_collisions, touching
 from rfpsurvey.collision._methods import METHODS, CollisionMethod, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._motion import LAWS, MotionReport, find_motion, plan_moves
 from rfpsurvey.collision._moves import (
@@ -34,6 +34,7 @@ __all__ = [
     "arms_closer_exactly",
     "check_plane",
     "closer_exactly",
+    "collisions_of",
     "count_collisions",
     "distance_exactly",
     "find_collisions",

@@ -220,7 +220,7 @@ def to_sides(columns, points, handedness):
     if names.shape != (n,):
         raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
     left = names == "left"
-    for name in np.unique(names[~left & (names != "right")]):
+    for name in names[~left & (names != "right")]:
         check_choice(str(name), ("right", "left"), "handedness of an arm")
     return np.where(left, -1.0, 1.0)
 

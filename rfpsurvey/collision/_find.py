@@ -117,17 +117,23 @@ def find_collisions(
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         parked_obstacles = tips.parked_obstacles
     check_switch(parked_obstacles, "parked_obstacles")
-    segments, assigned, parked, poses = _posed_segments(focal_plane, tips, given, parked_obstacles)
-    nothing_can_touch = len(focal_plane.arrays.runs) == 0
+    if isinstance(tips, Arms):
+        check_arms(focal_plane, tips)
+    return collisions_of(focal_plane, *_posed_segments(focal_plane, tips, given, parked_obstacles), chosen, n_points)
+
+
+def collisions_of(plane: FocalPlane, segments, assigned, parked, poses=None, method=METHODS["exact"], n_points=0):
+    """Return the collisions of segments, shape (4, n), of which those without a target or a parked arm are NaN."""
+    n, nothing_can_touch = len(plane), len(plane.arrays.runs) == 0
     first, second, distances, n_borderline = (
-        NOTHING if nothing_can_touch else chosen.function(Configuration(focal_plane, segments, int(n_points), poses))
+        NOTHING if nothing_can_touch else method.function(Configuration(plane, segments, int(n_points), poses))
     )
-    order = np.argsort(first * len(focal_plane) + second)
+    order = np.argsort(first * n + second)
     pairs = np.column_stack([first[order], second[order]])
-    hits, gaps, n_edge = touching(focal_plane, segments, focal_plane.arrays.obstacle_pairs)
+    hits, gaps, n_edge = touching(plane, segments, plane.arrays.obstacle_pairs)
     if n_borderline is not None:
         n_borderline += n_edge
-    colliding = np.zeros(len(focal_plane), dtype=bool)
+    colliding = np.zeros(n, dtype=bool)
     colliding[first] = colliding[second] = colliding[hits[:, 0]] = True
     return CollisionReport(
         pairs, distances[order] << u.mm, hits, gaps << u.mm, colliding, assigned, assigned | parked, n_borderline
@@ -145,8 +151,6 @@ def _posed_segments(plane, tips, given, parked_obstacles):
 
     if isinstance(tips, Arms) or tips is None or given["theta"] is not None or given["phi"] is not None:
         posed = tips if isinstance(tips, Arms) else poses()
-        if posed is tips:
-            check_arms(plane, posed)
         return np.ascontiguousarray(posed.segments.T), posed.assigned, posed.parked, lambda: posed
     columns = to_columns(plane, given["fiber_type"])
     points = to_tips(tips, len(plane))

@@ -210,7 +210,7 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
 
     def using(self, fiber: np.ndarray | None) -> "FocalPlaneArrays":
         """Return the arrays for the case that positioner i uses fiber type number ``fiber[i]`` (None: no change)."""
-        if fiber is None:
+        if fiber is None or np.array_equal(fiber, self.fiber_index):
             return self
         for name in SHARED:
             getattr(self, name)  # computed here, so that the copy does not compute it again

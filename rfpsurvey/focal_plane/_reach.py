@@ -57,10 +57,10 @@ class Reach:
         """Row number of the target of each pair."""
         return locked(np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr)))
 
-    @property
+    @cached_property
     def covered(self) -> np.ndarray:
         """Whether at least one positioner reaches each target."""
-        return np.diff(self.indptr) > 0
+        return locked(np.diff(self.indptr) > 0)
 
     @property
     def matrix(self) -> "scipy.sparse.csr_array":

@@ -1,5 +1,7 @@
 """Methods of `Instrument` that return the projection of a field."""
 
+from functools import cached_property
+
 import astropy.units as u
 from astropy.coordinates import SkyCoord
 
@@ -69,8 +71,12 @@ class Projections:
         InputError
             If the field is not above the horizon.
         """
-        focal_length = self.plate_scale.to_value(u.mm / u.rad)
         basis = field_basis(ra, dec, angle)
         if conditions is None:
-            return FieldProjection(basis, focal_length, self.distortion)
-        return ObservedField(basis, focal_length, self.distortion, conditions, self.field_radius.to_value(u.rad))
+            return FieldProjection(basis, self._focal_length, self.distortion)
+        return ObservedField(basis, self._focal_length, self.distortion, conditions, self.field_radius.to_value(u.rad))
+
+    @cached_property
+    def _focal_length(self) -> float:
+        """Focal length in mm."""
+        return self.plate_scale.to_value(u.mm / u.rad)

@@ -18,7 +18,7 @@ from rfpsurvey.allocation import (
     tie_order,
     to_subpriorities,
 )
-from rfpsurvey.collision import Arms, CollisionReport, find_collisions, find_motion
+from rfpsurvey.collision import Arms, CollisionReport, collisions_of, find_motion
 from rfpsurvey.constraints import Verdict
 from rfpsurvey.focal_plane import FocalPlane, Reach
 from rfpsurvey.instrument import Instrument
@@ -158,7 +158,7 @@ def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> A
 
 def find_all_collisions(plane: FocalPlane, arms: Arms, options: AllocationOptions) -> CollisionReport:
     """Find the collisions of a plan and, if a constraint refers to the motion of the arms, those of the motion."""
-    report, law = find_collisions(plane, arms), options.motion_law
+    report, law = collisions_of(plane, arms.segments.T, arms.assigned, arms.parked), options.motion_law
     if not law:
         return report
     return replace(report, motion=find_motion(plane, arms, law=law, parked_obstacles=options.parked_obstacles))
@@ -211,7 +211,7 @@ def plan_field(
     rows = target[given]
     kind = np.full(len(target), "sky", dtype="U8")
     kind[given] = "science" if targets.columns.kind is None else targets.columns.kind[rows]
-    ids, vectors = targets.id[rows], targets.vectors[rows]
+    ids, vectors = targets.id[rows], targets.vectors.take(rows, axis=0)
     if not given.all():
         found, known = target[~given], (ids, vectors)
         types = None if allocation.target_fiber_type is None else allocation.target_fiber_type[found]
@@ -226,7 +226,7 @@ def plan_field(
     target = np.where(given, target, -1)
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}
-    lon %= 2 * np.pi
+    lon += np.where(lon < 0, 2 * np.pi, 0.0)
     checks = applied.checks(*finished)
     return FieldPlan(
         instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *checks

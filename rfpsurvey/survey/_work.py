@@ -149,16 +149,17 @@ def work(job: Job) -> Done:
         columns["target_id"] = plan.id.astype(model.blank.dtype)
     if instrument.focal_plane.fiber_types != ("",):
         columns["fiber_type"] = plan.allocation.fiber_type[plan.positioner]
+    of_kind = {"science": len(plan.target)}
     if field.targets.columns.kind is not None or model.blank is not None:
         columns["kind"] = plan.kind
+        of_kind = {kind: int((plan.kind == kind).sum()) for kind in KINDS}
     columns.update(plan.carried)
-    visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     report = plan.report
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
         "n_assigned": len(plan.positioner),
-        **{f"n_{kind}": int((plan.kind == kind).sum()) for kind in KINDS},
+        **{f"n_{kind}": of_kind.get(kind, 0) for kind in KINDS},
         LOST: int(colliding.sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
@@ -173,7 +174,11 @@ def work(job: Job) -> Done:
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
     cards.update((card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items())
-    part, visits = (fits_bytes(visits, cards, model.cards(tuple(columns))), None) if job.as_file else (None, visits)
+    part = visits = None
+    if job.as_file:
+        part = fits_bytes(columns, cards, model.cards(tuple(columns)))
+    else:
+        visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
 
 

@@ -416,9 +416,8 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
         "byte": np.arange(4, dtype="u1"),
         **{kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")},
     }
-    rows = np.rec.fromarrays(list(columns.values()), names=list(columns))
     cards = {"TILE": "it is", "RA": 12.5, "SMALL": 1e-300, "N": (-3, "a comment / with a slash"), "YES": True}
-    content = _io.fits_bytes(rows, cards)
+    content = _io.fits_bytes(columns, cards)
     plain = read_plain(content)
     monkeypatch.setattr("rfpsurvey._readers._fits.read_plain", lambda _: None)
     slow = read_fits_bytes(content)
@@ -429,8 +428,8 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
     for other in (
         content[:-1],
         content + bytes(2880),
-        _io.fits_bytes(rows, {"TILE": "it's"}),
-        _io.fits_bytes(rows, {"COMMENT": "a text"}),
+        _io.fits_bytes(columns, {"TILE": "it's"}),
+        _io.fits_bytes(columns, {"COMMENT": "a text"}),
         content.replace(b"TTYPE2  = 'flag    '", b"TTYPE2  = 'name    '"),
         content.replace(b"TFORM3  = 'B       '", b"TFORM3  = 'X       '"),
         content.replace(b"RA      =                 12.5", b"RA      =                  nan"),
