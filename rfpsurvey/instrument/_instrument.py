@@ -3,7 +3,7 @@
 import hashlib
 import os
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from numbers import Number
 from pathlib import Path
 
@@ -319,11 +319,17 @@ def as_instrument(instrument: Instrument | str, time: Time | str | None = None) 
     if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and _is_path(instrument)):
         return Instrument.read(instrument, time=time)
     if isinstance(instrument, str):
-        return Instrument.preset(instrument)
+        return _shipped_instrument(instrument) if instrument in _shipped() else Instrument.preset(instrument)
     if not isinstance(instrument, Instrument):
         text = "instrument must be an Instrument, the name of a preset or the path of a TOML file"
         raise InputTypeError(f"{text}, got {short(instrument)}")
     return instrument
+
+
+@lru_cache(maxsize=4)
+def _shipped_instrument(name: str) -> Instrument:
+    """Return a preset that functions share, so that the arrays of its focal plane are computed only once."""
+    return Instrument.preset(name)
 
 
 def _is_path(text: str) -> bool:

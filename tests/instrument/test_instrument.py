@@ -9,6 +9,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
+from rfpsurvey.instrument import as_instrument
 
 COUNTS = {"lamost": 4000, "sdss_apo": 500, "sdss_lco": 500, "moons": 1001, "desi": 5000, "pfs": 2394}
 TYPES = {"lamost": 2, "sdss_apo": 3, "sdss_lco": 3, "moons": 3, "desi": 2, "pfs": 2}
@@ -268,3 +269,10 @@ def test_copies_for_other_processes_leave_out_what_is_computed():
     assert again.provenance["instrument"] == tile.provenance["instrument"]
     np.testing.assert_array_equal(again.table["target_id"].filled(-1), tile.table["target_id"].filled(-1))
     np.testing.assert_array_equal(again.table["tip_x"].value, tile.table["tip_x"].value)
+
+
+def test_functions_share_the_instruments_that_are_given_by_name():
+    """Regression: each call of `plan_tile` with the name of a preset read the preset and computed its arrays again."""
+    assert as_instrument("moons") is as_instrument("moons")
+    assert rs.Instrument.preset("moons") is not as_instrument("moons")
+    assert rs.Instrument.preset("moons").provenance == as_instrument("moons").provenance
