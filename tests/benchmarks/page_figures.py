@@ -52,6 +52,13 @@ def desi_tile(folder):
     return ["desi.html", "desi_two.html"]
 
 
+def must_tile(folder):
+    must = rs.Instrument.preset("must")
+    sky = rs.synthetic_catalog("uniform", CENTER, must.field_radius, n_targets=100_000, rng=1)
+    rs.write_report(rs.plan_tile(sky, must, CENTER), folder / "must.html", overwrite=True)
+    return ["must.html"]
+
+
 def desi_survey(folder):
     path = Path(os.environ.get("RFPSURVEY_TEST_DATA", "")) / "desi_tiles_main.ecsv.gz"
     if not path.exists():
@@ -62,7 +69,7 @@ def desi_survey(folder):
 
 
 def main(folder):
-    names = desi_tile(folder) + desi_survey(folder)
+    names = desi_tile(folder) + must_tile(folder) + desi_survey(folder)
     with open_browser(ignored="console: Canvas2D") as visit:
         for name in names:
             page = visit(folder / name)
