@@ -139,9 +139,8 @@ class Events:
         except OSError as error:
             raise InputError(f"{self.folder / EVENTS} cannot be written: {error.strerror or error}") from error
         if targets is not None:
-            content = _io.fits_bytes(
-                targets.as_array(), {}, tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
-            )
+            rows, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
+            content = _io.fits_bytes({column: rows[column] for column in targets.colnames}, {}, fixed)
             name = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.fits"
             _io.write_bytes(self.folder / EVENTS / name, content, sync=True)
         about = {
