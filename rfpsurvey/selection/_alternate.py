@@ -12,15 +12,30 @@ import numpy as np
 
 from rfpsurvey.errors import InputError
 from rfpsurvey.selection._state import State
+from rfpsurvey.selection._work import BlockDone
 from rfpsurvey.survey import Request, SurveyState
+
+Observation = tuple[int, tuple[str, ...]]
+"""The generation with whose plan a tile was observed, and the names of the positioners that failed."""
 
 
 class Generation(NamedTuple):
     """The plan of all tiles that had not been observed when some of the events were recorded."""
 
+    number: int
+    """Number of files of events with which the plan was made."""
     request: Request
-    observed: dict[int, np.ndarray]
-    """For the row of each tile that was observed with this plan, the rows of the positioners that failed."""
+    kept: dict[int, Observation]
+    """For the row of each tile that was not planned, because it had been observed, its observation as known then."""
+    observed: dict[int, list[tuple[str, ...]]]
+    """For the row of each tile that was observed with this plan, the positioners that failed, as known at each later
+    plan."""
+
+    def failed(self, row: int) -> list[np.ndarray] | None:
+        """Return the rows of the positioners in ``observed`` for a tile; None if the tile was not observed."""
+        ids = self.request.instrument.focal_plane.id.astype(str)
+        found = self.observed.get(row)
+        return None if found is None else [np.flatnonzero(np.isin(ids, names)) for names in found]
 
     @property
     def rounds(self) -> list[np.ndarray]:
@@ -49,16 +64,23 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
             "selection probabilities of a survey with recorded events need a rule that has only visits, got "
             f"{', '.join(state.rule.record)}"
         )
-    watched: dict[int, dict] = {}
-    for row, n in state.generations().items():
-        watched.setdefault(n, {})[row] = state.kept[row]
-    found = []
-    for n in sorted({*watched, len(state.events.files)}):
-        request = prepare(state.before(n))
-        place = {str(name): k for k, name in enumerate(request.instrument.focal_plane.id.tolist())}
-        failed = {row: [place[name] for name in event.failed or ()] for row, event in watched.get(n, {}).items()}
-        found.append(Generation(request, {row: np.array(one, dtype=np.int64) for row, one in failed.items()}))
-    return found
+    states, kept, observed = {}, {}, {}
+    numbers = [len(state.events.files)]
+    while numbers:
+        n = numbers.pop()
+        if n in states:
+            continue
+        states[n] = state.before(n)
+        # an observation that was corrected or partly made before a plan also determines what this plan observed
+        kept[n] = {
+            row: (earlier, tuple(sorted(states[n].kept[row].failed or ())))
+            for row, earlier in states[n].generations().items()
+        }
+        for row, (earlier, failed) in kept[n].items():
+            known = observed.setdefault(earlier, {}).setdefault(row, [])
+            known += [failed] if failed not in known else []
+            numbers.append(earlier)
+    return [Generation(n, prepare(states[n]), kept[n], observed.get(n, {})) for n in sorted(states)]
 
 
 class History:
@@ -75,24 +97,37 @@ class History:
     def __init__(self, state: SurveyState, n_targets: int, n_realizations: int):
         self._state, self.counts = state, np.zeros((n_realizations, 3), dtype=np.int64)
         self.made = np.zeros((n_targets, n_realizations), dtype=np.uint8)
-        self._visits: dict[int, tuple] = {}
-        self._closed: set[int] = set()
+        self._visits: dict[tuple[int, int], tuple] = {}
+        self._added: dict[int, Observation] = {}
 
-    def keep(self, row: int, targets: np.ndarray, mask: np.ndarray, good: np.ndarray, counts: np.ndarray) -> None:
-        """Keep the visits of an observed tile: the rows of its targets, and masks of planned and of good visits."""
-        self._visits[row] = targets, mask, good, counts
+    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone) -> None:
+        """Keep the visits of a tile that was observed with the plan of a generation; ``targets`` are their rows."""
+        good = dict(zip(generation.observed[row], done.good, strict=True))
+        self._visits[row, generation.number] = targets, done.mask, good, done.counts
 
-    def open_state(self, request: Request) -> State:
-        """Return the state of the targets before a generation is planned."""
-        n = self.made.shape[1]
-        for row in [row for row in self._visits if row in request.state.closed and row not in self._closed]:
-            targets, _, good, counts = self._visits[row]
-            self._closed.add(row)
-            self.counts[:, :2] += counts
-            for r in range(n):
-                own = targets[(good >> np.uint32(r)) & np.uint32(1) > 0]
-                self.made[own, r] += 1
-                self.counts[r, 2] += len(own)
+    def _add(self, row: int, observation: Observation, sign: int) -> None:
+        """Add the visits of an observation; with the sign -1, remove them, because the observation was corrected."""
+        number, failed = observation
+        targets, _, good, counts = self._visits[row, number]
+        self.counts[:, :2] += sign * counts
+        for r in range(self.made.shape[1]):
+            own = targets[(good[failed] >> np.uint32(r)) & np.uint32(1) > 0]
+            self.made[own, r] += np.int8(sign).astype(np.uint8)  # modulo 256
+            self.counts[r, 2] += sign * len(own)
+
+    def open_state(self, generation: Generation) -> tuple[State, np.ndarray]:
+        """Return the state of the targets before a generation is planned, and the remaining visits of observed tiles.
+
+        In the state, the visits of partly observed tiles are already made.
+        """
+        n, request = self.made.shape[1], generation.request
+        done = {row: one for row, one in generation.kept.items() if row in request.state.closed}
+        for row in [*self._added]:
+            if done.get(row) != self._added[row]:
+                self._add(row, self._added.pop(row), -1)
+        for row in {*done} - {*self._added}:
+            self._added[row] = done[row]
+            self._add(row, done[row], 1)
         state, builder = State(request.builder, n), request.builder
         size, to_slots = len(request.source), request.source.to_slots
         for r in range(n):
@@ -101,12 +136,12 @@ class History:
             state.left[:, r] = left if builder.reusable is None else np.where(builder.reusable, np.uint8(1), left)
         slot_of = np.empty(size, dtype=np.int64)
         slot_of[to_slots(np.arange(size))] = np.arange(size)
+        before = state.left.copy()
         for row in request.state.begun:
-            if row in self._visits:
-                targets, mask, _, counts = self._visits[row]
-                state.enter(slot_of[targets], _open(mask, state.left[slot_of[targets]]), counts)
+            targets, mask, _, counts = self._visits[row, generation.kept[row][0]]
+            state.enter(slot_of[targets], _open(mask, state.left[slot_of[targets]]), counts)
         state.is_open = (state.left > 0).any(axis=1).astype(np.uint8)
-        return state
+        return state, before
 
     def masks(self, request: Request, state: State, before: np.ndarray) -> np.ndarray:
         """Return a mask of the realizations that observe each target; ``before`` are the remaining visits before."""
@@ -150,10 +185,8 @@ def plan_history(
     """
     history = History(state, len(generations[-1].request.source), n)
     for generation in generations:
-        request = generation.request
-        now = history.open_state(request)
-        before = now.left.copy()
+        now, before = history.open_state(generation)
         for job, done in plan_rounds(generation, now):
             if job.tile in generation.observed:
-                history.keep(job.tile, job.job.field.row, done.mask, done.good, done.counts)
-    return history.masks(request, now, before), history.counts + now.counts
+                history.keep(job.tile, generation, job.job.field.row, done)
+    return history.masks(generation.request, now, before), history.counts + now.counts

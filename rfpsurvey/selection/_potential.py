@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -187,7 +188,7 @@ class PotentialAssignments:
         return (QTable({name: rows[name] for name in COLUMNS}) for rows in self._rows())
 
     def __len__(self):
-        return len(self.request.tiling)
+        return int((~self._is_dropped).sum())
 
     def __repr__(self):
         points = number_of(len(self.request.source), "point")
@@ -241,13 +242,23 @@ class PotentialAssignments:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
         everything = np.ones(len(request.source), dtype=np.uint8)
-        jobs = (request.job(tile, everything, as_file=False) for tile in range(len(self)))
-        given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in enumerate(jobs))
-        with Progress(self.progress, len(self), "tiles") as tell:
+        tiles = np.flatnonzero(~self._is_dropped).tolist()
+        jobs = (request.job(tile, everything, as_file=False) for tile in tiles)
+        given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in zip(tiles, jobs, strict=True))
+        with Progress(self.progress, len(tiles), "tiles") as tell:
             found = in_order(self.executor, reachable, given, IN_FLIGHT)
-            for tile, (job, (own, target), _) in enumerate(found):
-                yield tile, own, job.field.row[target]
-                tell(tile + 1)
+            for k, (job, (own, target), _) in enumerate(found):
+                yield tiles[k], own, job.field.row[target]
+                tell(k + 1)
+
+    @cached_property
+    def _is_dropped(self) -> np.ndarray:
+        """Whether each tile was dropped from the survey, and is never observed."""
+        names = np.asarray(self.request.tiling.table["tile"])
+        if self.survey is None or "state" not in self.survey.tiles.colnames:
+            return np.zeros(len(names), dtype=bool)
+        table = self.survey.tiles
+        return np.isin(names, np.asarray(table["tile"])[np.asarray(table["state"]) == "dropped"])
 
     def _colliding(self, tile: int) -> np.ndarray:
         """Return the rows of the positioners that lose their target to a collision in a tile."""

@@ -33,12 +33,13 @@ def realization_table(request, seeds: list[int], counts: np.ndarray, *, together
     for name, column in zip(("n_assigned", "n_lost", "n_observed"), counts.T, strict=True):
         table[name] = column
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
+    n_tiles = len(request.tiling) - len(request.dropped)
     table.meta = {
         "summary": {
             "n_realizations": len(seeds),
-            "n_tiles": len(request.tiling),
+            "n_tiles": n_tiles,
             "n_rounds": len(request.rounds),
-            "n_fibers": n_usable * len(request.tiling),
+            "n_fibers": n_usable * n_tiles,
             **({} if request.moved is None else {"epoch": request.moved}),
             "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
         },

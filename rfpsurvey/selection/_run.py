@@ -99,7 +99,8 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
     """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
-    jobs = (request.job(tile, everything, as_file=False) for tile in range(len(request.tiling)))
+    tiles = np.delete(np.arange(len(request.tiling)), request.dropped).tolist()
+    jobs = (request.job(tile, everything, as_file=False) for tile in tiles)
     given = ((job, job, None) for job in jobs)
     for k, (job, found, _) in enumerate(in_order(executor, reach_counts, given, IN_FLIGHT), 1):
         n_tiles[job.field.slot[found > 0]] += 1
@@ -136,7 +137,7 @@ def _plan_generation(generation: Generation, state: State, *, seeds, executor, t
     request = generation.request if together else request_of(generation.request, seeds[0])
     for tiles in generation.rounds:
         jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
-        jobs = (job._replace(failed=generation.observed.get(job.tile)) for job in jobs)
+        jobs = (job._replace(failed=generation.failed(job.tile)) for job in jobs)
         given = ((job, job, None) for job in jobs)
         for job, found, _ in in_order(executor, plan_together if together else plan_alone, given, IN_FLIGHT):
             state.enter(job.job.field.slot, found.mask, found.counts)

@@ -24,8 +24,9 @@ class BlockJob(NamedTuple):
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
     """Seed of each realization."""
-    failed: np.ndarray | None = None
-    """Rows of the positioners that failed when the tile was observed; None if it was not observed."""
+    failed: list[np.ndarray] | None = None
+    """Rows of the positioners that failed when the tile was observed, as known at different times; None if it was not
+    observed."""
 
 
 class BlockDone(NamedTuple):
@@ -35,8 +36,8 @@ class BlockDone(NamedTuple):
     """For each target of the field, a mask whose bit r is 1 if realization r visits the target."""
     counts: np.ndarray
     """For each realization, the number of positioners with a target, and the number of targets lost to a collision."""
-    good: np.ndarray | None = None
-    """A mask as ``mask``, without the visits of positioners that failed; None if the tile was not observed."""
+    good: list[np.ndarray]
+    """Masks as ``mask``, without the visits of the positioners in each element of ``failed``."""
 
 
 def plan_together(given: BlockJob) -> BlockDone:
@@ -47,17 +48,19 @@ def plan_together(given: BlockJob) -> BlockDone:
     mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
     problem = BlockProblem.of(reach, given)
     if len(problem.pairs.owner) == 0:
-        return BlockDone(mask, counts, mask)
+        return BlockDone(mask, counts, [mask] * len(given.failed or ()))
     chosen = np.empty((n, len(plane)), dtype=np.int64)
     RULES[job.model.options.allocator](problem, chosen)
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
         Poses(plane, reach, problem.pairs, job.model.options.parked_obstacles).find_lost(chosen, lost)
     kernels.mark_visits(chosen, lost, problem.pairs.target, mask, counts)
-    good = None
-    if given.failed is not None:
-        good, lost[:, given.failed] = np.zeros_like(mask), True
-        kernels.mark_visits(chosen, lost, problem.pairs.target, good, np.empty_like(counts))
+    good = []
+    for rows in given.failed or ():
+        good.append(np.zeros_like(mask))
+        without = lost.copy()
+        without[:, rows] = True
+        kernels.mark_visits(chosen, without, problem.pairs.target, good[-1], np.empty_like(counts))
     return BlockDone(mask, counts, good)
 
 
@@ -72,11 +75,11 @@ def plan_alone(given: BlockJob) -> BlockDone:
     mask = np.zeros(len(given.left), dtype=np.uint32)
     observed = (done.target >= 0) & done.observed
     mask[done.target[observed]] = 1
-    good = None
-    if given.failed is not None:
-        names = given.job.model.instrument.focal_plane.id[given.failed]
-        good = np.zeros_like(mask)
-        good[done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
+    good = []
+    for rows in given.failed or ():
+        names = given.job.model.instrument.focal_plane.id[rows]
+        good.append(np.zeros_like(mask))
+        good[-1][done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
     return BlockDone(mask, np.array([[len(done.observed), np.count_nonzero(~done.observed)]]), good)
 
 

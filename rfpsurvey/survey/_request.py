@@ -107,6 +107,11 @@ class Request:
         in_time = np.argsort(self.days, kind="stable")
         return [in_time[rows] for rows in make_rounds(self.tiling.vectors[in_time], reach, self.number, "given")]
 
+    @property
+    def dropped(self) -> list[int]:
+        """Rows of the tiles that were dropped, and are never observed."""
+        return [] if self.state is None else [row for row, event in self.state.closed.items() if event is None]
+
     @cached_property
     def days(self) -> np.ndarray:
         """Time of each tile (MJD), for cadences."""

@@ -30,13 +30,19 @@ def observe(survey, tile, date, failed=(), fraction=1.0):
         survey.record(Table({"tile": [tile] * len(used), "date": [date] * len(used), "positioner": sorted(used)}))
 
 
-def live(stars, folder, options, seed, failed):
-    """Plan a survey, record three nights, plan the rest after each night, and return the last plan and its state."""
+def plan_in(folder, stars, options, seed):
+    """Return a function that plans a survey or, given the survey, plans its rest."""
 
     def plan(survey=None):
         state = {} if survey is None else {"visits": survey.state(stars), "resume": True}
         return rs.plan_survey(stars, INSTRUMENT, TILES, allocator=options, folder=folder, rng=seed, **state)
 
+    return plan
+
+
+def live(stars, folder, options, seed, failed):
+    """Plan a survey, record three nights, plan the rest after each night, and return the last plan and its state."""
+    plan = plan_in(folder, stars, options, seed)
     survey = plan()
     observe(survey, 1, "2026-01-03", failed[1])
     observe(survey, 4, "2026-01-03", fraction=0.5)
@@ -48,6 +54,47 @@ def live(stars, folder, options, seed, failed):
     survey = plan(survey)
     observe(survey, 4, "2026-01-05", failed[4])
     return plan(survey), survey.state(stars)
+
+
+def live_and_correct(stars, folder, options, seed, failed):
+    """Plan a survey whose observations are completed and corrected after the rest was planned."""
+    plan = plan_in(folder, stars, options, seed)
+    survey = plan()
+    observe(survey, 1, "2026-01-03")
+    observe(survey, 4, "2026-01-03", fraction=0.5)
+    survey = plan(survey)
+    observe(survey, 0, "2026-01-04")
+    observe(survey, 1, "2026-01-03", failed[1])  # the failures are reported late
+    survey = plan(survey)
+    survey.record(Table({"tile": [0, 3], "date": ["2026-01-04", ""], "state": ["bad", "dropped"]}))
+    survey = plan(survey)
+    observe(survey, 2, "2026-01-05")
+    return plan(survey), survey.state(stars)
+
+
+@pytest.mark.filterwarnings("ignore:rng has no effect")
+@pytest.mark.parametrize("allocator", ["nearest", "repair"])
+def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars, tmp_path, allocator):
+    """Regression: realizations omitted partly observed tiles, plans after which an observation was corrected, and the
+    order in which failures were reported."""
+    names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
+    options = rs.AllocationOptions(allocator)
+    survey, state = live_and_correct(stars, tmp_path / "survey", options, 0, {1: names[::3]})
+    failed = {row: list(event.failed) for row, event in state.kept.items()}
+    assert len(failed[1]) > 20
+    assert len(state.begun) == 1
+    found = rs.selection_probabilities(state, INSTRUMENT, TILES, 2, allocator=allocator)
+    for r, seed in enumerate(found.realizations["seed"].tolist()):
+        options = rs.AllocationOptions(allocator, subpriority=seed)
+        own, _ = live_and_correct(stars, tmp_path / f"{r}", options, seed, failed)
+        np.testing.assert_array_equal(found.observed_in(r), np.asarray(own.outcomes["observed"]) > 0)
+        assert found.realizations["n_observed"][r] == own.summary["n_visits_observed"]
+    kept = [0, 1, 2, 4]  # the last tile was dropped
+    reached = rs.selection.potential_assignments(stars, INSTRUMENT, TILES, survey=survey)
+    assert len(reached) == found.summary["n_tiles"] == 4
+    alone = rs.selection.potential_assignments(stars, INSTRUMENT, TILES[kept]).n_tiles()
+    np.testing.assert_array_equal(found.table["n_tiles"], alone)
+    assert (reached.n_tiles() <= alone).all()
 
 
 @pytest.mark.filterwarnings("ignore:rng has no effect")
