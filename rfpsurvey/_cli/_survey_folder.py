@@ -31,4 +31,6 @@ def survey_and_state(folder: Path, until: str | None) -> "tuple[rs.Survey, Surve
     survey = rs.Survey.read(folder)
     keys = build(SurveyKeys, values_of(folder))
     model = _app.model_of(keys.instrument) if keys.catalog.path is None else None
-    return survey, state_of(folder, keys, _surveys.targets_of(keys.catalog, model, keys.rng), until)
+    state = state_of(folder, keys, _surveys.targets_of(keys.catalog, model, keys.rng), until)
+    state.check_first()
+    return survey, state

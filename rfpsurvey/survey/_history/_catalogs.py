@@ -1,5 +1,6 @@
 """Catalogs of surveys with recorded events: the columns that rules use, and comparisons of catalogs."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._rule import VisitRule
-from rfpsurvey.survey._source import digest
+from rfpsurvey.survey._source import InMemory, digest
 
 
 def first_visits(
@@ -51,6 +52,13 @@ def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
     if isinstance(catalog, PartitionedCatalog):
         raise InputError(f"{what} must be used with a catalog in memory, got a partitioned catalog")
     return catalog
+
+
+def first_digests(catalog: Catalog | PartitionedCatalog, visits: object, rule: VisitRule) -> Iterator[str]:
+    """Yield the possible entries ``catalog`` of the request of the first plan of a catalog."""
+    for one in (catalog, first_visits(catalog, rule, visits)[0]):
+        own = one.parts.digest() if isinstance(one, PartitionedCatalog) else InMemory(one).digest()
+        yield f"{number_of(len(one), 'target')}, digest {own}"
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:

@@ -1,12 +1,14 @@
 """Columns of tables of observations: their names, states, dates and texts."""
 
+import re
+
 import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._units import to_flags, to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, warn
 from rfpsurvey.survey._history._events import BAD, DONE, PARTLY, STATES, to_date
-from rfpsurvey.survey._history._targets import NUMBERS, TEXTS, to_numbers
+from rfpsurvey.survey._history._targets import IDS, NUMBERS, TEXTS, to_numbers
 
 ROLES = {
     "tile": ("tile", "tileid", "tile_id"),
@@ -36,14 +38,35 @@ SYNONYMS = {
 
 
 def renamed(table: Table, columns: dict[str, str]) -> Table:
-    """Return a table whose columns with the given names, by role, have the names of their roles."""
+    """Return a table whose columns with the given names, by role, have the names of their roles.
+
+    The name of the column of priorities can begin with ``-``, as for catalogs, if small numbers have precedence.
+    """
     for role, name in columns.items():
         check_choice(role, (*ROLES, "visits", "dropped", *NUMBERS, *TEXTS), "role of a column")
-        if name not in table.colnames:
+        if name.removeprefix("-" if role == "priority" else "") not in table.colnames:
             raise InputError(f"columns must name columns of the table ({listed(table.colnames)}), got {name!r}")
-    others = [name for name in table.colnames if name.lower() not in columns and name not in columns.values()]
-    named = {role: table[name] for role, name in columns.items()}
+    names = {role: name if name in table.colnames else name[1:] for role, name in columns.items()}
+    others = [name for name in table.colnames if name.lower() not in columns and name not in names.values()]
+    named = {role: table[name] for role, name in names.items()}
+    if names.get("priority") != columns.get("priority"):  # a sign before the name reverses the order of priorities
+        named["priority"] = -to_numbers(named["priority"], "priority")
     return Table({**named, **{name: table[name] for name in others}}, copy=False) if columns else table
+
+
+def columns_of_catalog(table: Table, record: str) -> dict[str, str]:
+    """Return the columns of a table of targets, by role, that have the names of the columns of the catalog.
+
+    ``record`` is the entry ``columns`` of the provenance of the catalog. Positions, which can have other units, and
+    roles whose own names the table has are omitted.
+    """
+    lower, found = {name.lower() for name in table.colnames}, {}
+    for role, name, sign in re.findall(r"(\w+): (.+?)( \(reversed sign\))?(?:, |$)", record):
+        own = IDS if role == "id" else (role,)
+        is_used = role in ("id", "priority", "subpriority", "visits", *TEXTS) and name in table.colnames
+        if is_used and not {*own} & lower:
+            found[own[0]] = f"-{name}" if sign else name
+    return found
 
 
 def roles_of(table: Table) -> dict[str, str]:

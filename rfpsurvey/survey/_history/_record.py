@@ -16,7 +16,14 @@ from rfpsurvey._units import to_labels
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import MOST_WHOLE, InputError, short, warn
 from rfpsurvey.survey._folder import TABLES, part_name
-from rfpsurvey.survey._history._columns import columns_of, groups_of, renamed, roles_of, warn_of_others
+from rfpsurvey.survey._history._columns import (
+    columns_of,
+    columns_of_catalog,
+    groups_of,
+    renamed,
+    roles_of,
+    warn_of_others,
+)
 from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
 from rfpsurvey.survey._history._events import (
     ADDED,
@@ -67,6 +74,7 @@ def record(
         history = _History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
+            table = renamed(table, columns_of_catalog(table, survey.provenance["catalog"].get("columns", "")))
             changes, n_known = target_changes(table, events, survey)
         else:
             tiles, n_known, n_ignored = _tile_events(table, roles, history, enough, tile)
@@ -309,13 +317,19 @@ def _failures(columns: dict, rows: list[int], event: TileEvent, history: _Histor
     ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
     ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
     positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
+    pairs = {*zip(ids["positioner"], ids["target"], strict=True)}
     for k in rows:
         what = "positioner" if columns["positioner"] and columns["positioner"][k] else "target"
         name = columns[what][k]
         if name not in positioner_of[what]:
             raise InputError(f"{what} must be a {what} of tile {event.tile} with a visit, got {name!r}")
+        if what == "target" and ids["target"].count(name) > 1:
+            raise InputError(
+                f"positioner must be given for target {name} of tile {event.tile}, because "
+                f"{ids['target'].count(name)} targets of this tile have this identifier, got only the target"
+            )
         other = columns["target"][k] if what == "positioner" and columns["target"] else ""
-        if other and positioner_of["target"].get(other) != name:
+        if other and (name, other) not in pairs:
             raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
         if columns["good"] is None or not columns["good"][k]:
             failed[positioner_of[what][name]] = columns["reason"][k]

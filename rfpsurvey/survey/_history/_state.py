@@ -12,7 +12,7 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same
+from rfpsurvey.survey._history._catalogs import columns_of, digest_of, first_digests, in_memory, is_same
 from rfpsurvey.survey._history._events import (
     DONE,
     DROPPED,
@@ -36,6 +36,7 @@ STATE = {
     "observed": "number of successful visits",
     "failed": "number of failed visits",
     "left": "number of remaining visits",
+    "kind": "kind of the target: science, standard or sky",
     "priority": "priority that the rule determines",
     "last": "result of the last visit",
     "last_tile": "tile of the last visit",
@@ -149,10 +150,12 @@ class SurveyState:
         states, (catalog, visits) = TileStates(events.of_tiles(until)), given
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
+            usual = 1 if visits is None or np.ndim(visits) else int(visits)
             if visits is not None:  # recorded numbers of visits replace these numbers
                 catalog = replace(in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
                 visits = None
-            catalog, dropped = apply_changes(in_memory(catalog, "events of targets"), events.target_tables, until)
+            catalog = in_memory(catalog, "events of targets")
+            catalog, dropped = apply_changes(catalog, events.target_tables, until, usual)
         columns = columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
         made = replayed.made if columns["kind"] is None else replayed.made * (columns["kind"] == "science")
@@ -270,6 +273,26 @@ class SurveyState:
                 f"with {number_of(len(given), 'target')}"
             )
 
+    def check_first(self) -> None:
+        """Raise an error if the catalog of this state is not that of the first plan.
+
+        Raises
+        ------
+        InputError
+            If the catalog is another catalog.
+        """
+        request = read_request(self.folder)
+        recorded = request.get("first", request).get("catalog")
+        if "first" in request:
+            found = self.digest
+        else:
+            found = next((one for one in first_digests(*self.given, self.rule) if one == recorded), "another catalog")
+        if recorded is not None and found != recorded:
+            raise InputError(
+                f"the catalog must be that of the first plan, with {recorded}, got {found}; to add or change targets, "
+                "record a table of targets"
+            )
+
     @property
     def record(self) -> dict:
         """The state as text and numbers, as it is written to files."""
@@ -292,19 +315,29 @@ class SurveyState:
             "n_visits_failed": int(self.failed.sum()),
         }
 
+    @cached_property
+    def _is_science(self) -> np.ndarray:
+        """Whether each target is a science target."""
+        kind = columns_of(self.catalog, None)["kind"]
+        return np.ones(len(self), dtype=bool) if kind is None else kind == "science"
+
     @property
     def table(self) -> QTable:
         """Table with a row for each target, in the order of the catalog.
 
-        Columns: ``target_id``, ``requested``, ``observed``, ``failed``, ``left``, ``priority`` if the catalog has
-        priorities, ``last`` (``good``, ``bad`` or ``none``), ``last_tile`` and ``last_date``.
+        Columns: ``target_id``, ``requested``, ``observed``, ``failed``, ``left``, ``kind`` and ``priority`` if the
+        catalog has them, ``last`` (``good``, ``bad`` or ``none``), ``last_tile`` and ``last_date``. No visits of
+        standards and sky positions are requested.
         """
         own, n = self.replayed, len(self.observed)
         catalog = self.catalog if isinstance(self.catalog, Catalog) else None
         ids = self.catalog.parts.column("id") if catalog is None else catalog.id
         table = QTable({"target_id": ids}, copy=False)
         for name in ("requested", "observed", "failed", "left"):
-            table[name] = getattr(self, name)
+            table[name] = np.where(self._is_science, getattr(self, name), np.uint8(0))
+        kind = columns_of(self.catalog, None)["kind"]
+        if kind is not None:
+            table["kind"] = kind
         if catalog is not None and catalog.priority is not None:
             table["priority"] = catalog.priority
         table["last"] = np.array(LAST)[_last_of(own)]
@@ -373,7 +406,7 @@ class SurveyState:
         s = self.summary
         return (
             f"<SurveyState of {number_of(len(self), 'target')}: {number_of(s['n_tiles_observed'], 'tile')} observed, "
-            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left.sum())} left>"
+            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[self._is_science].sum())} left>"
         )
 
 

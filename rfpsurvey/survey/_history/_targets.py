@@ -57,6 +57,10 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
+    dates = [lower[one] for one in ("date", "night") if one in lower]
+    used = {name, *dates, *(lower[one] for one in known if one in lower)}
+    if {*table.colnames} - used:
+        warn(f"columns that are not used: {listed(one for one in table.colnames if one not in used)}")
     ids, table = values, table[first]  # events do not depend on the order of rows
     if "n_partitions" in survey.provenance["catalog"]:
         raise InputError("targets must be changed only in a survey of a catalog in memory, got a partitioned catalog")
@@ -76,8 +80,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
     changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)
     changes[DROPPED] = _dropped(table, lower)
-    date = next((lower[one] for one in ("date", "night") if one in lower), None)
-    changes["date"] = [""] * len(ids) if date is None else [to_date(one) for one in table[date]]
+    changes["date"] = [to_date(one) for one in table[dates[0]]] if dates else [""] * len(ids)
     check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
     _check_numbers(changes, new, survey, ids)
     known = _known(changes, events)
@@ -106,8 +109,13 @@ def _given(values: np.ndarray) -> np.ndarray:
     return {"f": np.isfinite, "U": lambda texts: texts != ""}.get(values.dtype.kind, lambda codes: codes >= 0)(values)
 
 
-def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str | None = None) -> ChangedTargets:
-    """Return the catalog after the recorded changes up to a date; targets that were added later are dropped."""
+def apply_changes(
+    catalog: Catalog, tables: list[tuple[int, QTable]], until: str | None = None, visits: int = 1
+) -> ChangedTargets:
+    """Return the catalog after the recorded changes up to a date; targets that were added later are dropped.
+
+    ``visits`` is the requested number of visits of added targets for which no number is recorded.
+    """
     first = tables[0][0]
     if len(catalog) != first:
         raise InputError(
@@ -118,7 +126,7 @@ def apply_changes(catalog: Catalog, tables: list[tuple[int, QTable]], until: str
     rows = np.asarray(changes[ROW])
     new = np.flatnonzero(rows >= first)
     new = new[np.unique(rows[new], return_index=True)[1]]  # a target that was added can be changed later
-    catalog = _joined(catalog, changes[new]) if len(new) else catalog
+    catalog = _joined(catalog, changes[new], visits) if len(new) else catalog
     _check_same(catalog, changes, rows)
     late = np.zeros(len(rows), dtype=bool) if until is None else np.asarray(changes["date"]) > until
     dropped, changed = np.zeros(len(catalog), dtype=bool), {}
@@ -266,7 +274,7 @@ def _check_same(catalog: Catalog, table: QTable, rows: np.ndarray) -> None:
             )
 
 
-def _joined(catalog: Catalog, new: QTable) -> Catalog:
+def _joined(catalog: Catalog, new: QTable, visits: int) -> Catalog:
     """Return a catalog with further targets, whose positions refer to the epoch of the catalog."""
     n, icrs, epoch = len(new), catalog.coord.icrs, catalog.epoch
     if epoch is not None and not epoch.isscalar:
@@ -283,6 +291,7 @@ def _joined(catalog: Catalog, new: QTable) -> Catalog:
     columns = {"id": np.concatenate([catalog.id, np.asarray(new[ID])])}
     for name in ("priority", "subpriority", "visits", *TEXTS):
         own, old, default = np.asarray(new[name]), getattr(catalog, name), DEFAULTS.get(name, 0.0)
+        default = np.uint8(visits) if name == "visits" else default
         lacking = own == "" if name in TEXTS else ~(own >= 0) if name == "visits" else ~np.isfinite(own)
         if old is None and (name not in DEFAULTS or lacking.all()):
             continue

@@ -283,6 +283,8 @@ class History(RuleBasedStateMachine):
             wanted = max(own["made"], self.visits[target])
             if target in self.dropped or (retries is not None and own["failed"] > retries):
                 wanted = own["made"]
+            if self.kind[target] != "science":
+                own, wanted = nobody, 0
             assert found == [*(own[name] for name in nobody), wanted, wanted - own["made"]], target
 
     @invariant()

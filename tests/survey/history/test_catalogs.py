@@ -1,0 +1,98 @@
+"""Tables of changes to targets with the columns of a catalog, and catalogs that changed after the first plan."""
+
+import shutil
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+from living import CENTER, events, instrument, targets, tiling
+
+import rfpsurvey as rs
+from rfpsurvey.survey import SurveyState, survey_status
+
+
+@pytest.fixture
+def ranked(tmp_path):
+    """A survey of a catalog whose columns have other names, and whose smallest ranks have precedence."""
+    sky = targets()
+    table = Table({"star": sky.id, "ra": sky.coord.ra, "dec": sky.coord.dec, "rank": -sky.priority, "n": sky.visits})
+    catalog = rs.Catalog.from_table(table, columns={"id": "star", "priority": "-rank", "visits": "n"})
+    folder = tmp_path / "survey"
+    return catalog, rs.plan_survey(catalog, instrument(), tiling(), allocator="nearest", folder=folder)
+
+
+def test_the_columns_of_the_catalog_are_read_in_tables_of_targets(ranked):
+    """Regression: columns with the names of the catalog were ignored, and the sign of priorities could not be given."""
+    catalog, survey = ranked
+    survey.record(events(star=[1003, 5000], rank=[7, -2], n=[1, 5], ra=[np.nan, CENTER.ra.deg], dec=[np.nan, 30.0]))
+    state = survey.state(catalog)
+    rows = {int(target): row for row, target in enumerate(state.table["target_id"])}
+    assert [state.table["priority"][rows[one]] for one in (1003, 5000)] == [-7, 2]
+    assert [state.requested[rows[one]] for one in (1003, 5000)] == [1, 5]
+    survey.record(events(target=1004, k=3), columns={"priority": "-k"})
+    assert survey.state(catalog).table["priority"][rows[1004]] == -3
+    with pytest.warns(rs.RfpsurveyWarning, match="columns that are not used: NUMOBS_MORE"):
+        survey.record(events(target=1005, visits=2, NUMOBS_MORE=3))
+
+
+def test_added_targets_have_the_number_of_visits_of_the_plan(tmp_path):
+    """Regression: one visit of added targets was requested although the survey was planned with another number."""
+    sky = rs.Catalog(targets().coord, id=targets().id)
+    options = {"allocator": "nearest", "folder": tmp_path / "survey", "visits": 3}
+    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey.record(events(target=[5000], ra=CENTER.ra.deg, dec=CENTER.dec.deg))
+    assert survey.state(sky, visits=3).requested[-1] == 3
+
+
+def test_a_target_with_the_identifier_of_another_target(tmp_path):
+    """Regression: the failure of a target with a repeated identifier was recorded for an arbitrary positioner."""
+    points = np.array([[-12.0, 0], [12.0, 0]]) / 200 * u.deg
+    sky = SkyCoord([CENTER.spherical_offsets_by(x, y) for x, y in points])
+    sky = rs.Catalog(SkyCoord(sky.ra, sky.dec), id=[7, 7])
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    with pytest.warns(rs.RfpsurveyWarning):
+        survey = rs.plan_survey(sky, instrument(), CENTER.reshape(1), **options)
+    used = np.asarray(survey.tile(0)["positioner"])
+    assert len(used) == 2
+    with pytest.raises(rs.InputError, match="positioner must be given for target 7 of tile 0, because 2 targets"):
+        survey.record(events(tile=0, target=7, date="2026-01-03"))
+    for one in used:
+        survey.record(events(tile=0, target=7, positioner=one, date="2026-01-03"))
+    assert survey.state(sky).failed.tolist() == [1, 1]
+
+
+def test_the_state_of_standards_and_sky_positions(tmp_path):
+    """Regression: the table of the state contained requested visits of standards and sky positions."""
+    sky = targets(kinds=True)
+    survey = rs.plan_survey(sky, instrument(), tiling(), allocator="nearest", folder=tmp_path / "survey")
+    state = survey.state(sky)
+    status = survey_status(survey, state)
+    for name in ("requested", "left"):
+        assert state.table[name].sum() == status[f"n_{name}"][0]
+    assert {*state.table["kind"][state.table["requested"] > 0].tolist()} == {"science"}
+
+
+@pytest.mark.parametrize("replanned", [False, True])
+def test_a_catalog_that_changed_is_refused(tmp_path, replanned):
+    """Regression: the command status accepted another catalog, with wrong numbers."""
+    sky = targets()
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    if replanned:
+        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
+    SurveyState.read(tmp_path / "survey", sky).check_first()
+    other = rs.Catalog(sky.coord, id=sky.id, priority=-sky.priority, visits=sky.visits)
+    with pytest.raises(rs.InputError, match="must be that of the first plan, with 60 targets, .* record a table"):
+        SurveyState.read(tmp_path / "survey", other).check_first()
+
+
+def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
+    """Regression: tables of the earlier plan without lines in the index were called damaged."""
+    _, survey = ranked
+    shutil.copytree(survey.folder, tmp_path / "copy")
+    index = tmp_path / "copy" / "index.csv"
+    index.write_text("".join(line for line in index.read_text().splitlines(keepends=True) if "tiles.fits" not in line))
+    with pytest.raises(rs.InputError, match="is not finished"):
+        rs.Survey.read(tmp_path / "copy")
