@@ -370,6 +370,7 @@ class AllocationOptions:
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
+        stars = [one.content for one in self.constraints if one.content]
         return {
             "allocator": self.name,
             "requirements": self.requirements if self._of_instrument else [str(one) for one in self.requirements],
@@ -381,6 +382,7 @@ class AllocationOptions:
             "required": recorded([str(name) for name in self.required]),
             "keep_out": recorded([circle_text(region) for region in self.keep_out]),
             **({"constraints": recorded([str(one) for one in self.constraints])} if self.constraints else {}),
+            **({"stars": stars} if stars else {}),
             **({} if self.subpriority is None else {"subpriority": self.subpriority}),
             **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
         }

@@ -125,7 +125,8 @@ def with_sky(
         columns["row"] = np.append(problem.row, np.arange(len(problem.row), len(problem.row) + k))
     if problem.subpriority is not None:
         columns["subpriority"] = np.append(problem.subpriority, np.full(k, problem.subpriority.min(initial=0.0)))
-    if plane.fiber_types != ("",):
+    if plane.fiber_types != ("",):  # any fiber can observe a position without a type: the first one of its positioner
+        wanted = np.where(wanted == "", plane.arrays.first_type[own], wanted)
         columns["fiber_type"] = np.concatenate([problem.fiber_type, wanted])
     return replace(problem, **columns)
 

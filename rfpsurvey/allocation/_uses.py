@@ -9,7 +9,7 @@ from rfpsurvey._units import is_seed_given
 from rfpsurvey.allocation._constraints import abilities_of
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._plugin import find_improving
-from rfpsurvey.constraints import KINDS, ONLY_CHECKED, hint_of_name
+from rfpsurvey.constraints import KINDS, ONLY_CHECKED, Rule, hint_of_name
 from rfpsurvey.errors import listed, warn, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -47,7 +47,7 @@ def warn_of_unused_options(
 
 
 def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
-    """Issue a warning for each requirement for which a catalog has no targets.
+    """Issue a warning for each requirement, and for each rule on a category, for which a catalog has no targets.
 
     Parameters
     ----------
@@ -56,7 +56,9 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     column : callable
         Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
     """
-    asked = {one.what: one for one in options.needs}
+    rules = [one for one in options.all_constraints if isinstance(one, Rule)]
+    rules = [one for one in rules if getattr(one, "what", "") not in ("", *KINDS)]
+    asked = {one.what: one for one in (*rules, *options.needs)}
     if options.sky_separation is not None:
         asked.pop("sky", None)
     asked.pop("science", None)
@@ -70,7 +72,8 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
         hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
         if categories and not hint and what not in KINDS:
             hint = f"the catalog's categories are: {listed(categories, 8)}"
-        text = f"no target of the catalog is {what!r}, but the requirement '{one}' needs such targets"
+        word = "requirement" if one in options.needs else "rule"
+        text = f"no target of the catalog is {what!r}, but the {word} '{one}' needs such targets"
         warn(text + (hint and f"; {hint}"))
 
 

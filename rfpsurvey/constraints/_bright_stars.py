@@ -130,7 +130,7 @@ class BrightStars(StarRule):
         near = cKDTree(field.vectors[targets]).query_ball_point(vectors, 2 * np.sin(np.minimum(radii, np.pi) / 2))
         star = np.repeat(np.arange(len(near)), [len(one) for one in near])
         rows = targets[np.concatenate([*near, []]).astype(int)]
-        found[rows if ids is None else rows[field.id[rows] != ids[star]]] = True
+        found[rows if ids is None else rows[field.is_added[rows] | (field.id[rows] != ids[star])]] = True
         return found
 
     def _lacks(self, field: ConstraintField, what: str) -> str:

@@ -1,6 +1,7 @@
 """The interface of all constraints, and the description of a field that constraints receive."""
 
 import shlex
+from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from hashlib import sha256
@@ -55,6 +56,8 @@ class ConstraintField:
     fiber_type : ndarray of str, optional
         Fiber type that each target requires, or has in a finished plan; empty text if it is not known. By default, it
         is not known.
+    is_added : ndarray of bool, optional
+        Whether each target is a sky position that is not in the catalog; its identifier has no meaning.
     """
 
     instrument: "Instrument"
@@ -70,10 +73,12 @@ class ConstraintField:
     is_complete: bool = True
     has_kinds: bool = True
     fiber_type: np.ndarray | None = None
+    is_added: np.ndarray | None = None
 
     def __post_init__(self):
-        if self.fiber_type is None:
-            object.__setattr__(self, "fiber_type", np.broadcast_to("", len(self.id)))
+        for name, usual in (("fiber_type", ""), ("is_added", False)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.broadcast_to(usual, len(self.id)))
 
     def column(self, name: str) -> np.ndarray:
         """Return a further column of the catalog, such as a magnitude.
@@ -144,6 +149,7 @@ class ConstraintField:
         columns = {name: values_at(getattr(self, name), rows) for name in ("id", "category", "priority")}
         columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
         more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), bool), "kind": np.full(len(xy), "sky")}
+        more["is_added"] = np.ones(len(xy), dtype=bool)
         more["fiber_type"] = np.full(len(xy), "") if fiber_type is None else fiber_type
         columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
         return replace(self, **columns)
@@ -185,6 +191,8 @@ class Constraint:
     """Whether methods use positions of targets on the focal plane or around the field, which are otherwise omitted."""
     before_fibers: ClassVar[bool] = False
     """Whether ``check`` depends on the field only, so that plans state violations before fibers are assigned."""
+    content: str = ""
+    """Text that identifies the content of the file that the constraint reads; a survey is continued only with it."""
     margin_rad: float = 0.0
     """Angle by which ``excluded`` must know targets outside of the field, in radians, from 0 to pi."""
 
@@ -368,6 +376,16 @@ class Constraint:
             ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
         """
         return max((getattr(abilities, part, EXACTLY) for part in self.parts), key=LEVELS.index, default=ONLY_CHECKED)
+
+
+def answer(constraint: Constraint, ask: Callable) -> object:
+    """Return the answer of a method of a constraint; an exception of the constraint becomes an error that names it."""
+    try:
+        return ask()
+    except InputError as error:
+        raise InputError(f"the constraint '{constraint}': {error}") from error
+    except Exception as error:  # constraints of users can raise any exception
+        raise InputError(f"the constraint '{constraint}' failed: {type(error).__name__}: {error}") from error
 
 
 def _text_of(value: object) -> str:

@@ -25,6 +25,10 @@ class Group:
         Whether the fiber of each positioner counts; by default, all fibers count.
     place : str, optional
         Name of the part of the focal plane that ``fibers`` marks, for messages.
+    untyped : ndarray of bool, shape (n_targets,), optional
+        Targets that count only on some positioners, because they require no fiber type.
+    first : ndarray of bool, shape (n_positioners,), optional
+        The positioners on which the targets in ``untyped`` count.
 
     Examples
     --------
@@ -40,6 +44,8 @@ class Group:
     targets: np.ndarray
     fibers: np.ndarray | None = None
     place: str = ""
+    untyped: np.ndarray | None = None
+    first: np.ndarray | None = None
 
     def holds(self, target: np.ndarray, spectrograph: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return whether assignments count toward the requirement.
@@ -60,4 +66,6 @@ class Group:
         """
         inside = np.append(self.targets, False)[target]
         inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
+        if self.untyped is not None:
+            inside &= ~np.append(self.untyped, False)[target] | self.first[own]
         return inside if self.fibers is None else inside & self.fibers[own]

@@ -8,6 +8,7 @@ import numpy as np
 
 from rfpsurvey._units import to_labels
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
+from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords, short
 
 
@@ -110,6 +111,28 @@ class Required(Constraint):
         outside = tuple(name for name, is_there in zip(self.ids, there, strict=True) if not is_there)
         where = "outside the field" if field.is_complete else "without a fiber"
         return [f"required targets {where}: {brief(outside)}"] if outside else []
+
+    def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> Verdict:
+        """Return the verdict on a finished plan, which fails unless all required targets have a fiber.
+
+        Parameters
+        ----------
+        field : ConstraintField
+            The field.
+        has_fiber : ndarray of bool
+            Whether each target of the field has a fiber.
+        n_covering : int
+            Number of arms that cover obstacles of the constraint.
+
+        Returns
+        -------
+        Verdict
+            The verdict, with the number of required targets without a fiber.
+        """
+        observed = are_among(self.ids, field.id[has_fiber & ~field.is_added]).tolist()
+        without = tuple(name for name, is_observed in zip(self.ids, observed, strict=True) if not is_observed)
+        note = f"without a fiber: {brief(without)}" if without else ""
+        return Verdict(str(self), len(without), "no target without a fiber", FAIL if without else PASS, note)
 
 
 def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:

@@ -39,7 +39,8 @@ class Requirement(Constraint):
         Whether the numbers apply to the whole ``tile``, to each ``spectrograph``, or to each value of an integer column
         of the focal plane, such as ``petal`` (``groups`` of `~rfpsurvey.FocalPlane`).
     fiber_type : str, optional
-        Count only targets that require this fiber type.
+        Count only targets that are observed with this fiber type: those that require it, and those that require no
+        fiber type on positioners whose first type it is.
 
     Raises
     ------
@@ -90,14 +91,17 @@ class Requirement(Constraint):
             targets = problem.kind == self.what
         else:
             targets = np.zeros(len(problem.xy), dtype=bool)
+        plane, untyped = problem.focal_plane, {}
         if self.fiber_type:
-            targets = targets & (problem.fiber_type == self.fiber_type)
-        plane = problem.focal_plane
+            first, no_type = plane.arrays.first_type == self.fiber_type, problem.fiber_type == ""
+            targets = targets & ((problem.fiber_type == self.fiber_type) | (no_type & first.any()))
+            untyped = {"untyped": targets & no_type, "first": first} if (targets & no_type).any() else {}
         if self.per in (plane.groups or {}):
             column = plane.groups[self.per]
-            return [Group(self, None, targets, column == k, f"{self.per} {k}") for k in np.unique(column).tolist()]
+            parts = np.unique(column).tolist()
+            return [Group(self, None, targets, column == k, f"{self.per} {k}", **untyped) for k in parts]
         places = [None] if self.per == "tile" else np.unique(plane.spectrograph).tolist()
-        return [Group(self, place, targets) for place in places]
+        return [Group(self, place, targets, **untyped) for place in places]
 
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():

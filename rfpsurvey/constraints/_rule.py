@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import ClassVar
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
@@ -143,6 +144,14 @@ def to_magnitudes(values: np.ndarray, name: str) -> np.ndarray:
         raise InputError(f"the column {name!r} must contain magnitudes, got values of the type {values.dtype.name}")
     with np.errstate(invalid="ignore"):
         return np.where((np.abs(values) < LARGEST) & (values != 0), values.astype(float), np.nan)
+
+
+def check_unit(column: str, unit: str) -> None:
+    """Raise an error if a column of magnitudes has the unit of another quantity; no unit is accepted."""
+    parsed = u.Unit(unit, parse_strict="silent")
+    is_magnitude = parsed == u.mag or isinstance(parsed, u.MagUnit | u.UnrecognizedUnit)
+    if unit and not is_magnitude:
+        raise InputError(f"the column {column!r} must contain magnitudes, got values with the unit {unit}")
 
 
 def check_number(value: object, name: str, low: float = -np.inf, high: float = np.inf) -> None:

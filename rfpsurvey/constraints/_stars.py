@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._plugins import name_of
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import Rule, to_magnitudes
+from rfpsurvey.constraints._rule import Rule, check_unit, to_magnitudes
 from rfpsurvey.errors import InputError, listed, refusal
 
 
@@ -26,6 +26,8 @@ class StarRule(Rule):
         if self.stars is not None and self.column not in self._catalog.arrays.extra:
             known = listed(self._catalog.arrays.extra, 8)
             raise InputError(f"the catalog of stars must have the column {self.column!r}, but its columns are: {known}")
+        if self.stars is not None:
+            check_unit(self.column, self._catalog.arrays.extra_units[self.column])
 
     def __str__(self):
         values = [(getattr(self, one.name), one.default) for one in fields(self)]
@@ -45,6 +47,11 @@ class StarRule(Rule):
         arrays = self._catalog.arrays
         digest = sha256(arrays.vectors.tobytes() + np.asarray(arrays.extra[self.column]).tobytes()).hexdigest()
         return f"{len(self._catalog)} stars, digest {digest[:16]}"
+
+    @property
+    def content(self) -> str:
+        """The number and a digest of the stars of a second catalog; empty text if the stars are targets."""
+        return "" if self.stars is None else self._digest
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -4,13 +4,14 @@ import importlib
 import pkgutil
 from collections.abc import Iterable
 from dataclasses import is_dataclass
+from functools import partial
 from numbers import Number
 from pathlib import Path
 
 import numpy as np
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
-from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._constraint import Constraint, answer
 from rfpsurvey.constraints._requirement import FORM, KINDS, Requirement
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
 
@@ -69,7 +70,7 @@ def _as_constraint(one: object) -> Constraint:
     if isinstance(one, Constraint):
         if not is_dataclass(one) and type(one).__str__ is Constraint.__str__:  # the text consists of the fields
             raise InputTypeError(f"a constraint must be a frozen dataclass, got the class {type(one).__name__}")
-        margin = one.margin_rad
+        margin = answer(one, partial(getattr, one, "margin_rad"))
         if not (isinstance(margin, int | float | np.number) and 0 <= margin <= np.pi):
             raise refusal(f"margin_rad of the constraint '{one}' must be a number from 0 to pi", margin, Number)
         return one

@@ -11,7 +11,7 @@ import numpy as np
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import Arms, CollisionReport, place_arms
-from rfpsurvey.constraints import Constraint, ConstraintField, Rule, Verdict
+from rfpsurvey.constraints import Constraint, ConstraintField, Rule, Verdict, answer
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short
 from rfpsurvey.focal_plane import with_circles
 from rfpsurvey.instrument import Instrument
@@ -81,8 +81,10 @@ class Applied:
                 return one.sentences(verdict(k))
             return sentences_of(one, *plan(k))
 
-        rows = range(len(self.constraints))
-        return {str(self.constraints[k]): violations(k) for k in rows}, lambda: [verdict(k) for k in rows]
+        rows, found = range(len(self.constraints)), {}
+        for k in rows:  # two constraints can have the same text
+            found.setdefault(str(self.constraints[k]), []).extend(violations(k))
+        return found, lambda: [verdict(k) for k in rows]
 
     def _finished(self, report, positioner, fiber_type, target, sky_vectors, sky_xy) -> tuple:
         """Return the field of a finished plan, the positioner of each target, and the numbers of covering arms."""
@@ -166,8 +168,10 @@ def early_violations(
 ) -> dict[str, list[str]]:
     """Return sentences, for the text of each constraint, on violations that no assignment of fibers can prevent."""
     early = [one for one in options.constraints if one.before_fibers]
-    field = constraint_field(instrument, projection, targets) if early else None
-    return {str(one): sentences_of(one, field, np.zeros(len(field.id), dtype=bool), 0) for one in early}
+    field, found = constraint_field(instrument, projection, targets) if early else None, {}
+    for one in early:
+        found.setdefault(str(one), []).extend(sentences_of(one, field, np.zeros(len(field.id), dtype=bool), 0))
+    return found
 
 
 def constraint_field(
@@ -229,13 +233,3 @@ def excluded_by(constraint: Constraint, field: ConstraintField) -> np.ndarray | 
         text = f"the constraint '{constraint}' must return one boolean per target, shape ({len(field.id)},)"
         raise InputError(f"{text}, got {mask.dtype.name} of the shape {mask.shape}")
     return mask
-
-
-def answer(constraint: Constraint, ask: Callable) -> object:
-    """Return the answer of a method of a constraint; an exception of the constraint becomes an error that names it."""
-    try:
-        return ask()
-    except InputError as error:
-        raise InputError(f"the constraint '{constraint}': {error}") from error
-    except Exception as error:  # constraints of users can raise any exception
-        raise InputError(f"the constraint '{constraint}' failed: {type(error).__name__}: {error}") from error

@@ -13,7 +13,7 @@ import numpy as np
 from rfpsurvey._units import to_visits
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex, move_vectors
-from rfpsurvey.constraints import mark_required
+from rfpsurvey.constraints import Rule, check_unit, mark_required
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
 from rfpsurvey.pipeline._field import FieldTargets
@@ -131,6 +131,11 @@ class CatalogTargets:
             around = self._targets(near[~np.isin(near, slot)], years)
         return FieldRows(slot, self.index.order[slot], self._targets(slot, years, others, around))
 
+    @property
+    def units(self) -> dict:
+        """Units of the additional columns (``extra``) of the catalog, by name."""
+        return self.catalog.arrays.extra_units
+
     def _near(self, center, radius_rad: float, years: float, margin_rad: float, left=None) -> np.ndarray:
         """Return the slots of the targets in a circle after a number of years, except those for which ``left`` is 0."""
         slot = self.index.near(center, radius_rad + margin_rad, left)
@@ -216,6 +221,9 @@ class FieldBuilder:
         self.source, self.options, self._instrument = source, options, instrument
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
         self.around_rad = max(margins, default=None)
+        for one in options.all_constraints:
+            if isinstance(one, Rule) and (column := getattr(one, "column", "")) in one.columns:
+                check_unit(column, source.units.get(column, ""))
         marked = mark_required(options.required_ids, source.ids_by_part())
         self.n_required = 0 if marked is None else int(np.count_nonzero(marked))
         self.is_required = None if marked is None else source.to_slots(marked)

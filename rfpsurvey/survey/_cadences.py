@@ -82,9 +82,18 @@ class Cadences:
     @cached_property
     def _epochs(self) -> list[np.ndarray]:
         """The values of ``COLUMNS`` for each epoch, one array per cadence."""
-        found = []
+        found, factors = [], {}
+        for one in {*COLUMNS} & {*self.table.colnames}:
+            unit, wanted = getattr(self.table[one], "unit", None), u.day if one.startswith("delta") else u.one
+            if unit is not None and not unit.is_equivalent(wanted):
+                raise InputError(f"{one} of cadences must have {_UNITS[wanted]}, got {unit}")
+            factors[one] = 1.0 if unit is None else unit.to(wanted)
         for row, name in zip(self.table, self.names, strict=True):
-            values = [_numbers(row[one], f"{one} of cadence {name!r}") for one in COLUMNS if one in row.colnames]
+            values = [
+                factors[one] * _numbers(getattr(row[one], "value", row[one]), f"{one} of cadence {name!r}")
+                for one in COLUMNS
+                if one in row.colnames
+            ]
             if len(values) < len(COLUMNS):
                 values.append(np.full(len(values[0]), np.inf))
             if len({len(one) for one in values}) > 1:
@@ -272,13 +281,15 @@ def brightness_of(cadences: Cadences, tiling: Tiling) -> np.ndarray:
     return _known(tiling.table[name], name)
 
 
+_UNITS = {u.day: "the unit d", u.one: "no unit"}
+
+
 def _known(column, name: str) -> np.ndarray:
     """Return the numbers of a column of tiles; raise an error if a number is missing."""
     if isinstance(column, u.Quantity):
         unit = u.day if name == "mjd" else u.one
         if not column.unit.is_equivalent(unit):
-            wanted = "the unit d" if name == "mjd" else "no unit"
-            raise InputError(f"the {name} of tiles must have {wanted}, got {column.unit}")
+            raise InputError(f"the {name} of tiles must have {_UNITS[unit]}, got {column.unit}")
         column = column.to_value(unit)
     try:
         values = np.ma.filled(np.ma.asarray(column).astype(float), np.nan)

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -13,6 +14,7 @@ from astropy.time import Time
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_lacks, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
+from rfpsurvey.constraints import mark_required
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -210,6 +212,8 @@ def prepare_request(
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested
     asked, joint, order = as_joint(allocator, order)
+    if cadences is not None and (required := mark_required(asked.required_ids, [catalog.id])) is not None:
+        visits = np.where(required, cadences[0].visits(replace(catalog, visits=None)), visits)
     asked.check_for_fields("a survey")
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(

@@ -44,11 +44,6 @@ class InMemory(CatalogTargets):
         columns = (getattr(self.catalog, name) for name in ("id", *PLANNED_COLUMNS))
         return digest(self.index.vectors, self.index.order, *columns, *self.catalog.arrays.extra.values())
 
-    @property
-    def units(self) -> dict:
-        """Units of the additional columns (``extra``) of the catalog, by name."""
-        return self.catalog.arrays.extra_units
-
     def text_columns(self) -> dict:
         """Return the text columns of the catalog that are copied to the visits; the keys are used in error messages."""
         columns = {"category": self.catalog.category, **self.catalog.arrays.extra}

@@ -79,7 +79,8 @@ def read_positions(find: Finder, xy_names: list, who: np.ndarray, n: int, given:
 
 def _catalog(part: Table, columns: dict, units: dict | None) -> tuple[Catalog, np.ndarray]:
     """Return the assigned rows with finite coordinates as a catalog, and the numbers of these rows."""
-    found = read_columns(part, columns, units, "icrs", None, None, assume_units=False)
+    # added sky positions have no priority, which a score does not use
+    found = read_columns(part, columns, units, "icrs", {"priority": 0.0}, None, assume_units=False)
     place = to_direction(found["coord"]).data
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*have no finite coordinates", RfpsurveyWarning)  # `_placed` names the rows

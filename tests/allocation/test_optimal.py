@@ -62,9 +62,9 @@ def judge(plane, xy, options):
             return plane.spectrograph[i]
         return plane.spectrograph[i, plane.fiber_types.index(fibers[t] or first[i])]
 
-    def counts(one, t):
+    def counts(one, i, t):
         named = category[t] == one.what if (category == one.what).any() else kind[t] == one.what
-        return named and one.fiber_type in ("", fibers[t])
+        return named and one.fiber_type in ("", fibers[t] or first[i])
 
     def value(plan):
         pairs = [(i, option[0]) for i, option in enumerate(plan) if option is not None]
@@ -72,7 +72,7 @@ def judge(plane, xy, options):
         for one in options.get("requirements", ()):
             places = [None] if one.per == "tile" else sorted(set(plane.spectrograph.ravel().tolist()))
             for place in places:
-                n = sum(counts(one, t) and place in (None, spectrograph(i, t)) for i, t in pairs)
+                n = sum(counts(one, i, t) and place in (None, spectrograph(i, t)) for i, t in pairs)
                 if one.maximum is not None and n > one.maximum:
                     return None
                 lack += max(one.minimum - n, 0)

@@ -21,7 +21,7 @@ def held(one, plane, pairs, kind, category, fiber, place=None):
         column = plane.spectrograph[i]
         if np.ndim(column):
             column = column[plane.fiber_types.index(fiber[t] or first)]
-        n += group[t] == one.what and one.fiber_type in ("", fiber[t]) and place in (None, column)
+        n += group[t] == one.what and one.fiber_type in ("", fiber[t] or first) and place in (None, column)
     return n
 
 

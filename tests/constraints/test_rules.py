@@ -362,6 +362,7 @@ def test_texts_of_rules_can_be_read():
 
 
 def test_an_unknown_kind_of_magnitude_limits_has_a_hint(sky, small):
-    tile = plan(sky, small, ["magnitude mag 0 30 standards"])
+    with pytest.warns(rs.RfpsurveyWarning, match="no target of the catalog is 'standards', but the rule .*'standard'?"):
+        tile = plan(sky, small, ["magnitude mag 0 30 standards"])
     assert tile.rules["verdict"].tolist() == ["not checkable"]
     assert tile.rules["note"][0] == "no fiber has such a target; did you mean 'standard'?"

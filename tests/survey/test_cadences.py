@@ -316,3 +316,30 @@ def test_surveys_with_cadences_refuse_what_does_not_support_them(tmp_path):
         found = rs.plan_survey(few, instrument(), tiling, visits=Cadences(TABLE), allocator="nearest")
     assert (found.outcomes["requested"][1::2] == 0).all()
     assert (found.outcomes["observed"][1::2] == 0).all()
+
+
+@pytest.mark.parametrize("allocator", ["optimal", "joint"])
+def test_a_required_target_whose_number_of_visits_is_0_has_its_whole_cadence(allocator):
+    """Regression: one visit of such a target was requested; its cadence was complete after one epoch, and joint plans
+    ended with a traceback."""
+    extra = QTable({"cadence": ["x"] * 2})
+    points = CENTER.spherical_offsets_by([-0.06, 0.06] * u.deg, [0, 0] * u.deg)
+    catalog = rs.Catalog(points, id=[1, 2], visits=[1, 0], extra=extra)
+    cadences = Cadences(Table({"cadence": ["x"], "delta_min": ["0 1"], "delta_max": ["0 2"], "n_exp": ["1 1"]}))
+    places = {"ra": [CENTER.ra.deg] * 3 * u.deg, "dec": [CENTER.dec.deg] * 3 * u.deg}
+    tiling = rs.Tiling.from_table(QTable({**places, "mjd": [60000.0, 60001, 60002]}))
+    asked = rs.AllocationOptions("optimal", required=[2])
+    asked = rs.JointOptions(asked) if allocator == "joint" else asked
+    survey = rs.plan_survey(catalog, instrument(), tiling, visits=cadences, allocator=asked)
+    for name in ("requested", "observed", "n_epochs"):
+        assert survey.outcomes[name].tolist() == [2, 2]
+
+
+def test_units_of_times_in_cadences():
+    """Regression: times in hours were used as days."""
+    columns = {"cadence": ["x"], "n_exp": np.array([[1, 1]])}
+    times = {"delta_min": np.array([[0.0, 24.0]]) * u.hour, "delta_max": np.array([[0.0, 48.0]]) * u.hour}
+    assert Cadences(QTable({**columns, **times})).epochs[0][:2].tolist() == [[0, 1], [0, 2]]
+    times["delta_min"] = np.array([[0.0, 24.0]]) * u.mm
+    with pytest.raises(rs.InputError, match="delta_min of cadences must have the unit d, got mm"):
+        Cadences(QTable({**columns, **times}))

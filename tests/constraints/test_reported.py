@@ -1,0 +1,125 @@
+"""Verdicts on plans that disagreed with their fibers, and inputs that were used in another meaning."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+
+import rfpsurvey as rs
+
+CENTER = SkyCoord("6h20m +23d")
+
+
+@pytest.fixture(scope="module")
+def stars():
+    return rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=300, rng=1)
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+@pytest.mark.parametrize("constraints", [["sky=20", "sky@BOSS=-30"], ["sky@BOSS=20-40", "distribution sky 1 95 75"]])
+def test_added_sky_positions_count_toward_the_fiber_type_that_observes_them(stars, constraints, allocator):
+    """Regression: the maximum of a fiber type did not count added sky positions that require no type."""
+    options = rs.AllocationOptions(allocator, constraints=constraints, sky_separation=5 * u.arcsec)
+    tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=options)
+    table = tile.table[tile.table["status"] == "assigned"]
+    for one in (rs.Requirement.parse(text) for text in constraints if "=" in text):
+        fits = (table["kind"] == one.what) & ((table["fiber_type"] == one.fiber_type) | (one.fiber_type == ""))
+        assert one.minimum <= fits.sum() <= (np.inf if one.maximum is None else one.maximum)
+        assert tile.rules["number"][tile.rules["rule"] == str(one)][0] == fits.sum()
+
+
+def test_targets_without_a_fiber_type_count_by_the_fiber_that_observes_them(stars):
+    tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements="science@BOSS=5"))
+    assert tile.rules["number"][0] == tile.summary["n_assigned"]
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "optimal"])
+def test_a_required_target_without_a_fiber_fails(allocator):
+    """Regression: the verdict on required targets was "pass" if they were in the field and had no fiber."""
+    places = SkyCoord([95.0, 95.0] * u.deg, [23.0, 23.0001] * u.deg)
+    plane = rs.FocalPlane([[0, 0]] * u.mm, rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm))
+    alone = rs.Instrument("alone", plane, plate_scale=200 * u.mm / u.deg)
+    options = rs.AllocationOptions(allocator, required=[1, 2])
+    tile = rs.plan_tile(rs.Catalog(places, id=[1, 2]), alone, places[0], allocator=options)
+    assert [tile.rules[name][0] for name in ("number", "verdict")] == [1, "fail"]
+
+
+@pytest.mark.parametrize("name", [-1, 7, "", "star"])
+def test_added_sky_positions_in_the_circle_of_a_star_with_any_identifier(stars, name):
+    """Regression: added sky positions were in the circle of a star with the identifier -1 or an empty identifier."""
+    ids = np.arange(300) + 100 if isinstance(name, int) else np.array([f"s{k}" for k in range(300)])
+    magnitude = np.full(300, 19.0)
+    ids[0], magnitude[0] = name, 8.0
+    sky = rs.Catalog(stars.coord, id=ids, extra=QTable({"g": magnitude}))
+    constraints = ["sky=200", "bright_stars g 8:1500,10:1500"]
+    options = rs.AllocationOptions("repair", constraints=constraints, sky_separation=5 * u.arcsec)
+    tile = rs.plan_tile(sky, "sdss_apo", sky.coord[0], allocator=options)
+    table = tile.table[(tile.table["status"] == "assigned") & (tile.table["kind"] == "sky")]
+    assert len(table) > 20
+    assert (SkyCoord(table["ra"], table["dec"]).separation(sky.coord[0]) > 1500 * u.arcsec).all()
+
+
+def test_a_survey_is_not_resumed_with_other_stars_in_the_file(stars, tmp_path):
+    """Regression: only the path of the stars was recorded."""
+    options = {"folder": tmp_path / "survey", "visits": 1}
+    tiles = SkyCoord([95.0, 95.4] * u.deg, [23.0, 23.0] * u.deg)
+    for k in range(2):
+        near = stars.coord[k::9]
+        table = QTable({"ra": near.ra, "dec": near.dec, "g": np.full(len(near), 8.0)})
+        table.write(tmp_path / "stars.ecsv", overwrite=True)
+        rule = f"bright_stars g 8:30,9:30 '' {tmp_path / 'stars.ecsv'}"
+        asked = rs.AllocationOptions("nearest", constraints=rule)
+        if k:
+            with pytest.raises(rs.InputError, match="stars differs"):
+                rs.plan_survey(stars, "sdss_apo", tiles, allocator=asked, resume=True, **options)
+        else:
+            rs.plan_survey(stars, "sdss_apo", tiles, allocator=asked, **options)
+            rs.plan_survey(stars, "sdss_apo", tiles, allocator=asked, resume=True, **options)
+
+
+def test_constraints_with_the_same_text(stars):
+    """Regression: the violations of one of two constraints with the same text were lost."""
+    sky = rs.Catalog(stars.coord, extra=QTable({"g": np.full(300, 8.0)}))
+    near = rs.Catalog(stars.coord[:3], extra=QTable({"g": np.full(3, 8.0)}))
+
+    def make(radius):
+        return rs.constraints.BrightStars("g", lambda m: np.full(m.shape, radius), stars=near, idle="counted")
+
+    found = []
+    for radii in ((3000.0, 0.0), (0.0, 3000.0)):
+        rules = [make(one) for one in radii]
+        assert len({str(one) for one in rules}) == 1
+        options = rs.AllocationOptions("nearest", constraints=rules)
+        survey = rs.plan_survey(sky, "sdss_apo", CENTER[None], allocator=options)
+        found.append((survey.tiles["n_unmet"][0], [str(one) for one in survey.rules[0]]))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("unit", ["nJy", "mm"])
+def test_a_column_with_another_unit_is_no_magnitude(stars, unit):
+    """Regression: values in nJy were used as magnitudes."""
+    table = QTable({"ra": stars.coord.ra, "dec": stars.coord.dec, "g": np.full(300, 17.0) * u.Unit(unit)})
+    options = rs.AllocationOptions("nearest", constraints="magnitude g 12 18 science")
+    with pytest.raises(rs.InputError, match=f"'g' must contain magnitudes, got values with the unit {unit}"):
+        rs.plan_tile(rs.Catalog.from_table(table, keep=["g"]), "sdss_apo", CENTER, allocator=options)
+    with pytest.raises(rs.InputError, match="must contain magnitudes"):
+        rs.constraints.BrightStars("g", [(8, 60)], stars=rs.Catalog.from_table(table, keep=["g"]))
+    table["g"] = np.full(300, 17.0) * u.mag
+    rs.plan_tile(rs.Catalog.from_table(table, keep=["g"]), "sdss_apo", CENTER, allocator=options)
+
+
+def test_a_radius_that_fails_names_the_constraint():
+    """Regression: the exception of a function for radii was raised without the constraint."""
+    rule = rs.constraints.BrightStars("g", lambda m: 1 / 0)
+    with pytest.raises(rs.InputError, match=r"bright_stars .* failed: ZeroDivisionError"):
+        rs.AllocationOptions(constraints=[rule])
+
+
+def test_a_tile_of_a_survey_with_priorities_and_added_sky_positions_is_scored(stars):
+    """Regression: added sky positions, which have no priority, were refused."""
+    sky = rs.Catalog(stars.coord, priority=np.arange(300) % 3)
+    options = rs.AllocationOptions("repair", requirements="sky=20", sky_separation=5 * u.arcsec)
+    survey = rs.plan_survey(sky, "sdss_apo", CENTER[None], allocator=options)
+    found = rs.score_tile(survey.tile(0), "sdss_apo", center=CENTER, position_angle=0 * u.deg, constraints="sky=20")
+    assert found.summary["n_assigned"] == len(survey.tile(0))
