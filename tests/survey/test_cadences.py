@@ -326,10 +326,10 @@ def test_a_required_target_whose_number_of_visits_is_0_has_its_whole_cadence(all
     points = CENTER.spherical_offsets_by([-0.06, 0.06] * u.deg, [0, 0] * u.deg)
     catalog = rs.Catalog(points, id=[1, 2], visits=[1, 0], extra=extra)
     cadences = Cadences(Table({"cadence": ["x"], "delta_min": ["0 1"], "delta_max": ["0 2"], "n_exp": ["1 1"]}))
-    places = {"ra": [CENTER.ra.deg] * 3 * u.deg, "dec": [CENTER.dec.deg] * 3 * u.deg}
+    places = {"ra": [CENTER.ra.deg] * 3 * u.deg, "dec": [CENTER.dec.deg] * 3 * u.deg, "pass": [1, 2, 3]}
     tiling = rs.Tiling.from_table(QTable({**places, "mjd": [60000.0, 60001, 60002]}))
     asked = rs.AllocationOptions("optimal", required=[2])
-    asked = rs.JointOptions(asked) if allocator == "joint" else asked
+    asked = rs.JointOptions(allocator=asked) if allocator == "joint" else asked
     survey = rs.plan_survey(catalog, instrument(), tiling, visits=cadences, allocator=asked)
     for name in ("requested", "observed", "n_epochs"):
         assert survey.outcomes[name].tolist() == [2, 2]

@@ -277,3 +277,18 @@ def test_a_tile_without_targets_whose_idle_arms_touch(allocator):
     # a second regression: if the catalog has priorities, a tile without targets has no classes
     nothing = rs.Catalog(sky.coord, visits=np.zeros(len(sky), dtype=int), priority=np.arange(len(sky)))
     assert rs.plan_survey(nothing, instrument, tiles, allocator=allocator).summary["n_assigned"] == 0
+
+
+@pytest.mark.parametrize("seed", [16, 22])
+def test_the_stated_visits_are_those_of_the_plan_after_the_last_goals(seed):
+    """Regression: the search for early visits found plans with more visits, which the summary did not state."""
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8 * MM, 17 * MM, 1 * MM), rings=1, pitch=26 * MM)
+    instrument = rs.Instrument("toy", plane, plate_scale=0.05 * MM / u.arcsec)
+    rng, radius = np.random.default_rng(seed), instrument.field_radius
+    center = SkyCoord(95 * u.deg, 20 * u.deg)
+    tiles = center.directional_offset_by(rng.random(4) * 360 * u.deg, rng.random(4) * radius * 0.8)
+    tiles = QTable({"ra": tiles.ra, "dec": tiles.dec, "pass": [1, 1, 2, 2]})
+    sky = center.directional_offset_by(rng.random(40) * 360 * u.deg, 1.3 * radius * np.sqrt(rng.random(40)))
+    asked = rs.JointOptions(iterations=0, early=True)
+    survey = rs.plan_survey(rs.Catalog(sky), instrument, tiles, allocator=asked)
+    assert survey.summary["joint"]["levels"][0]["n_visits"] == survey.summary["n_visits_observed"]

@@ -283,7 +283,7 @@ class Search:
         self._replan(patches, executor, value, lambda k: patches.can_gain(k, self.chosen, unmet))
 
     def finish(self, executor: Executor | None, goals: list[np.ndarray]) -> None:
-        """Replace the plan by plans of equal value with larger sums of the goals, the first goals first.
+        """Replace the plan by plans with larger sums of the goals, first goals first, and with at least as many visits.
 
         Each goal has a value for each candidate, from 0 to 1.
         """
@@ -294,6 +294,7 @@ class Search:
                 rng = np.random.default_rng([self.seed, n, k, 2])
                 patches = Patches(self.network, divide(self.network, self.directions, int(self.size), rng))
                 self._replan(patches, executor, value, lambda _: True, goals[:n])
+        self.steps[-1] = self.steps[-1]._replace(visits=self.visits)
 
     def _replan(self, patches, executor, value, is_useful, goals=()):
         """Improve the plan patch by patch; patches that share no set of candidates are solved at the same time.
