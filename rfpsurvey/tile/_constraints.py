@@ -26,26 +26,39 @@ class ScoredConstraints:
     xy: np.ndarray
 
     def summary(
-        self, report: CollisionReport, arms: Arms, target_of: np.ndarray, who: np.ndarray, fibers: np.ndarray
+        self,
+        report: CollisionReport,
+        arms: Arms,
+        target_of: np.ndarray,
+        who: np.ndarray,
+        fibers: np.ndarray,
+        stuck: np.ndarray,
     ) -> dict:
         """Return the entries of the summary of a score.
 
         ``target_of`` is the target of each positioner; ``who`` and ``fibers`` are the positioner and the fiber type of
-        each target.
+        each target. The fibers of the positioners ``stuck``, which have no target, observe sky.
         """
-        plane, n = self.applied.instrument.focal_plane, len(self.xy)
-        none = Reach(np.zeros(n + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
+        plane, n, more = self.applied.instrument.focal_plane, len(self.xy), len(stuck)
+        none = Reach(np.zeros(n + more + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
+        added = {
+            "kind": np.full(more, "sky"),
+            "category": np.full(more, ""),
+            "fiber_type": plane.arrays.first_type[stuck],
+        }
+        columns = {name: getattr(self.columns, name) for name in added}
+        columns = {k: None if v is None else np.append(v, added[k]) for k, v in columns.items()}
         problem = AllocationProblem(
             plane,
-            self.xy,
+            np.vstack([self.xy, np.zeros((more, 2))]),
             none,
-            np.zeros(n, dtype=np.int64),
+            np.zeros(n + more, dtype=np.int64),
             (0.0,),
-            kind=self.columns.kind,
-            category=self.columns.category,
-            fiber_type=self.columns.fiber_type,
             options=self.options,
+            **columns,
         )
+        target_of = target_of.copy()
+        target_of[stuck] = n + np.arange(more)
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
         finished = report, arms, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))

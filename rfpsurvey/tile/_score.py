@@ -186,6 +186,9 @@ def score_tile(
     recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
     if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
         warn_of_parked(plane)
+    stuck = np.empty(0, dtype=int)
+    if _is_ours(table) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
+        stuck = owner[(to_plain(table["status"]) == "stuck") & (to_plain(table["kind"]) == "sky")]
     posed = place_arms(
         plane,
         tips * u.mm,
@@ -216,7 +219,7 @@ def score_tile(
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
         "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
-        **({} if constraints is None else checked.summary(report, posed, target_of, who, fibers)),
+        **({} if constraints is None else checked.summary(report, posed, target_of, who, fibers, stuck)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}

@@ -123,3 +123,20 @@ def test_a_tile_of_a_survey_with_priorities_and_added_sky_positions_is_scored(st
     survey = rs.plan_survey(sky, "sdss_apo", CENTER[None], allocator=options)
     found = rs.score_tile(survey.tile(0), "sdss_apo", center=CENTER, position_angle=0 * u.deg, constraints="sky=20")
     assert found.summary["n_assigned"] == len(survey.tile(0))
+
+
+def test_stuck_fibers_on_sky_count_in_the_score_of_a_tile():
+    """Regression: the score of a tile did not count the sky fibers of stuck positioners, unlike its plan."""
+    robot = rs.Positioner(8 * u.mm, 17 * u.mm, 1 * u.mm)
+    angles = np.full((19, 2), np.nan)
+    angles[[0, 5]] = [[30, 100], [50, 60]]
+    plane = rs.FocalPlane.hexagonal(robot, rings=2, pitch=26 * u.mm)
+    plane = rs.FocalPlane(plane.xy, robot, stuck=angles * u.deg)
+    instrument = rs.Instrument("toy", plane, plate_scale=0.05 * u.mm / u.arcsec)
+    sky = rs.synthetic_catalog("uniform", CENTER, instrument.field_radius, n_targets=30, rng=0)
+    options = rs.AllocationOptions("optimal", requirements="sky=2-2", sky_separation=3 * u.arcsec)
+    tile = rs.plan_tile(sky, instrument, CENTER, allocator=options)
+    assert ((tile.table["status"] == "stuck") & (tile.table["kind"] == "sky")).sum() == 2
+    found = rs.score_tile(tile.table, instrument, constraints="sky=2-2")
+    assert [one["number"] for one in (tile.rules[0], found.rules[0])] == [2, 2]
+    assert found.summary["n_assigned"] == tile.summary["n_assigned"]

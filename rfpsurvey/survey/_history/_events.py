@@ -257,7 +257,7 @@ def to_date(value: object) -> str:
         value = int(value)
     if isinstance(value, Time):
         return value.utc.isot[:10]
-    return _date_of(str(value).strip())
+    return _date_of(str(value).strip().removesuffix("Z"))
 
 
 @cache

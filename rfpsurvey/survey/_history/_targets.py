@@ -52,6 +52,9 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
             f"a table of targets must have one of the columns {listed(known)}, got {listed(table.colnames)}"
         )
     ids = np.asarray(to_labels(table[name], name))
+    texts = np.asarray(survey.outcomes[ID])
+    if texts.dtype.kind == "U" and ids.dtype.kind in "iu" and np.isin(ids.astype(str), texts).all():
+        ids = ids.astype(str)  # tables without types contain text that consists of digits as numbers
     values, first, counts = np.unique(ids, return_index=True, return_counts=True)
     if (counts > 1).any():
         raise InputError(

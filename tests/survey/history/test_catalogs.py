@@ -96,3 +96,17 @@ def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
     index.write_text("".join(line for line in index.read_text().splitlines(keepends=True) if "tiles.fits" not in line))
     with pytest.raises(rs.InputError, match="is not finished"):
         rs.Survey.read(tmp_path / "copy")
+
+
+def test_identifiers_of_digits_and_dates_with_a_time_zone(tmp_path):
+    """Regression: numbers in place of text that consists of digits, and dates that end in Z, were refused."""
+    sky = targets()
+    sky = rs.Catalog(sky.coord, id=sky.id.astype(str), visits=sky.visits)
+    survey = rs.plan_survey(sky, instrument(), tiling(), allocator="nearest", folder=tmp_path / "survey")
+    survey.record(events(target=[1003, 1004], visits=5))
+    survey.record(events(tile=11, date="2026-01-03T05:00:00Z", state="done"))
+    state = survey.state(sky)
+    assert state.requested[[3, 4]].tolist() == [5, 5]
+    assert state.kept[0].date == "2026-01-03"
+    with pytest.raises(rs.InputError, match="must be text, as in the catalog, got numbers"):
+        survey.record(events(target=12, visits=5))
