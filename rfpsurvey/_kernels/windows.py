@@ -9,8 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.hashing import mix
 from rfpsurvey._kernels.paths import TOLERANCE, is_free, swap
 
+# Factor of the random costs of places, which are smaller than 2^16; the costs of all visits sum to less than 1e-3.
+TIE = 1e-3 / (255 * 2**16)
 # Largest number of targets that a move removes from the plan.
 MOST_REMOVED = 6
 
@@ -179,7 +182,8 @@ def insert(t, turn, links, dates, chosen, load, used, done, cost, found, work, p
             if not dates.usable[c]:
                 continue
             if links.target[chosen[links.own[c]]] < 0 and is_free(c, links, chosen, load):
-                cost[p], found[p] = 0.0, c
+                # sequences of equal value are tried in turn
+                cost[p], found[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
                 break
     _, visits, whole = best_sequence(t, cost, 1.0, 1000.0, dates, work, picked)
     for p in range(first, last):
