@@ -140,8 +140,7 @@ class AllocationOptions:
 
     References
     ----------
-    Chen et al. (2024), "General Methods for Evaluating Collision Probability of Different Types of Theta-phi
-    Positioners", arXiv:2409.07288, Section 4.2 (balanced, lamost). Blanton et al. 2003, AJ 125, 2276 (network flow).
+    Chen et al. 2024, arXiv:2409.07288, Section 4.2 (balanced, lamost). Blanton et al. 2003, AJ 125, 2276 (flow).
 
     Examples
     --------
@@ -370,7 +369,6 @@ class AllocationOptions:
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
         separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
-        stars = [one.content for one in self.constraints if one.content]
         return {
             "allocator": self.name,
             "requirements": self.requirements if self._of_instrument else [str(one) for one in self.requirements],
@@ -382,7 +380,7 @@ class AllocationOptions:
             "required": recorded([str(name) for name in self.required]),
             "keep_out": recorded([circle_text(region) for region in self.keep_out]),
             **({"constraints": recorded([str(one) for one in self.constraints])} if self.constraints else {}),
-            **({"stars": stars} if stars else {}),
+            **({"stars": stars} if (stars := [one.content for one in self.constraints if one.content]) else {}),
             **({} if self.subpriority is None else {"subpriority": self.subpriority}),
             **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
         }

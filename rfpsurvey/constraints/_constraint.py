@@ -1,7 +1,6 @@
 """The interface of all constraints, and the description of a field that constraints receive."""
 
 import shlex
-from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from hashlib import sha256
@@ -376,16 +375,6 @@ class Constraint:
             ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
         """
         return max((getattr(abilities, part, EXACTLY) for part in self.parts), key=LEVELS.index, default=ONLY_CHECKED)
-
-
-def answer(constraint: Constraint, ask: Callable) -> object:
-    """Return the answer of a method of a constraint; an exception of the constraint becomes an error that names it."""
-    try:
-        return ask()
-    except InputError as error:
-        raise InputError(f"the constraint '{constraint}': {error}") from error
-    except Exception as error:  # constraints of users can raise any exception
-        raise InputError(f"the constraint '{constraint}' failed: {type(error).__name__}: {error}") from error
 
 
 def _text_of(value: object) -> str:

@@ -2,7 +2,7 @@
 
 import importlib
 import pkgutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import is_dataclass
 from functools import partial
 from numbers import Number
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
-from rfpsurvey.constraints._constraint import Constraint, answer
+from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.constraints._requirement import FORM, KINDS, Requirement
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
 
@@ -32,6 +32,16 @@ def find_constraints(package: str, folder: Path) -> dict[str, type[Constraint]]:
 
 BUILT_IN = find_constraints(__package__, Path(__file__).parent)
 """Built-in constraints by the first word of their text. `Requirement` has a form of its own, such as ``sky=20``."""
+
+
+def answer(constraint: Constraint, ask: Callable) -> object:
+    """Return the answer of a method of a constraint; an exception of the constraint becomes an error that names it."""
+    try:
+        return ask()
+    except InputError as error:
+        raise InputError(f"the constraint '{constraint}': {error}") from error
+    except Exception as error:  # constraints of users can raise any exception
+        raise InputError(f"the constraint '{constraint}' failed: {type(error).__name__}: {error}") from error
 
 
 def as_constraints(given: object) -> tuple[Constraint, ...]:

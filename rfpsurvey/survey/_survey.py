@@ -363,7 +363,6 @@ class Survey:
         if not (folder / "survey.json").is_file():
             raise InputError(f"{folder} does not hold a survey: there is no survey.json")
         known = read_index(folder)
-        # an interrupted run can leave old tables, of which the index has no lines
         if not all((folder / name).is_file() and (name in known or not known) for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
             remedy = "resume=True (--resume)"

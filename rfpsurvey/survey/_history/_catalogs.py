@@ -1,6 +1,5 @@
 """Catalogs of surveys with recorded events: the columns that rules use, and comparisons of catalogs."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +8,7 @@ from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import PLANNED_COLUMNS
+from rfpsurvey.survey._history._events import read_request
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._source import InMemory, digest
 
@@ -54,11 +54,32 @@ def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
     return catalog
 
 
-def first_digests(catalog: Catalog | PartitionedCatalog, visits: object, rule: VisitRule) -> Iterator[str]:
-    """Yield the possible entries ``catalog`` of the request of the first plan of a catalog."""
-    for one in (catalog, first_visits(catalog, rule, visits)[0]):
-        own = one.parts.digest() if isinstance(one, PartitionedCatalog) else InMemory(one).digest()
-        yield f"{number_of(len(one), 'target')}, digest {own}"
+def check_first(state) -> None:
+    """Raise an error if the catalog of a state is not that of the first plan.
+
+    Parameters
+    ----------
+    state : SurveyState
+        The state.
+
+    Raises
+    ------
+    InputError
+        If the catalog is another catalog.
+    """
+    request, (catalog, visits) = read_request(state.folder), state.given
+    recorded, found = request.get("first", request).get("catalog"), "another catalog"
+    if "first" in request:
+        found = state.digest
+    else:  # the first plan used the priorities that a rule determined
+        for one in (catalog, first_visits(catalog, state.rule, visits)[0]):
+            own = one.parts.digest() if isinstance(one, PartitionedCatalog) else InMemory(one).digest()
+            found = recorded if recorded == f"{number_of(len(one), 'target')}, digest {own}" else found
+    if recorded is not None and found != recorded:
+        raise InputError(
+            f"the catalog must be that of the first plan, with {recorded}, got {found}; to add or change targets, "
+            "record a table of targets"
+        )
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:

@@ -12,7 +12,7 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.survey._history._catalogs import columns_of, digest_of, first_digests, in_memory, is_same
+from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same
 from rfpsurvey.survey._history._events import (
     DONE,
     DROPPED,
@@ -24,24 +24,11 @@ from rfpsurvey.survey._history._events import (
     to_date,
 )
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
-from rfpsurvey.survey._history._rule import LAST, VisitRule
+from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._history._state_table import is_science, last_results, state_table
 from rfpsurvey.survey._history._targets import apply_changes
 from rfpsurvey.survey._history._tiles import add_tiles
-from rfpsurvey.tile import describe
 from rfpsurvey.tiling import Tiling
-
-STATE = {
-    "target_id": "identifier of the target",
-    "requested": "number of requested visits",
-    "observed": "number of successful visits",
-    "failed": "number of failed visits",
-    "left": "number of remaining visits",
-    "kind": "kind of the target: science, standard or sky",
-    "priority": "priority that the rule determines",
-    "last": "result of the last visit",
-    "last_tile": "tile of the last visit",
-    "last_date": "date of the last visit",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +147,7 @@ class SurveyState:
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
         made = replayed.made if columns["kind"] is None else replayed.made * (columns["kind"] == "science")
         wanted, priority = rule.apply(
-            {**columns, "observed": made, "failed": replayed.failed, "last": _last_of(replayed)}
+            {**columns, "observed": made, "failed": replayed.failed, "last": last_results(replayed)}
         )
         left = np.where(dropped | (wanted < made), made, wanted) - made
         if priority is not columns["priority"]:
@@ -273,26 +260,6 @@ class SurveyState:
                 f"with {number_of(len(given), 'target')}"
             )
 
-    def check_first(self) -> None:
-        """Raise an error if the catalog of this state is not that of the first plan.
-
-        Raises
-        ------
-        InputError
-            If the catalog is another catalog.
-        """
-        request = read_request(self.folder)
-        recorded = request.get("first", request).get("catalog")
-        if "first" in request:
-            found = self.digest
-        else:
-            found = next((one for one in first_digests(*self.given, self.rule) if one == recorded), "another catalog")
-        if recorded is not None and found != recorded:
-            raise InputError(
-                f"the catalog must be that of the first plan, with {recorded}, got {found}; to add or change targets, "
-                "record a table of targets"
-            )
-
     @property
     def record(self) -> dict:
         """The state as text and numbers, as it is written to files."""
@@ -315,12 +282,6 @@ class SurveyState:
             "n_visits_failed": int(self.failed.sum()),
         }
 
-    @cached_property
-    def _is_science(self) -> np.ndarray:
-        """Whether each target is a science target."""
-        kind = columns_of(self.catalog, None)["kind"]
-        return np.ones(len(self), dtype=bool) if kind is None else kind == "science"
-
     @property
     def table(self) -> QTable:
         """Table with a row for each target, in the order of the catalog.
@@ -329,25 +290,7 @@ class SurveyState:
         catalog has them, ``last`` (``good``, ``bad`` or ``none``), ``last_tile`` and ``last_date``. No visits of
         standards and sky positions are requested.
         """
-        own, n = self.replayed, len(self.observed)
-        catalog = self.catalog if isinstance(self.catalog, Catalog) else None
-        ids = self.catalog.parts.column("id") if catalog is None else catalog.id
-        table = QTable({"target_id": ids}, copy=False)
-        for name in ("requested", "observed", "failed", "left"):
-            table[name] = np.where(self._is_science, getattr(self, name), np.uint8(0))
-        kind = columns_of(self.catalog, None)["kind"]
-        if kind is not None:
-            table["kind"] = kind
-        if catalog is not None and catalog.priority is not None:
-            table["priority"] = catalog.priority
-        table["last"] = np.array(LAST)[_last_of(own)]
-        for name, values in (
-            ("last_tile", [one.tile for one in own.attempts]),
-            ("last_date", [one.date for one in own.attempts]),
-        ):
-            table[name] = np.array([*values, ""])[own.last] if n else np.array([], dtype=str)
-        table.meta["events"] = self.record
-        return describe(table, STATE)
+        return state_table(self)
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
         """Write the table of all targets as FITS or ECSV; TOPCAT reads both formats.
@@ -406,13 +349,8 @@ class SurveyState:
         s = self.summary
         return (
             f"<SurveyState of {number_of(len(self), 'target')}: {number_of(s['n_tiles_observed'], 'tile')} observed, "
-            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[self._is_science].sum())} left>"
+            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[is_science(self)].sum())} left>"
         )
-
-
-def _last_of(own: Replay) -> np.ndarray:
-    """Return the result of the last visit of each target as an index of ``LAST``."""
-    return np.where(own.last < 0, 0, np.where(own.is_good, LAST.index("good"), LAST.index("bad")))
 
 
 def _check_visits(folder: Path, catalog: Catalog | PartitionedCatalog) -> None:

@@ -10,7 +10,7 @@ from astropy.table import Table
 from living import CENTER, events, instrument, targets, tiling
 
 import rfpsurvey as rs
-from rfpsurvey.survey import SurveyState, survey_status
+from rfpsurvey.survey import SurveyState, check_first, survey_status
 
 
 @pytest.fixture
@@ -82,10 +82,10 @@ def test_a_catalog_that_changed_is_refused(tmp_path, replanned):
     survey = rs.plan_survey(sky, instrument(), tiling(), **options)
     if replanned:
         rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
-    SurveyState.read(tmp_path / "survey", sky).check_first()
+    check_first(SurveyState.read(tmp_path / "survey", sky))
     other = rs.Catalog(sky.coord, id=sky.id, priority=-sky.priority, visits=sky.visits)
     with pytest.raises(rs.InputError, match="must be that of the first plan, with 60 targets, .* record a table"):
-        SurveyState.read(tmp_path / "survey", other).check_first()
+        check_first(SurveyState.read(tmp_path / "survey", other))
 
 
 def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
