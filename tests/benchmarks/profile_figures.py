@@ -125,24 +125,24 @@ def configurations():
 def start():
     """Print the times of commands: the first call of ``plan``, which compiles kernels, later calls, and the help."""
     print("commands")
-    with tempfile.TemporaryDirectory() as folder:
-        env = {**os.environ, "NUMBA_CACHE_DIR": folder}
-        for name, arguments, n in (
-            ("first plan", ["plan"], 1),
-            ("later plan", ["plan"], 7),
-            ("--help", ["--help"], 7),
-            ("--version", ["--version"], 7),
-        ):
-            times = []
-            for _ in range(n):
-                before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
-                subprocess.run(
-                    [sys.executable, "-m", "rfpsurvey", *arguments], env=env, check=True, capture_output=True
-                )
-                wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-                used = [getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime")]
-                times.append((sum(used), wall))
-            print(f"  {name:44} {min(times)[0]:8.2f} s of processor time, {min(t[1] for t in times):.2f} s in all")
+    for allocator in ("lamost_rule", "repair"):
+        with tempfile.TemporaryDirectory() as folder:
+            env, words = {**os.environ, "NUMBA_CACHE_DIR": folder}, ["plan", "--allocator", allocator]
+            show_command(f"first plan, {allocator}", words, env, 1)
+            show_command(f"later plan, {allocator}", words, env, 7)
+    for option in ("--help", "--version"):
+        show_command(option, [option], os.environ, 7)
+
+
+def show_command(name, words, env, n):
+    """Print the smallest processor time and elapsed time of n calls of a command."""
+    times = []
+    for _ in range(n):
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+        subprocess.run([sys.executable, "-m", "rfpsurvey", *words], env=env, check=True, capture_output=True)
+        wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+        times.append((sum(getattr(after, key) - getattr(before, key) for key in ("ru_utime", "ru_stime")), wall))
+    print(f"  {name:44} {min(times)[0]:8.2f} s of processor time, {min(t[1] for t in times):.2f} s in all")
 
 
 def survey():
