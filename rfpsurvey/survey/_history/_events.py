@@ -255,6 +255,8 @@ def to_date(value: object) -> str:
         value = value.decode("utf-8", "replace")
     if isinstance(value, float | np.floating) and value == np.floor(value):
         value = int(value)
+    if np.shape(value) == (2,):  # Julian date in two parts, in FITS tables of astropy
+        value = Time(*np.asarray(value, dtype=float), format="jd", scale="utc")
     if isinstance(value, Time):
         return value.utc.isot[:10]
     return _date_of(str(value).strip().removesuffix("Z"))

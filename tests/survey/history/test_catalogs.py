@@ -6,7 +6,8 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
+from astropy.table import QTable, Table
+from astropy.time import Time
 from living import CENTER, events, instrument, targets, tiling
 
 import rfpsurvey as rs
@@ -99,13 +100,17 @@ def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
 
 
 def test_identifiers_of_digits_and_dates_with_a_time_zone(tmp_path):
-    """Regression: numbers in place of text that consists of digits, and dates that end in Z, were refused."""
+    """Regression: numbers in place of text of digits, dates that end in Z, and times in FITS tables were refused."""
     sky = targets()
     sky = rs.Catalog(sky.coord, id=sky.id.astype(str), visits=sky.visits)
     survey = rs.plan_survey(sky, instrument(), tiling(), allocator="nearest", folder=tmp_path / "survey")
     survey.record(events(target=[1003, 1004], visits=5))
     survey.record(events(tile=11, date="2026-01-03T05:00:00Z", state="done"))
+    table = QTable({"tile": [12], "date": Time(["2026-01-04T23:00:00"]), "state": ["done"]})
+    table.write(tmp_path / "night.fits")
+    survey.record(tmp_path / "night.fits")
     state = survey.state(sky)
+    assert state.kept[1].date == "2026-01-04"
     assert state.requested[[3, 4]].tolist() == [5, 5]
     assert state.kept[0].date == "2026-01-03"
     with pytest.raises(rs.InputError, match="must be text, as in the catalog, got numbers"):
