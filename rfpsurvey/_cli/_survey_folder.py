@@ -6,7 +6,7 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _plan_file, _surveys
 from rfpsurvey._cli._keys import build, keys_of
 from rfpsurvey._cli.survey import SurveyKeys
-from rfpsurvey.survey import SurveyState, VisitRule, check_first
+from rfpsurvey.survey import SurveyState, VisitRule, check_first_catalog
 
 __all__ = ["state_of", "survey_and_state", "values_of"]
 
@@ -32,5 +32,5 @@ def survey_and_state(folder: Path, until: str | None) -> "tuple[rs.Survey, Surve
     keys = build(SurveyKeys, values_of(folder))
     model = _app.model_of(keys.instrument) if keys.catalog.path is None else None
     state = state_of(folder, keys, _surveys.targets_of(keys.catalog, model, keys.rng), until)
-    check_first(state)
+    check_first_catalog(state)
     return survey, state

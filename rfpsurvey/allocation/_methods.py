@@ -277,10 +277,7 @@ def _fill_quotas(problem, target_of, owner_of):
         by_fiber, counting = plane.spectrograph.ndim > 1 and one.per == "spectrograph", None
         for group in groups:
             if group.targets is not counting:
-                counting, keep = group.targets, group.targets[reach.target]
-                if group.untyped is not None:
-                    keep = keep & (~group.untyped[reach.target] | group.first[reach.owner])
-                rows = reach.where(keep)
+                counting, rows = group.targets, reach.where(group.holds_target(reach.target, reach.owner))
             part = rows
             if by_fiber:
                 part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)

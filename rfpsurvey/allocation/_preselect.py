@@ -113,9 +113,8 @@ def _codes(problem):
 
     Targets that count toward the same requirements, and are neighbors for the same rules, have the same code.
     """
-    columns = list({id(group.targets): group.targets for group in problem.groups}.values())
-    untyped = [group.untyped for group in problem.groups if group.untyped is not None]
-    columns += list({id(column): column for column in untyped}.values())
+    columns = [column for group in problem.groups for column in (group.targets, group.untyped) if column is not None]
+    columns = list({id(column): column for column in columns}.values())
     if problem.any_required:
         columns.append(problem.is_required)
     kinds = {kind for rule in problem.distributions for kind in ("science", rule.what)}

@@ -56,9 +56,8 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     column : callable
         Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
     """
-    rules = [one for one in options.all_constraints if isinstance(one, Rule)]
-    rules = [one for one in rules if getattr(one, "what", "") not in ("", *KINDS)]
-    asked = {one.what: one for one in (*rules, *options.needs)}
+    rules = (one for one in options.all_constraints if isinstance(one, Rule) and hasattr(one, "what"))
+    asked = {one.what: one for one in (*(one for one in rules if one.what not in ("", *KINDS)), *options.needs)}
     if options.sky_separation is not None:
         asked.pop("sky", None)
     asked.pop("science", None)

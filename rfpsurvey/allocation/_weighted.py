@@ -89,7 +89,7 @@ class GivenPlan:
     Raises
     ------
     InputError
-        If it is not.
+        If the position is not one of the added sky positions.
     """
 
     counts = distribution = "exactly"

@@ -123,7 +123,12 @@ def find_collisions(
 
 
 def collisions_of(plane: FocalPlane, segments, assigned, parked, poses=None, method=METHODS["exact"], n_points=0):
-    """Return the collisions of segments, shape (4, n), of which those without a target or a parked arm are NaN."""
+    """Find the collisions of arms that were placed for this focal plane; nothing is checked.
+
+    ``segments`` contains the segments that can collide, in mm and with the shape (4, n); they are NaN for arms that are
+    absent. ``assigned`` and ``parked`` are those of `Arms`. The function ``poses`` and the number ``n_points`` are used
+    only by some methods.
+    """
     n, nothing_can_touch = len(plane), len(plane.arrays.runs) == 0
     first, second, distances, n_borderline = (
         NOTHING if nothing_can_touch else method.function(Configuration(plane, segments, int(n_points), poses))

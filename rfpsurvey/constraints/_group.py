@@ -64,8 +64,24 @@ class Group:
         ndarray of bool
             One value per assignment.
         """
-        inside = np.append(self.targets, False)[target]
+        inside = self.holds_target(target, own)
         inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
-        if self.untyped is not None:
-            inside &= ~np.append(self.untyped, False)[target] | self.first[own]
         return inside if self.fibers is None else inside & self.fibers[own]
+
+    def holds_target(self, target: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return whether assignments count, in whichever part of the tile the positioners are.
+
+        Parameters
+        ----------
+        target : ndarray of int
+            Row of the target of each assignment, or -1 for no target.
+        own : ndarray of int
+            Row of the positioner of each assignment.
+
+        Returns
+        -------
+        ndarray of bool
+            One value per assignment.
+        """
+        inside = np.append(self.targets, False)[target]
+        return inside if self.untyped is None else inside & (~np.append(self.untyped, False)[target] | self.first[own])

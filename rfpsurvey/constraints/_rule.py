@@ -147,7 +147,7 @@ def to_magnitudes(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def check_unit(column: str, unit: str) -> None:
-    """Raise an error if a column of magnitudes has the unit of another quantity; no unit is accepted."""
+    """Raise an error if a column of magnitudes has a unit of another quantity; a unit is not required."""
     parsed = u.Unit(unit, parse_strict="silent")
     is_magnitude = parsed == u.mag or isinstance(parsed, u.MagUnit | u.UnrecognizedUnit)
     if unit and not is_magnitude:

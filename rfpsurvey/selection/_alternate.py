@@ -33,9 +33,10 @@ class Generation(NamedTuple):
 
     def failed(self, row: int) -> list[np.ndarray] | None:
         """Return the rows of the positioners in ``observed`` for a tile; None if the tile was not observed."""
+        if row not in self.observed:
+            return None
         ids = self.request.instrument.focal_plane.id.astype(str)
-        found = self.observed.get(row)
-        return None if found is None else [np.flatnonzero(np.isin(ids, names)) for names in found]
+        return [np.flatnonzero(np.isin(ids, names)) for names in self.observed[row]]
 
     @property
     def rounds(self) -> list[np.ndarray]:
@@ -88,14 +89,12 @@ class History:
 
     Parameters
     ----------
-    state : SurveyState
-        The recorded events.
     n_targets, n_realizations : int
         Numbers of targets and of realizations.
     """
 
-    def __init__(self, state: SurveyState, n_targets: int, n_realizations: int):
-        self._state, self.counts = state, np.zeros((n_realizations, 3), dtype=np.int64)
+    def __init__(self, n_targets: int, n_realizations: int):
+        self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
         self.made = np.zeros((n_targets, n_realizations), dtype=np.uint8)
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
@@ -160,7 +159,7 @@ def _open(mask: np.ndarray, left: np.ndarray) -> np.ndarray:
 
 
 def plan_history(
-    generations: list[Generation], state: SurveyState, n: int, plan_rounds: Callable[..., Iterator]
+    generations: list[Generation], n: int, plan_rounds: Callable[..., Iterator]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Plan all generations for the realizations of a block.
 
@@ -168,8 +167,6 @@ def plan_history(
     ----------
     generations : list of Generation
         The generations.
-    state : SurveyState
-        The recorded events.
     n : int
         Number of realizations of the block.
     plan_rounds : callable
@@ -183,7 +180,7 @@ def plan_history(
     counts : ndarray of int, shape (n, 3)
         Numbers of assigned positioners, lost targets and visits in each realization.
     """
-    history = History(state, len(generations[-1].request.source), n)
+    history = History(len(generations[-1].request.source), n)
     for generation in generations:
         now, before = history.open_state(generation)
         for job, done in plan_rounds(generation, now):

@@ -54,7 +54,7 @@ def run(
                 is_known = done is not None
                 if done is None and generations is not None:
                     plan = partial(_plan_generation, seeds=own, executor=executor, together=together)
-                    done = plan_history(generations, request.state, len(block), plan)
+                    done = plan_history(generations, len(block), plan)
                 elif done is None:
                     state = State(builder, len(block))
                     one = request if together else request_of(request, own[0])

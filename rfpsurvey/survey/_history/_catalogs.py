@@ -36,6 +36,17 @@ def columns_of(catalog, visits: object) -> dict:
     return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
 
 
+def is_science(catalog: Catalog | PartitionedCatalog) -> np.ndarray:
+    """Return whether each target is a science target."""
+    kind = kinds_of(catalog)
+    return np.ones(len(catalog), dtype=bool) if kind is None else kind == "science"
+
+
+def kinds_of(catalog: Catalog | PartitionedCatalog) -> np.ndarray | None:
+    """Return the kind of each target; None if the catalog does not have this column."""
+    return catalog.kind if isinstance(catalog, Catalog) else catalog.parts.column("kind")
+
+
 def is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
     """Return whether two catalogs are equal in all columns that a plan uses."""
     if one is other:
@@ -54,7 +65,7 @@ def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
     return catalog
 
 
-def check_first(state) -> None:
+def check_first_catalog(state) -> None:
     """Raise an error if the catalog of a state is not that of the first plan.
 
     Parameters

@@ -12,7 +12,7 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same
+from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same, is_science
 from rfpsurvey.survey._history._events import (
     DONE,
     DROPPED,
@@ -25,7 +25,7 @@ from rfpsurvey.survey._history._events import (
 )
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
 from rfpsurvey.survey._history._rule import VisitRule
-from rfpsurvey.survey._history._state_table import is_science, last_results, state_table
+from rfpsurvey.survey._history._state_table import last_results, state_table
 from rfpsurvey.survey._history._targets import apply_changes
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.tiling import Tiling
@@ -349,7 +349,7 @@ class SurveyState:
         s = self.summary
         return (
             f"<SurveyState of {number_of(len(self), 'target')}: {number_of(s['n_tiles_observed'], 'tile')} observed, "
-            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[is_science(self)].sum())} left>"
+            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[is_science(self.catalog)].sum())} left>"
         )
 
 

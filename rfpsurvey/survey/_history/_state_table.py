@@ -4,7 +4,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.survey._history._catalogs import columns_of
+from rfpsurvey.survey._history._catalogs import is_science, kinds_of
 from rfpsurvey.survey._history._replay import Replay
 from rfpsurvey.survey._history._rule import LAST
 from rfpsurvey.tile import describe
@@ -29,10 +29,10 @@ def state_table(state) -> QTable:
     catalog = state.catalog if isinstance(state.catalog, Catalog) else None
     ids = state.catalog.parts.column("id") if catalog is None else catalog.id
     table = QTable({"target_id": ids}, copy=False)
-    counts = is_science(state)
+    counts = is_science(state.catalog)
     for name in ("requested", "observed", "failed", "left"):
         table[name] = np.where(counts, getattr(state, name), np.uint8(0))
-    kind = columns_of(state.catalog, None)["kind"]
+    kind = kinds_of(state.catalog)
     if kind is not None:
         table["kind"] = kind
     if catalog is not None and catalog.priority is not None:
@@ -45,12 +45,6 @@ def state_table(state) -> QTable:
         table[name] = np.array([*values, ""])[own.last] if n else np.array([], dtype=str)
     table.meta["events"] = state.record
     return describe(table, STATE)
-
-
-def is_science(state) -> np.ndarray:
-    """Return whether each target of a state is a science target."""
-    kind = columns_of(state.catalog, None)["kind"]
-    return np.ones(len(state), dtype=bool) if kind is None else kind == "science"
 
 
 def last_results(own: Replay) -> np.ndarray:

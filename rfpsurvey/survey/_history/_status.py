@@ -9,7 +9,7 @@ from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
-from rfpsurvey.survey._history._catalogs import columns_of
+from rfpsurvey.survey._history._catalogs import columns_of, is_science
 from rfpsurvey.survey._history._events import DONE
 from rfpsurvey.survey._history._replay import visits_of
 from rfpsurvey.survey._history._state import SurveyState
@@ -82,9 +82,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     if survey.folder is None or survey.folder.resolve() != state.folder.resolve() or len(survey.outcomes) > len(state):
         raise InputError(f"state must be the state of the survey, got that of the survey in {state.folder}")
     columns = columns_of(state.catalog, None)
-    wanted = state.requested.astype(np.int64)
-    if columns["kind"] is not None:
-        wanted[columns["kind"] != "science"] = 0
+    wanted = state.requested * is_science(state.catalog).astype(np.int64)
     observed = np.minimum(state.observed, wanted)
     is_planned = json.loads(json.dumps(state.record)) == survey.provenance.get("events", _none(state))
     left = wanted - observed

@@ -11,7 +11,7 @@ from astropy.time import Time
 from living import CENTER, events, instrument, targets, tiling
 
 import rfpsurvey as rs
-from rfpsurvey.survey import SurveyState, check_first, survey_status
+from rfpsurvey.survey import SurveyState, check_first_catalog, survey_status
 
 
 @pytest.fixture
@@ -83,10 +83,10 @@ def test_a_catalog_that_changed_is_refused(tmp_path, replanned):
     survey = rs.plan_survey(sky, instrument(), tiling(), **options)
     if replanned:
         rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
-    check_first(SurveyState.read(tmp_path / "survey", sky))
+    check_first_catalog(SurveyState.read(tmp_path / "survey", sky))
     other = rs.Catalog(sky.coord, id=sky.id, priority=-sky.priority, visits=sky.visits)
     with pytest.raises(rs.InputError, match="must be that of the first plan, with 60 targets, .* record a table"):
-        check_first(SurveyState.read(tmp_path / "survey", other))
+        check_first_catalog(SurveyState.read(tmp_path / "survey", other))
 
 
 def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
