@@ -37,9 +37,16 @@ def put(i, c, options, chosen, blocked, holder):
 
 @kernel
 def put_all(plan, options, chosen, blocked, holder):
-    """Assign the candidates of a plan to all positioners."""
+    """Assign the candidates of a plan to all positioners, which have no candidates yet."""
+    indptr, other, target = options.indptr, options.other, options.target
     for i in range(plan.size):
-        put(i, plan[i], options, chosen, blocked, holder)
+        c = plan[i]
+        chosen[i] = c
+        if c >= 0:
+            for k in range(indptr[c], indptr[c + 1]):
+                blocked[other[k]] += 1
+            if target[c] >= 0:
+                holder[target[c]] = i
 
 
 @kernel
@@ -206,7 +213,10 @@ def gain(options, order, chosen, blocked, holder):
     start, rank = options.start, options.rank
     changed = False
     for i in order:
-        if start[i + 1] - start[i] == 1 or blocked[chosen[i]] > 0:
+        better = False
+        for c in range(start[i], start[i + 1]):
+            better |= rank[c] < rank[chosen[i]]
+        if not better or blocked[chosen[i]] > 0:
             continue
         c = best_free(i, chosen[i], options, chosen, blocked, holder)
         if c >= 0 and rank[c] < rank[chosen[i]]:

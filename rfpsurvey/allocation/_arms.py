@@ -14,11 +14,9 @@ def place_segments(
     target, and the elbow (+1: right, -1: left) for each segment. ``idle`` contains the indices of the segments of idle
     arms, one for each positioner of the focal plane; the targets of these segments are ignored.
     """
-    columns, real = problem.focal_plane.arrays, np.ones(len(own), dtype=bool)
-    if idle is not None:
-        real[idle] = False
-    points = np.full((len(own), 2), np.nan)
-    points[real] = problem.xy[target[real]]
+    columns = problem.focal_plane.arrays
+    # the row -1 of idle arms is clipped to 0
+    points = problem.xy.take(target, axis=0, mode="clip") if len(problem.xy) else np.full((len(own), 2), np.nan)
     segments = columns.segments_of(own, problem.fiber_of(own, target), points, side)
     if idle is not None:
         segments[:, idle] = columns.idle_segments(problem.parked_obstacles)

@@ -52,7 +52,10 @@ class Candidates:
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = _pairs_where(self.pairs, keep, new)
         columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
-        return _assemble(self.problem, self.preselection, *columns)
+        found = _assemble(self.problem, self.preselection, *columns)
+        if "segments" in self.__dict__:
+            found.__dict__["segments"] = self.segments[:, keep]
+        return found
 
     def renumbered(self, problem: AllocationProblem, row: np.ndarray) -> "Candidates":
         """Return the candidates, without costs, for a problem in which target ``t`` has the row ``row[t]``."""
@@ -211,12 +214,13 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf, mo
     halves = np.empty_like(segments)
     halve(segments, halves)
     size = np.diff(start)
-    room = int(max(ROOM, (size[pairs[:, 0]] * size[pairs[:, 1]]).max(initial=0)))
+    work = size[pairs[:, 0]] * size[pairs[:, 1]]
+    room = int(max(ROOM, work.max(initial=0)))
     first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     borderline = np.empty(room, dtype=bool)
     owner = np.repeat(np.arange(len(size)), size)
     outlined = columns.limits.outline.start.size > 1
-    work = np.cumsum(size[pairs[:, 0]] * size[pairs[:, 1]])
+    work = np.cumsum(work)
     batch = BATCH if moves is None else BATCH // SLOWER
     p, found, total, begin = 0, [], 0, now()
     while p < len(pairs):
@@ -269,7 +273,7 @@ def _keys(problem, target, held, near):
 def _by_target(target, n):
     """Return the candidates of each target as compressed rows (CSR): the offsets of the rows, and the candidates."""
     rows = np.flatnonzero(target >= 0)
-    rows = rows[np.argsort(target[rows], kind="stable")]
+    rows = rows[np.argsort(target[rows].astype(np.min_scalar_type(n)), kind="stable")]  # fast for numbers of 16 bits
     return np.concatenate([[0], np.cumsum(np.bincount(target[rows], minlength=n))]), rows
 
 

@@ -12,6 +12,8 @@ from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 ROUNDS = 10
 # Number of collisions of candidates that are tested before the clock is read again.
 BATCH = 2_000_000
+# Number of candidates per positioner from which finding the collisions of only some candidates saves time.
+CROWDED = 3
 
 
 def match(candidates: Candidates) -> np.ndarray:
@@ -66,7 +68,7 @@ def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidate
     options, problem = everything.options, everything.problem
     idle = options.start[1:] - 1
     plan = np.where(chosen < 0, idle, chosen)
-    if not problem.any_goals:
+    if len(everything) > CROWDED * len(plan) and not problem.any_goals:
         keep = np.zeros(len(everything), dtype=bool)
         keep[plan] = keep[idle] = True
         used = everything.where(keep).with_collisions()
@@ -175,6 +177,8 @@ def _best_rank(options):
 
 def _batches(options, order):
     """Divide positioners into batches whose candidates have about ``BATCH`` collisions."""
+    if options.indptr[-1] + len(options.own) < BATCH:
+        return [order]
     ends = options.indptr[options.start]
     work = np.cumsum((np.diff(ends) + np.diff(options.start))[order])
     return np.split(order, np.flatnonzero(np.diff(work // BATCH)) + 1) if len(order) else []

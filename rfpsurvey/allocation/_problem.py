@@ -200,10 +200,10 @@ class AllocationProblem:
         ndarray of int
             Class of each element of ``target``, with the same shape.
         """
-        found = np.full(np.shape(target), len(self.classes) + 1, dtype=np.int64)
-        real = np.asarray(target) >= 0
-        found[real] = self.rank[target[real]]  # this avoids a copy of the ranks of all targets
-        return found
+        last = len(self.classes) + 1
+        if len(self.rank) == 0:
+            return np.full(np.shape(target), last)
+        return np.where(np.asarray(target) >= 0, self.rank.take(target, mode="clip"), last)
 
     @cached_property
     def _fiber_index(self) -> np.ndarray:

@@ -338,9 +338,15 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
 
     def angles_of(self, own: np.ndarray, fiber: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return cosine and sine of the angle at the elbow from fiber to capsule axis, for the positioners ``own``."""
-        angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)[fiber]
+        cosine, sine = self.plane.arrays._directions
+        return (cosine[fiber], sine[fiber]) if self.fibers is None else (cosine[fiber, own], sine[fiber, own])
+
+    @cached_property
+    def _directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cosine and sine of `angles_of` for each fiber type and, if ``fibers`` is not None, for each positioner."""
+        angle = self.plane.positioner.numbers.arm_angles(self.plane.fiber_types)
         if self.fibers is not None:
-            angle = angle - self.fibers.angle[fiber, own]
+            angle = angle[:, None] - self.fibers.angle[: len(angle)]
         return np.cos(angle), np.sin(angle)
 
     @cached_property

@@ -1,8 +1,11 @@
 """The segments that represent arms in tests for collisions."""
 
+from functools import cached_property
+
 import numpy as np
 
 from rfpsurvey._kernels import arms
+from rfpsurvey._units import locked
 
 
 class ArmSegments:
@@ -10,10 +13,14 @@ class ArmSegments:
 
     def idle_segments(self, parked_obstacles: bool) -> np.ndarray:
         """Return the segments of the arms of `idle` that represent them in tests for collisions, shape (4, n)."""
-        first = self.plane.arrays
-        segments = first.idle(parked_obstacles).segments.copy()
-        arms.shape(segments, first.model, first.length, *first.angles)
-        return segments
+        return self.plane.arrays._idle_segments[bool(parked_obstacles)]
+
+    @cached_property
+    def _idle_segments(self) -> dict[bool, np.ndarray]:
+        found = {key: one.segments.copy() for key, one in self._idle.items()}
+        for segments in found.values():
+            arms.shape(segments, self.model, self.length, *self.angles)
+        return {key: locked(segments) for key, segments in found.items()}
 
     def segments_of(
         self, own: np.ndarray, fiber: np.ndarray | None, points: np.ndarray, side: np.ndarray | None = None
