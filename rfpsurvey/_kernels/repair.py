@@ -3,8 +3,6 @@
 A candidate is an assignment that a plan may use: a positioner with a target and an elbow, or with its idle arm.
 """
 
-import heapq
-
 import numpy as np
 
 from rfpsurvey._jit import kernel
@@ -178,33 +176,21 @@ def drop(options, order, fixed, chosen, blocked, holder):
     The positioner that collides with the most arms loses its target first. In a tie, the positioner that is earlier in
     ``order`` loses its target first.
     """
-    place = np.empty(order.size, np.int64)
-    heap = [(np.int64(0), np.int64(0))]
-    for k in range(order.size):
-        i = order[k]
-        place[i] = k
-        if not fixed[i] and blocked[chosen[i]] > 0:
-            heap.append((-blocked[chosen[i]], np.int64(k)))
-    heapq.heapify(heap)
     dropped = 0
     while True:
-        less, k = heapq.heappop(heap)
-        if less == 0:
-            break
-        i = order[k]
-        now = blocked[chosen[i]]
-        if fixed[i] or now == 0:
-            continue
-        if now != -less:  # the number of collisions has changed since the entry was added
-            heapq.heappush(heap, (-now, k))
-            continue
-        dropped += options.target[chosen[i]] >= 0
-        give_up_target(i, options, chosen, blocked, holder, fixed)
-        for m in range(options.indptr[chosen[i]], options.indptr[chosen[i] + 1]):
-            j = options.own[options.other[m]]
-            if chosen[j] == options.other[m] and not fixed[j]:
-                heapq.heappush(heap, (-blocked[chosen[j]], place[j]))
-    return dropped
+        most = 0
+        for i in order:
+            if not fixed[i]:
+                most = max(most, blocked[chosen[i]])
+        if most == 0:
+            return dropped
+        for i in order:
+            if fixed[i] or blocked[chosen[i]] != most:
+                continue
+            dropped += options.target[chosen[i]] >= 0
+            give_up_target(i, options, chosen, blocked, holder, fixed)
+            if fixed[i]:  # the idle arm of this positioner collides, so that other positioners collide with more arms
+                break
 
 
 @kernel

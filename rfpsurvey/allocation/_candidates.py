@@ -54,7 +54,8 @@ class Candidates:
         columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
         found = _assemble(self.problem, self.preselection, *columns)
         if "segments" in self.__dict__:
-            found.__dict__["segments"] = self.segments[:, keep]
+            # with the memory layout of self.segments[:, keep], numba would compile kernels again
+            found.__dict__["segments"] = np.compress(keep, self.segments, axis=1)
         return found
 
     def renumbered(self, problem: AllocationProblem, row: np.ndarray) -> "Candidates":
