@@ -110,10 +110,10 @@ def find_collisions(
         raise InputError(f"the method for arms with an outline must be {able}, got {method!r}")
     check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
-    ready = isinstance(tips, Arms) or hasattr(tips, "target_of_positioner")
-    if ready and any(value is not None for value in given.values()):
+    is_allocation = hasattr(tips, "target_of_positioner")
+    if (is_allocation or isinstance(tips, Arms)) and any(value is not None for value in given.values()):
         raise InputError(f"an Allocation or Arms already determines the poses; do not give {', '.join(given)}")
-    if hasattr(tips, "target_of_positioner"):
+    if is_allocation:
         given.update(handedness=tips.handedness, fiber_type=tips.fiber_type)
         parked_obstacles = tips.parked_obstacles
     check_switch(parked_obstacles, "parked_obstacles")
@@ -133,16 +133,16 @@ def collisions_of(plane: FocalPlane, segments, assigned, parked, poses=None, met
     first, second, distances, n_borderline = (
         NOTHING if nothing_can_touch else method.function(Configuration(plane, segments, int(n_points), poses))
     )
-    order = np.argsort(first * n + second)
-    pairs = np.column_stack([first[order], second[order]])
+    order, pairs = np.argsort(first * n + second), np.empty((len(first), 2), dtype=np.int64)
+    pairs[:, 0], pairs[:, 1] = first[order], second[order]
     hits, gaps, n_edge = touching(plane, segments, plane.arrays.obstacle_pairs)
     if n_borderline is not None:
         n_borderline += n_edge
     colliding = np.zeros(n, dtype=bool)
     colliding[first] = colliding[second] = colliding[hits[:, 0]] = True
-    return CollisionReport(
-        pairs, distances[order] << u.mm, hits, gaps << u.mm, colliding, assigned, assigned | parked, n_borderline
-    )
+    distances = distances[order] << u.mm
+    gaps = gaps << u.mm if len(gaps) else distances[:0]
+    return CollisionReport(pairs, distances, hits, gaps, colliding, assigned, assigned | parked, n_borderline)
 
 
 def _posed_segments(plane, tips, given, parked_obstacles):
