@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager, nullcontext
+from itertools import islice
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, early_
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
+# A task of an executor plans up to 8 tiles of a large round, because starting a task takes as long as planning a tile
+# by a simple rule. In rounds with fewer than 16 times as many tiles, tasks are smaller, so that all workers have tasks.
+TOGETHER, SHARE = 8, 16
 
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
@@ -64,7 +68,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             for k, tiles in enumerate(request.rounds):
                 round_of[tiles] = k
                 tiles = tiles[~np.isin(tiles, known)]
-                results = in_order(executor, work, _jobs_of(request, tiles, state, folder))
+                together = int(np.clip(len(tiles) // SHARE, 1, TOGETHER))
+                results = in_order(executor, work, _jobs_of(request, tiles, state, folder), together=together)
                 for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
                     slot = np.append(job.field.slot, -1)[done.target]
                     kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile], tile)
@@ -135,42 +140,57 @@ def _jobs_of(request, tiles, state, folder) -> Iterator:
         yield job, job.bare(), None if folder is None else _read(folder, tile, job)
 
 
-def in_order(executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT) -> Iterator:
+def in_order(
+    executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT, together: int = 1
+) -> Iterator:
     """Yield the job of each tile, its result, and whether this run computed the result.
 
     ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
-    it is submitted. At most ``most`` tiles are submitted before the result of the first of them is awaited.
+    it is submitted. With an executor, each task plans the tiles of ``together`` jobs, and at most about ``most`` tiles
+    are submitted before the result of the first task is awaited.
     """
-    waiting = deque()
+    waiting, jobs, together = deque(), iter(jobs), 1 if executor is None else together
     try:
-        for job, argument, known in jobs:
-            result = known
-            if known is None:
-                with naming_tile(job):
-                    result = function(argument) if executor is None else submit(executor, function, argument)
-            waiting.append((job, result, known is None))
-            if executor is None or len(waiting) >= most:
-                yield _take(waiting, executor)
+        while part := list(islice(jobs, together)):
+            calls = [(job.tile, argument) for job, argument, known in part if known is None]
+            with _telling_remedy():
+                is_task = executor is not None and calls
+                results = submit(executor, _call, function, calls) if is_task else _call(function, calls)
+            waiting.append((part, results))
+            if executor is None or len(waiting) * together >= most:
+                yield from _take(waiting)
         while waiting:
-            yield _take(waiting, executor)
+            yield from _take(waiting)
     finally:
-        for _, result, is_new in waiting:
-            if is_new and executor is not None:
-                result.cancel()
+        for _, results in waiting:
+            if not isinstance(results, list):
+                results.cancel()
 
 
-def _take(waiting: deque, executor):
-    """Wait for the tile that was submitted first, and return its job, its result, and whether this run planned it."""
-    job, result, is_new = waiting.popleft()
-    if is_new and executor is not None:
-        with naming_tile(job):
-            result = result.result()
-    return job, result, is_new
+def _take(waiting: deque) -> Iterator:
+    """Wait for the task that was submitted first, and yield each of its jobs, as `in_order` does."""
+    part, results = waiting.popleft()
+    with _telling_remedy():
+        new = iter(results if isinstance(results, list) else results.result())
+    for job, _, known in part:
+        yield job, next(new) if known is None else known, known is None
+
+
+def _call(function: Callable, calls: list) -> list:
+    """Call a function for each of several tiles; errors name the tile. Each call is a tile and an argument."""
+    found = []
+    for tile, argument in calls:
+        try:
+            found.append(function(argument))
+        except Exception as error:
+            error.add_note(f"while tile {tile} was planned")
+            raise
+    return found
 
 
 @contextmanager
-def naming_tile(job):
-    """Add the name of the tile to error messages, and a remedy if a worker process ended abruptly."""
+def _telling_remedy():
+    """Add a remedy to the message if a worker process ended abruptly."""
     try:
         yield
     except BrokenExecutor as error:
@@ -178,9 +198,6 @@ def naming_tile(job):
             "a worker process died; the files of finished tiles remain: continue the survey with resume=True (--resume)"
         )
         raise BrokenExecutor(text) from error
-    except Exception as error:
-        error.add_note(f"while tile {job.tile} was planned")
-        raise
 
 
 def _read(folder, tile, job) -> Done | None:
