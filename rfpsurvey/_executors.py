@@ -40,6 +40,13 @@ def submit(executor: Executor, function: Callable, *arguments: object) -> Future
     return executor.submit(_for_workers(executor, function), *arguments)
 
 
+def is_local(executor: Executor | None) -> bool:
+    """Return whether an executor runs function calls in other threads or processes of this machine."""
+    from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+    return isinstance(executor, ProcessPoolExecutor | ThreadPoolExecutor)
+
+
 @contextmanager
 def released(executor: Executor) -> Iterator[Executor]:
     """Shut down an executor at the end of the context; after an interrupt, do not wait for calls that still run."""

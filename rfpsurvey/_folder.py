@@ -167,6 +167,11 @@ class RequestFolder:
         with self._recorded(name, len(content), hashlib.sha256(content).hexdigest()):
             write_bytes(self.path / name, content)
 
+    def record(self, name: str, size: int, checksum: str) -> None:
+        """Write the line of the index for a new file, which a worker has written."""
+        with self._recorded(name, size, checksum):
+            pass
+
     @contextmanager
     def writing(self, name: str):
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""

@@ -6,6 +6,7 @@ plain cards for human readers.
 """
 
 import gzip
+import hashlib
 import io
 import json
 import os
@@ -222,6 +223,14 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
                 file.flush()
                 os.fsync(handle)
         os.replace(own, path)
+
+
+def write_new_file(path: Path, content: bytes) -> tuple[int, str]:
+    """Write a file, make its parent folders if necessary, and return the size and the checksum of the file."""
+    with _written(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, content)
+    return len(content), hashlib.sha256(content).hexdigest()
 
 
 def fits_bytes(columns: dict[str, np.ndarray], cards: dict, fixed: tuple = ()) -> bytes:

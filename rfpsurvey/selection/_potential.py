@@ -243,7 +243,7 @@ class PotentialAssignments:
         request = self.request
         everything = np.ones(len(request.source), dtype=np.uint8)
         tiles = np.flatnonzero(~self._is_dropped).tolist()
-        jobs = (request.job(tile, everything, as_file=False) for tile in tiles)
+        jobs = (request.job(tile, everything) for tile in tiles)
         given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in zip(tiles, jobs, strict=True))
         with Progress(self.progress, len(tiles), "tiles") as tell:
             found = in_order(self.executor, reachable, given, IN_FLIGHT)

@@ -100,7 +100,7 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
     tiles = np.delete(np.arange(len(request.tiling)), request.dropped).tolist()
-    jobs = (request.job(tile, everything, as_file=False) for tile in tiles)
+    jobs = (request.job(tile, everything) for tile in tiles)
     given = ((job, job, None) for job in jobs)
     for k, (job, found, _) in enumerate(in_order(executor, reach_counts, given, IN_FLIGHT), 1):
         n_tiles[job.field.slot[found > 0]] += 1
@@ -145,7 +145,7 @@ def _plan_generation(generation: Generation, state: State, *, seeds, executor, t
 
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:
-    job = request.job(tile, state.is_open, as_file=False)
+    job = request.job(tile, state.is_open)
     if job.field.targets.around is None:  # no constraint uses the further columns
         job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))

@@ -81,9 +81,9 @@ class Bookkeeping:
             for tally in self.tallies.values():
                 tally.begin(self.done(), made[self.left[made] == 0])
 
-    def open_job(self, request, tile: int, *, as_file: bool):
+    def open_job(self, request, tile: int):
         """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""
-        job = request.job(tile, self.left, as_file=as_file)
+        job = request.job(tile, self.left)
         if self.windows is None:
             return job
         slot = job.field.slot
@@ -94,7 +94,7 @@ class Bookkeeping:
             covered = reach_of(job).pairs.covered[is_closed]
             self.flags[closed] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
         left, self.left[closed] = self.left[closed], 0
-        job = request.job(tile, self.left, as_file=as_file)
+        job = request.job(tile, self.left)
         self.left[closed] = left
         if request.is_planned:
             return job

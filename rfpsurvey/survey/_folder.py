@@ -125,9 +125,20 @@ class Folder(RequestFolder):
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
         warn(f"the tile in row {tile} of the tiling is planned again: {reason}")
 
-    def put_part(self, tile: int, content: bytes) -> None:
-        """Write the result of a tile to the file of this tile."""
-        self.put_file(part_name(tile), content)
+    def new_path(self, tile: int) -> Path | None:
+        """Return the path of the file of a tile, or None if the index already describes this file."""
+        name = part_name(tile)
+        return None if name in self._known else (self.path / name).absolute()
+
+    def put_part(self, tile: int, part: bytes | tuple[int, str]) -> None:
+        """Write the result of a tile to the file of this tile, unless a worker has written the file.
+
+        If a worker has written the file, ``part`` is the size and the checksum of the file.
+        """
+        if isinstance(part, bytes):
+            self.put_file(part_name(tile), part)
+        else:
+            self.record(part_name(tile), *part)
 
     def file(self, name: str) -> bytes | None:
         """Return the content of a file, or None if there is no valid file; a damaged file causes a warning."""

@@ -136,7 +136,7 @@ class Request:
         in_turn = self.order == "color" and windows is None
         return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=in_turn, windows=windows)
 
-    def job(self, tile: int, left: np.ndarray, *, as_file: bool) -> Job:
+    def job(self, tile: int, left: np.ndarray) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
         years, center = 0.0 if self.years is None else float(self.years[tile]), self.tiling.vectors[tile]
         field = self.builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
@@ -144,7 +144,7 @@ class Request:
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
         epoch = self.epoch if self.years is None else f"J{self.reference.jyear + years:.6f}"
-        return Job(self.model, name, *where, field, seed, as_file, conditions, epoch)
+        return Job(self.model, name, *where, field, seed, conditions, epoch)
 
     @cached_property
     def _names(self) -> list:

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from rfpsurvey import _io
-from rfpsurvey._executors import submit
+from rfpsurvey._executors import is_local, submit
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.pipeline import OUTCOMES
@@ -69,7 +69,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                 round_of[tiles] = k
                 tiles = tiles[~np.isin(tiles, known)]
                 together = int(np.clip(len(tiles) // SHARE, 1, TOGETHER))
-                results = in_order(executor, work, _jobs_of(request, tiles, state, folder), together=together)
+                results = in_order(executor, work, _jobs_of(request, tiles, state, folder, executor), together=together)
                 for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
                     slot = np.append(job.field.slot, -1)[done.target]
                     kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile], tile)
@@ -120,7 +120,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             own = history.replayed.counts[tile]
             found = counts_in(own, cards) | {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
         else:
-            job = request.job(tile, np.ones_like(state.left), as_file=False)
+            job = request.job(tile, np.ones_like(state.left))
             done = _done_of(history.events.plan(tile, event.plan), job, is_kept=True)
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
@@ -133,11 +133,17 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
     return [*history.closed, *history.begun]
 
 
-def _jobs_of(request, tiles, state, folder) -> Iterator:
-    """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any."""
+def _jobs_of(request, tiles, state, folder, executor) -> Iterator:
+    """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any.
+
+    Workers on this machine write the file of a tile, unless they would replace another file.
+    """
     for tile in tiles.tolist():
-        job = state.open_job(request, tile, as_file=folder is not None)
-        yield job, job.bare(), None if folder is None else _read(folder, tile, job)
+        job, known = state.open_job(request, tile), None
+        if folder is not None:
+            known = _read(folder, tile, job)
+            job = job._replace(as_file=True, path=folder.new_path(tile) if is_local(executor) else None)
+        yield job, job.bare(), known
 
 
 def in_order(

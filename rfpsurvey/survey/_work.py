@@ -3,11 +3,12 @@
 import pickle
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._io import fits_bytes, table_cards
+from rfpsurvey._io import fits_bytes, table_cards, write_new_file
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.errors import listed, number_of
 from rfpsurvey.instrument import Instrument
@@ -105,11 +106,13 @@ class Job(NamedTuple):
     position_angle_deg: float
     field: FieldRows
     seed: np.random.SeedSequence
-    as_file: bool
-    """Whether the visits are returned as the content of a FITS file instead of an array."""
     conditions: ObservingConditions | None = None
     epoch: str | None = None
     """Epoch of the positions of the targets; None if the targets were not moved."""
+    as_file: bool = False
+    """Whether the visits are returned as the content of a FITS file instead of an array."""
+    path: Path | None = None
+    """Path to which `work` writes this file; None if the file is not written."""
 
     def bare(self) -> "Job":
         """Return the job without the slots of targets, which workers do not require."""
@@ -119,8 +122,11 @@ class Job(NamedTuple):
 class Done(NamedTuple):
     """The result of planning a tile."""
 
-    part: bytes | None
-    """The visits of the tile as the content of a FITS file; None if no file is requested."""
+    part: bytes | tuple[int, str] | None
+    """The content of a FITS file with the visits of the tile; if `work` wrote this file, its size and checksum.
+
+    The value is None if no file is requested.
+    """
     visits: np.ndarray | None
     """The visits of the tile as an array; None if a file is requested."""
     target: np.ndarray
@@ -177,6 +183,7 @@ def work(job: Job) -> Done:
     part = visits = None
     if job.as_file:
         part = fits_bytes(columns, cards, model.cards(tuple(columns)))
+        part = part if job.path is None else write_new_file(job.path, part)
     else:
         visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
@@ -211,7 +218,7 @@ def early_sentences(request) -> list[str]:
     known = () if state is None else {*state.closed, *state.begun}
     for tile in range(n) if early else ():
         if tile not in known:
-            job = request.job(tile, request.builder.left, as_file=False)
+            job = request.job(tile, request.builder.left)
             model = job.model
             texts = early_violations(model.instrument, projection_of(job), model.options, job.field.targets)
             for name, sentences in texts.items():

@@ -28,7 +28,7 @@ def begin(request, bookkeeping: Bookkeeping) -> None:
         left = source.to_slots(searched)
         for event in attempts if searched.any() else ():
             if event.state == OBSERVED:
-                job = request.job(event.row, left, as_file=False)
+                job = request.job(event.row, left)
                 covered = reach_of(job).pairs.covered
                 own.flags[job.field.row] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
     own.n_flagged, own.n_searched = len(own.attempts), len(unseen)

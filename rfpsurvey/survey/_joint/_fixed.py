@@ -68,7 +68,7 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
         visits, blank = (visits[(np.asarray(visits["target_row"]) >= 0) == one] for one in (True, False))
-        job = request.job(tile, every, as_file=False)
+        job = request.job(tile, every)
         field = job.field
         index = _targets_of(visits, field)
         if index is None:
@@ -111,7 +111,7 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
     for tile, event in state.begun.items():
         visits = read_fits_bytes(state.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[0]
         visits = visits[visits["target_row"] >= 0]
-        field = request.job(tile, every, as_file=False).field
+        field = request.job(tile, every).field
         own = np.array([row_of[one] for one in visits["positioner"].tolist()], dtype=np.int64)
         slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
         slot[own] = field.slot[np.searchsorted(field.row, visits["target_row"])]

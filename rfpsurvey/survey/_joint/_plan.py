@@ -35,12 +35,12 @@ class PlannedRequest(Request):
     fixed: dict = field(default_factory=dict)
     is_planned = True
 
-    def job(self, tile: int, left: np.ndarray, *, as_file: bool):
+    def job(self, tile: int, left: np.ndarray):
         """Return the job that makes a tile from its known plan."""
         if tile in self.fixed:  # the targets of this tile may have no remaining visits
-            job = super().job(tile, self.builder.left, as_file=as_file)
+            job = super().job(tile, self.builder.left)
             return given_plan(self, job, self.fixed[tile])
-        return given_plan(self, super().job(tile, left, as_file=as_file), self.plans[tile])
+        return given_plan(self, super().job(tile, left), self.plans[tile])
 
 
 def plan_together(request: Request, folder, executor, progress) -> tuple[Request, QTable, object]:

@@ -58,7 +58,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         done += 1
     for round_ in request.rounds:
         tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
-        jobs = [state.open_job(request, tile, as_file=False) for tile in tiles.tolist()]
+        jobs = [state.open_job(request, tile) for tile in tiles.tolist()]
         for tile, job, (target, side) in zip(
             tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
@@ -83,7 +83,7 @@ def list_all(
     left, given = request.builder.left, request.options.subpriority
     jobs, slots, n, subpriority = [], [], len(request.tiling), None
     for tile in range(n):
-        job = request.job(tile, left, as_file=False)
+        job = request.job(tile, left)
         slots.append(job.field.slot)
         values = job.field.targets.columns.subpriority
         if given is not None:
