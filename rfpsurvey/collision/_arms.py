@@ -230,7 +230,10 @@ def to_columns(plane, fiber_type):
     if fiber_type is None:
         return plane.arrays
     types = _column(to_plain(fiber_type, "fiber_type").astype(str), "fiber_type", len(plane))
-    for name in np.unique(types[types != ""]):
+    given = types[types != ""]
+    if len(given) == 0:
+        return plane.arrays
+    for name in np.unique(given):
         check_fiber_type(str(name), plane.fiber_types)
     return plane.arrays.using(plane.arrays.index_of(types))
 
