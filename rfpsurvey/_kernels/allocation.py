@@ -330,9 +330,8 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
     # Positioners that a failed search has reached are skipped, because no later augmenting path contains them.
-    closed = np.zeros(n, np.bool_)
-    seen = np.full(n, -1, np.int64)
-    came_from = np.empty(n, np.int64)
+    closed, seen, came_from = np.empty(n, np.bool_), np.empty(n, np.int64), np.empty(n, np.int64)
+    closed[:], seen[:] = False, -1
     queue = np.empty(n + 1, np.int64)
     for t in order:
         head, tail = 0, 1
