@@ -267,10 +267,21 @@ def _keys(problem, target, held, near):
     spends = held[np.flatnonzero(high)]
     if len(does) + len(spends) == 0:
         return np.zeros(len(target), dtype=np.int64), np.ones((1, 1), dtype=bool)
-    rows, key = np.unique(np.concatenate([does, spends]).T, axis=0, return_inverse=True)
-    does, spends = rows[:, : len(does)], rows[:, len(does) :]
-    as_good = (does[:, None] >= does[None]).all(axis=2) & (spends[:, None] <= spends[None]).all(axis=2)
-    return key.reshape(-1).astype(np.int64), as_good
+    first, key = _distinct(np.concatenate([does, spends]))
+    does, spends = does[:, first].astype(np.float32), spends[:, first].astype(np.float32)
+    # a product of matrices counts the conditions that key a does not meet, without an array of all conditions and pairs
+    return key, ((1 - does).T @ does + spends.T @ (1 - spends)) == 0
+
+
+def _distinct(flags):
+    """Return the index of one column of each kind, and the kind of each column, for an array of booleans."""
+    packed = np.zeros((flags.shape[1], -(-len(flags) // 64) * 8), dtype=np.uint8)
+    packed[:, : -(-len(flags) // 8)] = np.packbits(flags, axis=0).T
+    kind = np.zeros(flags.shape[1], dtype=np.int64)
+    for word in packed.view(np.int64).T:
+        values, place = np.unique(word, return_inverse=True)
+        first, kind = np.unique(kind * len(values) + place.reshape(-1), return_index=True, return_inverse=True)[1:]
+    return first, kind.reshape(-1)
 
 
 def _by_target(target, n):

@@ -105,7 +105,7 @@ def repair_collisions(
     groups = candidates.problem.groups
     chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
     now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
-    low = [group.requirement.minimum > 0 for group in groups]
+    counted = held[[group.requirement.minimum > 0 for group in groups]].any(axis=0)  # toward a minimum
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
     def order():
@@ -114,19 +114,20 @@ def repair_collisions(
         Targets that count toward no minimum are first. Among these targets, and among all other targets, less important
         targets are first.
         """
-        return np.lexsort((-options.rank[now], held[low][:, now].any(axis=0)))
+        return np.lexsort((-options.rank[now], counted[now]))
 
     counts = _repair(options, order(), now, *state, deadline, active, near)
     if counts is None:
         return None
     for spread in candidates.spreads:
         add_neighbors(candidates, spread, most, deadline, now, *state)
+    count = held[:, now].sum(axis=1)
     for g, group in enumerate(groups):
-        count = held[:, now].sum(axis=1)
-        first = order()
-        first = first[~held[low][:, now].any(axis=0)[first]]
         need = group.requirement.minimum - count[g]
-        moves.fill_group(first, need, g, held, count, most, options, now, *state)
+        if need > 0:
+            first = order()
+            first = first[~counted[now[first]]]
+            moves.fill_group(first, need, g, held, count, most, options, now, *state)
     for spread in candidates.spreads:
         add_neighbors(candidates, spread, most, deadline, now, *state)
     return now, *counts
