@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._kernels import conflicts, motion, reduce
 from rfpsurvey._kernels.collisions import halve
@@ -77,6 +78,11 @@ class Candidates:
             Spread(rule, *(members(problem, rule, what, o.own, o.target) for what in ("science", rule.what)))
             for rule in problem.distributions
         ]
+
+    @cached_property
+    def counts(self) -> "scipy.sparse.csr_array":
+        """The array ``held`` as a sparse matrix of numbers; each candidate counts toward few of many requirements."""
+        return scipy.sparse.csr_array(self.held, dtype=np.int64)
 
     @cached_property
     def segments(self) -> np.ndarray:

@@ -251,15 +251,21 @@ class Program:
 
     def _requirements(self, others):
         """Add constraints for the requirements: the plan may miss a minimum, but must not exceed a maximum."""
-        held = self.candidates.held
+        held = self.candidates.held[:, self.candidate]
+        already = self.candidates.counts @ np.bincount(others, minlength=len(self.candidates))
+        columns, low, high = [np.empty(0, dtype=np.int64)], [], []
         for g, group in enumerate(self.problem.groups):
-            column = np.flatnonzero(held[g, self.candidate])
-            already, one = int(held[g, others].sum()), group.requirement
+            column, one = np.flatnonzero(held[g]), group.requirement
             if one.minimum > 0:
-                column_of = np.append(column, self.short[g])
-                self._add(np.zeros(len(column_of), int), column_of, max(one.minimum - already, 0), np.array([np.inf]))
+                columns.append(np.append(column, self.short[g]))
+                low.append(max(one.minimum - already[g], 0))
+                high.append(np.inf)
             if one.maximum is not None:
-                self._add(np.zeros(len(column), int), column, -np.inf, np.array([max(one.maximum - already, 0.0)]))
+                columns.append(column)
+                low.append(-np.inf)
+                high.append(max(one.maximum - already[g], 0))
+        row = np.repeat(np.arange(len(columns)) - 1, [len(column) for column in columns])
+        self._add(row, np.concatenate(columns), np.array(low), np.array(high, dtype=float))
 
     def _distributions(self):
         """Add constraints: science fibers have neighbors only if they are in use and enough neighbors are in use."""
