@@ -12,7 +12,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
@@ -146,7 +146,7 @@ def show_command(name, words, env, n):
 
 
 def survey():
-    """Print the times per tile of the tiles of DESI near a position, for one thread and for two processes."""
+    """Print the processor time per tile of the tiles of DESI near a position."""
     path = Path(os.environ.get("RFPSURVEY_TEST_DATA", "")) / "desi_tiles_main.ecsv.gz"
     if not path.exists():
         print("no survey: desi_tiles_main.ecsv.gz is not in RFPSURVEY_TEST_DATA")
@@ -155,16 +155,14 @@ def survey():
     targets = rs.synthetic_catalog("uniform", MIDDLE, 15 * u.deg, density=DENSITY / u.deg**2, rng=1)
     for allocator in ("nearest", "repair"):
         print(f"plan_survey, {len(tiling)} tiles of DESI, {len(targets)} targets, allocator {allocator}")
-        for name in ("with files", "without files", "two processes"):
-            times, clock = [], perf_counter if name == "two processes" else process_time
+        for name in ("with files", "without files"):
+            times = []
             for _ in range(5):  # the first repetition compiles the kernels
-                with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
-                    begin, where = clock(), None if name == "without files" else Path(folder) / "survey"
-                    executor = pool if name == "two processes" else None
-                    rs.plan_survey(targets, "desi", tiling, allocator=allocator, folder=where, executor=executor)
-                    times.append(clock() - begin)
-            kind = "elapsed time" if name == "two processes" else "processor time"
-            show(f"{kind} per tile, {name}", 1e3 * min(times) / len(tiling))
+                with tempfile.TemporaryDirectory() as folder:
+                    begin, where = process_time(), Path(folder) / "survey" if name == "with files" else None
+                    rs.plan_survey(targets, "desi", tiling, allocator=allocator, folder=where)
+                    times.append(process_time() - begin)
+            show(f"processor time per tile, {name}", 1e3 * min(times) / len(tiling))
 
 
 CASES = {f.__name__: f for f in (tile, collisions, configurations, survey, start)}

@@ -16,7 +16,7 @@ import rfpsurvey as rs
 from rfpsurvey.survey import Cadences
 from scenes import random_plane
 
-N_CASES, CHUNK = 300, 20
+N_CASES, CHUNK = 200, 20
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
 pytestmark = pytest.mark.filterwarnings("ignore:no target was observed")
 

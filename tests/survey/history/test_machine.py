@@ -305,7 +305,7 @@ def run(number, steps):
 
 
 @pytest.mark.parametrize(
-    "number", [15, pytest.param(int(os.environ.get("RFPSURVEY_HISTORIES", 60)), marks=pytest.mark.exhaustive)]
+    "number", [15, pytest.param(int(os.environ.get("RFPSURVEY_HISTORIES", 30)), marks=pytest.mark.exhaustive)]
 )
 def test_random_histories(number):
     run(number, 12)
