@@ -36,6 +36,7 @@ def put(i, c, options, chosen, blocked, holder):
 @kernel
 def put_all(plan, options, chosen, blocked, holder):
     """Assign the candidates of a plan to all positioners, which have no candidates yet."""
+    # a call of `put` for each positioner would take longer, because all arrays of ``options`` are passed to it
     indptr, other, target = options.indptr, options.other, options.target
     for i in range(plan.size):
         c = plan[i]

@@ -80,7 +80,7 @@ class Candidates:
         ]
 
     @cached_property
-    def counts(self) -> "scipy.sparse.csr_array":
+    def held_sparse(self) -> "scipy.sparse.csr_array":
         """The array ``held`` as a sparse matrix of numbers; each candidate counts toward few of many requirements."""
         return scipy.sparse.csr_array(self.held, dtype=np.int64)
 

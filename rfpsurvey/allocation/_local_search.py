@@ -105,7 +105,8 @@ def repair_collisions(
     groups = candidates.problem.groups
     chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
     now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
-    counted = held[[group.requirement.minimum > 0 for group in groups]].any(axis=0)  # toward a minimum
+    # whether each candidate counts toward a minimum
+    counted = held[[group.requirement.minimum > 0 for group in groups]].any(axis=0)
     most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
 
     def order():

@@ -252,7 +252,7 @@ class Program:
     def _requirements(self, others):
         """Add constraints for the requirements: the plan may miss a minimum, but must not exceed a maximum."""
         held = self.candidates.held[:, self.candidate]
-        already = self.candidates.counts @ np.bincount(others, minlength=len(self.candidates))
+        already = self.candidates.held_sparse @ np.bincount(others, minlength=len(self.candidates))
         columns, low, high = [np.empty(0, dtype=np.int64)], [], []
         for g, group in enumerate(self.problem.groups):
             column, one = np.flatnonzero(held[g]), group.requirement

@@ -138,11 +138,12 @@ def _jobs_of(request, tiles, state, folder, executor) -> Iterator:
 
     Workers on this machine write the file of a tile, unless they would replace another file.
     """
+    writes = is_local(executor)
     for tile in tiles.tolist():
         job, known = state.open_job(request, tile), None
         if folder is not None:
             known = _read(folder, tile, job)
-            job = job._replace(as_file=True, path=folder.new_path(tile) if is_local(executor) else None)
+            job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
         yield job, job.bare(), known
 
 
@@ -152,8 +153,8 @@ def in_order(
     """Yield the job of each tile, its result, and whether this run computed the result.
 
     ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
-    it is submitted. With an executor, each task plans the tiles of ``together`` jobs, and at most about ``most`` tiles
-    are submitted before the result of the first task is awaited.
+    it is submitted. With an executor, each task consists of ``together`` jobs, and at most ``most`` tiles, rounded up
+    to whole tasks, are submitted before the result of the first task is awaited.
     """
     waiting, jobs, together = deque(), iter(jobs), 1 if executor is None else together
     try:

@@ -1,6 +1,6 @@
 """Print the times of the page "Computing time of each stage": stages of calls, and their lower limits.
 
-python tests/benchmarks/profile_figures.py [tile] [collisions] [configurations] [survey] [start]
+python tests/benchmarks/profile_figures.py [tile] [collisions] [configurations] [survey] [modules] [start]
 
 All times are the smallest of many repetitions. The survey requires the file ``desi_tiles_main.ecsv.gz`` in the folder
 RFPSURVEY_TEST_DATA.
@@ -165,7 +165,16 @@ def survey():
             show(f"processor time per tile, {name}", 1e3 * min(times) / len(tiling))
 
 
-CASES = {f.__name__: f for f in (tile, collisions, configurations, survey, start)}
+def modules():
+    """Print the time of a tile of MUST with a requirement for each module."""
+    must = rs.Instrument.preset("must")
+    sky = rs.synthetic_catalog("uniform", CENTER, must.field_radius, n_targets=60_000, rng=1)
+    options = rs.AllocationOptions(requirements="sky=2/module", sky_separation=3 * u.arcsec)
+    print(f"plan_tile, MUST, {len(sky)} targets, two sky positions per module, allocator repair")
+    show("whole call", smallest_ms(lambda: rs.plan_tile(sky, must, center=CENTER, allocator=options), 2))
+
+
+CASES = {f.__name__: f for f in (tile, collisions, configurations, survey, modules, start)}
 
 
 def main():

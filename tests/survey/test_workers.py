@@ -2,6 +2,7 @@
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import astropy.units as u
@@ -28,9 +29,9 @@ def jobs(known=()):
 @pytest.mark.parametrize("together", [1, 3, 8, 50])
 @pytest.mark.parametrize("pool", [None, 1, 3])
 def test_the_results_are_in_order(together, pool):
-    executor = None if pool is None else ThreadPoolExecutor(pool)
     known = {0, 4, 5, 6, 19}
-    found = list(in_order(executor, lambda k: 2 * k, jobs(known), 7, together))
+    with nullcontext() if pool is None else ThreadPoolExecutor(pool) as executor:
+        found = list(in_order(executor, lambda k: 2 * k, jobs(known), 7, together))
     assert found == [(Named(k), -k if k in known else 2 * k, k not in known) for k in range(20)]
 
 
@@ -58,9 +59,10 @@ def test_few_jobs_are_made_before_the_first_result_is_awaited():
             made.append(job)
             yield job
 
-    results = in_order(ThreadPoolExecutor(1), abs, count(), 8, 4)
-    next(results)
-    assert len(made) == 8
+    with ThreadPoolExecutor(1) as executor:
+        results = in_order(executor, abs, count(), 8, 4)
+        next(results)
+        assert len(made) == 8
 
 
 @pytest.fixture(scope="module")
