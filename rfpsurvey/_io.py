@@ -37,7 +37,6 @@ __all__ = [
     "read_fits_bytes",
     "read_table",
     "suffix_of",
-    "table_bytes",
     "table_cards",
     "temporary_folder",
     "to_path",
@@ -167,17 +166,6 @@ def temporary_folder(path: str | os.PathLike):
     with _in_place_of(path) as own:
         own.mkdir()
         yield own
-
-
-def table_bytes(table: QTable, path: str, cards: dict | None = None, name: str | None = None) -> bytes:
-    """Return the bytes that `write_table` would write; the same table always gives the same bytes."""
-    if path.endswith(".ecsv"):
-        file = io.StringIO(newline="\n")
-        table.write(file, format="ascii.ecsv")
-        return file.getvalue().encode()
-    file = io.BytesIO()
-    _to_hdus(table, cards, name, {}).writeto(file)
-    return file.getvalue()
 
 
 def _to_hdus(table, cards, name, others):

@@ -12,6 +12,9 @@ from rfpsurvey.catalog._extra import result_name
 from rfpsurvey.catalog._index import half_chord_squared
 from rfpsurvey.catalog._time import to_time
 
+# Number of directions that are converted together; astropy makes many temporary arrays of this length.
+BLOCK = 1 << 18
+
 
 class CatalogArrays:
     """The columns of a catalog as read-only arrays without units, which are computed on first use and then stored.
@@ -55,7 +58,11 @@ class CatalogArrays:
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        return locked(to_vectors(self._coord))
+        found = np.empty((len(self._coord), 3))
+        for first in range(0, len(found), BLOCK):
+            block = slice(first, first + BLOCK)
+            found[block] = to_vectors(self._coord[block])
+        return locked(found)
 
     @cached_property
     def repeated_ids(self) -> bool:

@@ -9,6 +9,8 @@ from rfpsurvey._kernels import zones
 # Largest number of zones, and mean number of directions in a square whose side is the height of a zone.
 MOST_ZONES = 1800
 PER_SQUARE = 25.0
+# Number of directions that are copied together.
+BLOCK = 1 << 18
 
 
 class SkyIndex:
@@ -26,12 +28,15 @@ class SkyIndex:
     def __init__(self, vectors: np.ndarray):
         n = len(vectors)
         self.n_zones = int(np.clip(np.sqrt(max(n, 1) / PER_SQUARE), 1, MOST_ZONES))
-        key = np.empty(n)
-        zones.make_keys(vectors, self.n_zones, key)
+        self.key = np.empty(n)
+        zones.make_keys(vectors, self.n_zones, self.key)
         # The type is int32 if possible, because this array uses much of the memory of a large catalog.
-        self.order = np.argsort(key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
-        self.key = key[self.order]
-        self.vectors = vectors[self.order]
+        self.order = np.argsort(self.key, kind="stable").astype(np.int32 if n < 2**31 else np.int64)
+        self.key = self.key[self.order]
+        self.vectors = np.empty((n, 3))
+        for first in range(0, n, BLOCK):  # `take` is fast, but it makes a copy of the indices with 64 bits
+            rows = slice(first, first + BLOCK)
+            vectors.take(self.order[rows], axis=0, out=self.vectors[rows], mode="clip")
 
     def __len__(self):
         return len(self.order)

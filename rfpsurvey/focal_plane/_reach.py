@@ -103,12 +103,13 @@ def make_grid(xy, outer):
     reaches = outer * (1 + 1e-6)
     low, high = (xy - reaches[:, None]).min(axis=0), (xy + reaches[:, None]).max(axis=0)
     # limit the grid to a few cells per positioner, however far apart the positioners are
-    size = max(outer.max() / 2, np.sqrt(np.prod(high - low) / (16 * len(xy))), (high - low).max() / 4096)
+    size = max(outer.max(), np.sqrt(np.prod(high - low) / (16 * len(xy))), (high - low).max() / 4096)
     nx, ny = (int(n) for n in (high - low) // size + 1)
-    grid = float(low[0]), float(low[1]), float(size), nx, ny, np.zeros(nx * ny + 1, dtype=np.int64)
+    # few cells and small integers, because the grid must be read from memory for each field
+    grid = float(low[0]), float(low[1]), float(size), nx, ny, np.zeros(nx * ny + 1, dtype=np.int32)
     x, y = xy.T.copy()
-    reach.fill_grid(x, y, reaches, *grid, np.empty(0, dtype=np.int64))
-    order = np.empty(grid[-1][-1], dtype=np.int64)
+    reach.fill_grid(x, y, reaches, *grid, np.empty(0, dtype=np.int32))
+    order = np.empty(grid[-1][-1], dtype=np.int32)
     reach.fill_grid(x, y, reaches, *grid, order)
     return *grid, order
 

@@ -4,8 +4,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from astropy.table import QTable
+
 from rfpsurvey._folder import RequestFolder, read_verified
-from rfpsurvey._io import write_bytes
+from rfpsurvey._io import write_bytes, write_table
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -156,6 +158,11 @@ class Folder(RequestFolder):
         with self._told():
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
+
+    def put_table(self, name: str, table: QTable, cards: dict | None, title: str) -> None:
+        """Write a table of the survey to a file; ``cards`` and ``title`` are those of `write_table`."""
+        with self.writing(name) as own:
+            write_table(table, own, cards=cards, name=title)
 
 
 def part_name(tile: int) -> str:

@@ -91,11 +91,11 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         codes = {f"OUTCOME{k}": (name, f"outcome {k}") for k, name in enumerate(OUTCOMES)}
         for name, table in zip(TABLES, tables, strict=True):
             title, cards = name.split(".")[0].upper(), codes if name == "outcomes.fits" else None
-            folder.put(name, _io.table_bytes(table, name, cards, title))
+            folder.put_table(name, table, cards, title)
         if joint is not None:
             stored = joint.copy()
             del stored["seconds"]  # the files of equal surveys are equal
-            folder.put(JOINT, _io.table_bytes(stored, JOINT, None, "JOINT"))
+            folder.put_table(JOINT, stored, None, "JOINT")
         folder.finish()
     return Survey(*tables, folder.path, joint=joint)
 

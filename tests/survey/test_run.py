@@ -159,11 +159,12 @@ def test_what_a_kill_leaves_behind_is_not_trusted(case, folder, undisturbed):
 
 
 @pytest.mark.parametrize("what", ["text", "another table", "cut off"])
-def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, undisturbed, what):
+def test_a_part_that_is_none_but_is_in_the_index_is_made_again(case, folder, tmp_path, undisturbed, what):
     """Regression: a file with a correct checksum was read as a table of visits, which raised an unhandled exception."""
     part = folder / "tiles" / "000" / "000007.fits"
-    other = _io.table_bytes(QTable({"a": [1, 2]}), "a.fits")
-    content_of = {"text": b"nothing", "another table": other, "cut off": part.read_bytes()[:5760]}[what]
+    other = tmp_path / "other.fits"
+    _io.write_table(QTable({"a": [1, 2]}), other)
+    content_of = {"text": b"nothing", "another table": other.read_bytes(), "cut off": part.read_bytes()[:5760]}[what]
     part.write_bytes(content_of)
     lines = (folder / "index.csv").read_text().splitlines(keepends=True)
     line = f"tiles/000/000007.fits,{len(content_of)},{hashlib.sha256(content_of).hexdigest()}\n"
