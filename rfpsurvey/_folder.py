@@ -15,7 +15,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
-from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes
+from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes, written
 from rfpsurvey._outputs import check_parent
 from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey._temporary import temporary
@@ -85,7 +85,7 @@ class RequestFolder:
 
     def __enter__(self):
         is_new = not self.path.exists()
-        with self._told():
+        with written(self.path):
             self.path.mkdir(exist_ok=True)
             if not self._begun:
                 self._refuse_others()
@@ -154,14 +154,6 @@ class RequestFolder:
             )
         check_request(self.path, before, now, self.work, "folder")
 
-    @contextmanager
-    def _told(self):
-        """Convert errors of the operating system to an InputError."""
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"{self.path} cannot be written: {error.strerror or error}") from error
-
     def put(self, name: str, content: bytes) -> None:
         """Write a file, and the line of the index for this file."""
         with self._recorded(name, len(content), hashlib.sha256(content).hexdigest()):
@@ -190,7 +182,7 @@ class RequestFolder:
         if not replaced:
             yield
         self._known.setdefault(name, []).append(entry)
-        with self._told(), (self.path / INDEX).open("a") as file:
+        with written(self.path), (self.path / INDEX).open("a") as file:
             file.write(_line(name, entry))
         if replaced:
             yield

@@ -43,6 +43,7 @@ __all__ = [
     "write_bytes",
     "write_fits_rows",
     "write_table",
+    "written",
 ]
 
 TEMPORARY_PREFIX = ".rfpsurvey-"
@@ -109,7 +110,7 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     into it. Therefore, no other thread or process writes into this folder, and the temporary path cannot be a symbolic
     link that another user made.
     """
-    with _written(path), temporary(_beside(path)) as room:
+    with written(path), temporary(_beside(path)) as room:
         room.mkdir(mode=0o700)
         own = room / path.name
         yield own
@@ -120,7 +121,7 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
 
 
 @contextmanager
-def _written(path: Path):
+def written(path: Path):
     """Convert errors of the operating system to an InputError."""
     try:
         yield
@@ -202,7 +203,7 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a temporary file and rename it to ``path``; with ``sync``, the content is on disk before the renaming."""
-    with _written(path), temporary(_beside(path)) as own:
+    with written(path), temporary(_beside(path)) as own:
         # The file is new and has a random name, so that no other process writes to it and no link is followed.
         handle = os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         with open(handle, "wb") as file:
@@ -215,7 +216,7 @@ def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
 
 def write_new_file(path: Path, content: bytes) -> tuple[int, str]:
     """Write a file, make its parent folders if necessary, and return the size and the checksum of the file."""
-    with _written(path):
+    with written(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, content)
     return len(content), hashlib.sha256(content).hexdigest()

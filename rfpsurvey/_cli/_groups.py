@@ -38,7 +38,30 @@ def margins_of_text(text: str) -> dict:
 
 
 @dataclass(frozen=True)
-class CatalogKeys:
+class TableKeys:
+    """A table of tiles, or of centers of tiles.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Table of tiles or centers, with at least the columns ra and dec, or other usual names such as racen and deccen.
+        Surveys use two hexagonal coverings of the catalog by default.
+    columns : dict[str, str], optional
+        Names of columns of the table by their roles: tile (the identifier), ra, dec, position_angle and pass.
+    units : dict[str, str], optional
+        Units of columns that have no unit, by role, such as ra=deg.
+    hdu : str or int, optional
+        Number or name (EXTNAME) of the table in a FITS file with several tables.
+    """
+
+    path: Path | None = None
+    columns: dict[str, str] | None = None
+    units: dict[str, str] | None = None
+    hdu: str | int | None = None
+
+
+@dataclass(frozen=True)
+class CatalogKeys(TableKeys):
     """The catalog of targets.
 
     Parameters
@@ -65,10 +88,6 @@ class CatalogKeys:
         Epoch of all positions in the catalog, such as J2016, in place of a column.
     """
 
-    path: Path | None = None
-    columns: dict[str, str] | None = None
-    units: dict[str, str] | None = None
-    hdu: str | int | None = None
     fill: dict[str, Text] | None = None
     keep: list[str] | None = None
     frame: str = "icrs"
@@ -147,29 +166,6 @@ class InstrumentKeys(StateKeys):
     """
 
     name: Annotated[str, Located] = "lamost"
-
-
-@dataclass(frozen=True)
-class TableKeys:
-    """A table of tiles, or of centers of tiles.
-
-    Parameters
-    ----------
-    path : Path, optional
-        Table of tiles or centers, with at least the columns ra and dec, or other usual names such as racen and deccen.
-        Surveys use two hexagonal coverings of the catalog by default.
-    columns : dict[str, str], optional
-        Names of columns of the table by their roles: tile (the identifier), ra, dec, position_angle and pass.
-    units : dict[str, str], optional
-        Units of columns that have no unit, by role, such as ra=deg.
-    hdu : str or int, optional
-        Number or name (EXTNAME) of the table in a FITS file with several tables.
-    """
-
-    path: Path | None = None
-    columns: dict[str, str] | None = None
-    units: dict[str, str] | None = None
-    hdu: str | int | None = None
 
 
 @dataclass(frozen=True)

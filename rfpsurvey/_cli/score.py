@@ -1,7 +1,6 @@
 """The command ``rfpsurvey score``."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import astropy.units as u
@@ -15,7 +14,7 @@ from rfpsurvey.tile import north_of_date
 
 
 @dataclass(frozen=True)
-class AssignmentKeys:
+class AssignmentKeys(_groups.TableKeys):
     """The plan that is scored.
 
     Parameters
@@ -32,10 +31,6 @@ class AssignmentKeys:
         Use only rows with these values of columns, such as field=1.
     """
 
-    path: Path | None = None
-    columns: dict[str, str] | None = None
-    units: dict[str, str] | None = None
-    hdu: str | int | None = None
     select: dict[str, str] | None = None
 
 

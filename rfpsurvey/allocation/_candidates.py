@@ -13,7 +13,7 @@ from rfpsurvey.allocation._clock import OutOfTimeError, left, now
 from rfpsurvey.allocation._distribution import Spread, members
 from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.collision import arms_closer_exactly, touching
+from rfpsurvey.collision import arms_closer_exactly, obstacle_tests, touching
 
 ROOM = 1 << 18
 # Number of tests of two candidates for a collision before the clock is read again.
@@ -206,12 +206,8 @@ def list_candidates(problem, reach, both):
 
 def obstacle_hits(plane, start, segments):
     """Return the pairs (candidate, obstacle) that collide, shape (k, 2)."""
-    pairs = plane.arrays.obstacle_pairs
-    size = start[pairs[:, 0] + 1] - start[pairs[:, 0]]
-    first = np.repeat(start[pairs[:, 0]] - np.concatenate([[0], np.cumsum(size)[:-1]]), size)
-    rows = np.column_stack([first + np.arange(size.sum()), np.repeat(pairs[:, 1], size)]).astype(np.int64)
     owner = np.repeat(np.arange(len(plane)), np.diff(start))
-    return touching(plane, segments, rows, owner)[0]
+    return touching(plane, segments, obstacle_tests(plane.arrays.obstacle_pairs, owner), owner)[0]
 
 
 def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf, moves=None):

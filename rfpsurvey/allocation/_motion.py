@@ -8,6 +8,7 @@ from rfpsurvey.collision import (
     Turning,
     idle_moves,
     joined,
+    obstacle_tests,
     solve_moves,
     stays_folded,
     turn_idle_arms,
@@ -54,12 +55,7 @@ class Motion:
 
     def obstacle_hits(self, problem, own: np.ndarray, moves: Moves) -> np.ndarray:
         """Return the pairs (arm, obstacle) that collide while arms unfold; ``own`` is the positioner of each arm."""
-        pairs = problem.focal_plane.arrays.obstacle_pairs
-        first = np.searchsorted(pairs[:, 0], np.arange(len(problem.focal_plane) + 1))
-        size = first[own + 1] - first[own]
-        index = np.repeat(np.arange(len(own)), size)
-        offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
-        test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
+        test = obstacle_tests(problem.focal_plane.arrays.obstacle_pairs, own)
         return test[unfolding_obstacles(problem.focal_plane, moves, own, test)]
 
     def turns(self, problem, own: np.ndarray, moves: Moves) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.collision import touching
+from rfpsurvey.collision import obstacle_tests, touching
 from rfpsurvey.focal_plane import Reach
 
 # Each positioner keeps at least its N_BEST best targets, and N_SPREAD further targets of the same class as the last of
@@ -137,7 +137,6 @@ def _without_obstacles(problem, reach, crowded):
     pairs = pairs[crowded[pairs[:, 0]]]
     if len(pairs) == 0:
         return reach
-    first = np.searchsorted(pairs[:, 0], np.arange(len(plane) + 1))
     touched = np.zeros(len(reach.owner), dtype=bool)
     near = np.zeros(len(plane), dtype=bool)
     near[pairs[:, 0]] = True
@@ -146,10 +145,7 @@ def _without_obstacles(problem, reach, crowded):
     for begin in range(0, len(rows), BATCH):
         part, points = rows[begin : begin + BATCH], problem.xy[target[begin : begin + BATCH]]
         own, free = reach.owner[part], np.zeros(len(part), dtype=bool)
-        size = first[own + 1] - first[own]
-        index = np.repeat(np.arange(len(part)), size)
-        offset = np.arange(len(index)) - np.repeat(np.cumsum(size) - size, size)
-        test = np.column_stack([index, pairs[np.repeat(first[own], size) + offset, 1]])
+        test = obstacle_tests(pairs, own)
         both = plane.positioner.handedness == "both"
         fiber = problem.fiber_of(own, target[begin : begin + BATCH])
         for side in (1.0, -1.0) if both else (plane.arrays.sides(points[:1], own[:1])[0],):

@@ -3,7 +3,7 @@
 from rfpsurvey.collision._arms import Arms, check_plane, nearest_distance, place_arms
 from rfpsurvey.collision._count import CollisionCounts, count_collisions, make_setup, make_workspace, queue_segments
 from rfpsurvey.collision._exact_arithmetic import arms_closer_exactly, closer_exactly, distance_exactly
-from rfpsurvey.collision._find import collisions_of, find_collisions, touching
+from rfpsurvey.collision._find import collisions_of, find_collisions, obstacle_tests, touching
 from rfpsurvey.collision._methods import METHODS, CollisionMethod, Configuration, Found, keep_closer, near_pairs
 from rfpsurvey.collision._motion import LAWS, MotionReport, find_motion, plan_moves
 from rfpsurvey.collision._moves import (
@@ -46,6 +46,7 @@ __all__ = [
     "make_workspace",
     "near_pairs",
     "nearest_distance",
+    "obstacle_tests",
     "place_arms",
     "plan_moves",
     "queue_segments",

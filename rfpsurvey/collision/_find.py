@@ -168,6 +168,21 @@ def _posed_segments(plane, tips, given, parked_obstacles):
     return segments, assigned, columns.idle(parked_obstacles).parked & ~assigned, poses
 
 
+def obstacle_tests(pairs: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return all pairs (arm, obstacle) that can collide, sorted by arm, shape (k, 2).
+
+    ``pairs`` contains the pairs (positioner, obstacle) that can collide, sorted by positioner; ``owner`` is the
+    positioner of each arm.
+    """
+    if len(pairs) == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    first = np.searchsorted(pairs[:, 0], np.arange(owner.max(initial=-1) + 2))
+    size = first[owner + 1] - first[owner]
+    arm = np.repeat(np.arange(len(owner)), size)
+    offset = np.arange(len(arm)) - np.repeat(np.cumsum(size) - size, size)
+    return np.column_stack([arm, pairs[np.repeat(first[owner], size) + offset, 1]])
+
+
 def touching(plane, segments, pairs, owner=None):
     """Return the pairs (segment, obstacle) that collide, their distances, and the number of borderline pairs.
 

@@ -8,12 +8,7 @@ from matplotlib.colors import ListedColormap
 PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
 SERIES = ("#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
 GROUP_COLORS = (
-    "#D55E00",
-    "#0072B2",
-    "#E69F00",
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
+    *SERIES[:6],
     "#555555",
     "#F0E442",
     "#F2B58A",

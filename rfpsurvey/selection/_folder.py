@@ -6,6 +6,7 @@ from time import monotonic
 import numpy as np
 
 from rfpsurvey._folder import RequestFolder, check_file
+from rfpsurvey._io import written
 from rfpsurvey._readers import open_file, read_arrays
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.selection._state import State
@@ -83,7 +84,7 @@ class SelectionFolder(RequestFolder):
     def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray) -> None:
         """Write the masks of all targets and the counts of a finished block, and remove its state."""
         self.save(_block(number), mask=mask, counts=counts)
-        with self._told():
+        with written(self.path):
             (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
 
     def load_block(self, number: int, n_targets: int, n: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -93,7 +94,7 @@ class SelectionFolder(RequestFolder):
 
     def finish(self) -> None:
         """Remove the files that are required only to continue an unfinished computation, and their checksums."""
-        with self._told():
+        with written(self.path):
             for path in self.path.glob("*.npz"):
                 path.unlink()
         self._known = {NAME: self._known[NAME]}

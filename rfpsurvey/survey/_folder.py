@@ -7,7 +7,7 @@ from pathlib import Path
 from astropy.table import QTable
 
 from rfpsurvey._folder import RequestFolder, read_verified
-from rfpsurvey._io import write_bytes, write_table
+from rfpsurvey._io import write_bytes, write_table, written
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -155,7 +155,7 @@ class Folder(RequestFolder):
 
     def put_file(self, name: str, content: bytes) -> None:
         """Write a file of the survey; if its parent folder does not exist, make this folder."""
-        with self._told():
+        with written(self.path):
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
         self.put(name, content)
 

@@ -134,10 +134,8 @@ class Events:
     def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
         """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
         number, name = len(self.files) + 1, None
-        try:
+        with _io.written(self.folder / EVENTS):
             (self.folder / EVENTS).mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{self.folder / EVENTS} cannot be written: {error.strerror or error}") from error
         if targets is not None:
             rows, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
             content = _io.fits_bytes({column: rows[column] for column in targets.colnames}, {}, fixed)
