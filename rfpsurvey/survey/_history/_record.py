@@ -123,10 +123,9 @@ class _History:
                 self.past.pop(event.row, None)
             self.past.setdefault(event.row, []).append(event)
 
-    def on(self, name: str, date: str) -> TileEvent | None:
-        """Return the recorded observation of a tile on a date; None if there is none."""
-        found = self.states.of(self.row_of[name]) if name in self.row_of else []
-        return next((one for one in reversed(found) if one.date == date), None)
+    def of(self, name: str) -> list[TileEvent]:
+        """Return the recorded observations of a tile."""
+        return self.states.of(self.row_of[name]) if name in self.row_of else []
 
     def earlier(self, event: TileEvent) -> TileEvent | None:
         """Return the recorded event of the same observation; None if there is none."""
@@ -168,10 +167,13 @@ def _tile_events(
         whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, rows, enough, history.on(name, date))
+        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date)
         if not state:
             if len(rows) > len(whole):
-                raise InputError(f"the state of tile {name} must be given with its failed visits, got no state")
+                raise InputError(
+                    f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
+                    "only rows of its visits, or no state"
+                )
             n_ignored += 1
             continue
         event = _event(state, name, date, fraction, history, (table, roles, whole))
@@ -186,11 +188,12 @@ def _tile_events(
 
 
 def _state_of(
-    columns: dict, whole: list[int], rows: list[int], enough: float, earlier: TileEvent | None
+    columns: dict, whole: list[int], rows: list[int], enough: float, earlier: list[TileEvent], date: str
 ) -> tuple[str, float]:
     """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
 
-    Without this row, the tile has the state that was recorded before, or it is done.
+    Without this row, the tile has the state that was recorded before for this date. If no state was recorded before for
+    any date, and the table has no states, the tile is done. ``earlier`` contains the recorded observations of the tile.
     """
     for row in rows:
         if columns["state"] is not None and row not in whole and columns["state"][row]:
@@ -199,7 +202,9 @@ def _state_of(
                 "in a row with one; whether a visit was successful is stated by good"
             )
     if not whole:
-        return (DONE, 1.0) if earlier is None else (earlier.state, earlier.fraction)
+        known = [(one.state, one.fraction) for one in earlier if one.date == date]
+        has_states = bool(earlier or columns["state"] or columns["fraction"])
+        return known[-1] if known else ("" if has_states else DONE, 1.0)
     row = whole[0]
     fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
     if not 0 <= fraction <= MOST_FRACTION:

@@ -62,7 +62,10 @@ TILES = [
         events(tile=11, positioner=["", "1"], state=["done", "bad"]),
         "state of a tile must be in a row without a positioner or target, got .bad.",
     ),
-    (events(tile=11, positioner=["", "1"], state=""), "the state of tile 11 must be given with its failed visits"),
+    (events(tile=11, positioner=["", "1"], state=""), "the state of tile 11 must be given in a row without a positioner"),
+    (events(tile=11, positioner="1", state=""), "the state of tile 11 must be given in a row without a positioner"),
+    (events(tile=11, positioner="1", state="unobs"), "the state of tile 11 must be given in a row without a positioner"),
+    (events(tile=11, target="1", fraction=0.5), "the state of tile 11 must be given in a row without a positioner"),
     (added(), "an added tile must have the columns ra and dec, got no ra and dec"),
     (added(ra=np.nan, dec=0), "the position of tile 30 must be finite angles"),
     (added(ra=missing(1.0), dec=0), "the position of tile 30 must be finite angles"),
@@ -277,6 +280,8 @@ def test_failed_visits_keep_the_state_of_the_tile(survey, case):
         survey.record(events(tile=11, date="2026-01-03", state=state))
         survey.record(events(tile=11, date="2026-01-03", positioner=1))
         assert survey.state(case[0]).summary["n_tiles_observed"] == 0
+    # regression: failed visits of another night finished a tile that was partly observed
+    refuse(survey, events(tile=11, date="2026-01-05", positioner=1), "the state of tile 11 on 2026-01-05 must be given")
     survey.record(events(tile=13, positioner=1))
     assert survey.state(case[0]).summary["n_tiles_observed"] == 1
 
