@@ -75,6 +75,7 @@ def select(keys: SelectKeys, given: Given) -> None:
     values = _survey_folder.values_of(keys.catalog.path)
     survey = None if values is None else build(SurveyKeys, values)
     if survey is not None:  # the keys have the values of the survey, unless they are given
+        values.pop("options.subpriority", None)  # each realization has its own subpriorities
         place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
         own = {name: one for name, one in given.values.items() if name != "catalog.path"}
         keys = build(SelectKeys, {name: one for name, one in shared.items() if not name.startswith("output.")} | own)

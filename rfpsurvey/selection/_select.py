@@ -111,7 +111,7 @@ def selection_probabilities(
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if identifiers occur twice, if no target has the kind or category that a requirement
+        If no target was observed, if a survey is given that was planned without subpriorities, if no target has the kind or category that a requirement
         counts, if an option has no effect, if the tiles were placed for fields of another size, or if a table of tiles
         looks like a catalog of targets; on resuming, if the versions of the software differ or files are damaged.
 
@@ -192,10 +192,15 @@ def selection_probabilities(
 
 
 def _check_same(provenance: dict, request: Request) -> None:
-    """Raise an error if the instrument or the parameters of a survey differ from those of its realizations."""
+    """Raise an error if the parameters of a survey differ from those of its realizations; warn if it is not random."""
     recorded, used = provenance["parameters"], provenance["instrument"]["name"]
     if request.instrument.name != used:
         raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
     for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")
+    if recorded.get("subpriority") is None:
+        warn(
+            "the survey was planned without the option subpriority, so that its plan is not a random realization, and "
+            "the weights of the targets that it observes are biased; plan the survey with a seed as subpriority"
+        )

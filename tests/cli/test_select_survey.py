@@ -19,7 +19,7 @@ def plan(run, tmp_path):
     command = ("survey", tmp_path / "stars.fits", "--tiles", tmp_path / "tiles.ecsv", "--instrument", "sdss_apo")
     folder = tmp_path / "plan"
     for words in (
-        (*command, "--allocator", "nearest", "--folder", folder, "--visits", "2"),
+        (*command, "--allocator", "nearest", "--folder", folder, "--visits", "2", "--set", "options.subpriority=1"),
         ("record", folder, tmp_path / "night.csv"),
         ("survey", folder, "--replan"),
     ):
@@ -29,8 +29,10 @@ def plan(run, tmp_path):
 
 
 def test_the_folder_of_a_survey_gives_all_options_and_events(run, plan, tmp_path):
+    # regression: the seed of a survey with random subpriorities was refused
     code, _, err = run("select", plan, "--n-realizations", "3", "--output", tmp_path / "selection.fits")
     assert code == 0, err
+    assert "warning" not in err
     found = rs.SelectionProbabilities.read(tmp_path / "selection.fits")
     sky = rs.Catalog.read(tmp_path / "stars.fits")
     tiles = rs.Tiling.read(tmp_path / "tiles.ecsv")

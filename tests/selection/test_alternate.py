@@ -78,7 +78,7 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
     """Regression: realizations omitted partly observed tiles, plans after which an observation was corrected, and the
     order in which failures were reported."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    options = rs.AllocationOptions(allocator)
+    options = rs.AllocationOptions(allocator, subpriority=1)
     survey, state = live_and_correct(stars, tmp_path / "survey", options, 0, {1: names[::3]})
     failed = {row: list(event.failed) for row, event in state.kept.items()}
     assert len(failed[1]) > 20
@@ -103,7 +103,8 @@ def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
     """The tiles that were observed are observed in each realization with its own plans; the same positioners fail."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
     failed = names[::7]
-    _, state = live(stars, tmp_path / "survey", rs.AllocationOptions(allocator), 0, dict.fromkeys((1, 4), failed))
+    options = rs.AllocationOptions(allocator, subpriority=1)
+    _, state = live(stars, tmp_path / "survey", options, 0, dict.fromkeys((1, 4), failed))
     # what failed is known only for positioners that had a target
     failed = {row: list(event.failed) for row, event in state.kept.items()}
     assert failed[1]
@@ -119,7 +120,8 @@ def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
 
 
 def test_rules_that_depend_on_observations_are_refused(stars, tmp_path):
-    survey = rs.plan_survey(stars, INSTRUMENT, TILES[:1], allocator="nearest", folder=tmp_path / "survey")
+    options = rs.AllocationOptions("nearest", subpriority=1)
+    survey = rs.plan_survey(stars, INSTRUMENT, TILES[:1], allocator=options, folder=tmp_path / "survey")
     state = survey.state(stars, rule=VisitRule(after_success=3))
     with pytest.raises(rs.InputError, match="rule that has only visits, got after_success"):
         rs.selection_probabilities(state, INSTRUMENT, TILES[:1], 2, allocator="nearest")

@@ -343,7 +343,7 @@ def test_joint_plans_are_refused():
 
 def test_the_realizations_of_a_survey_have_its_options(case):
     catalog, instrument, tiling = case
-    survey = rs.plan_survey(catalog, instrument, tiling, allocator="nearest")
+    survey = rs.plan_survey(catalog, instrument, tiling, allocator=rs.AllocationOptions("nearest", subpriority=1))
     expected = rs.selection_probabilities(*case, 3, allocator="nearest")
     found = rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest")
     assert (found.bits == expected.bits).all()
@@ -353,6 +353,26 @@ def test_the_realizations_of_a_survey_have_its_options(case):
         rs.selection_probabilities(catalog, "moons", survey, 3, allocator="nearest")
     with pytest.raises(rs.InputError, match="order must be 'color', as for the survey, got 'given'"):
         rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest", order="given")
+
+
+def test_only_surveys_with_random_subpriorities_have_unbiased_weights():
+    """The weights of the observed targets sum to the number of targets that can be observed."""
+    center, tiles = SkyCoord("95d 23d"), SkyCoord([95, 95.3] * u.deg, [23, 23] * u.deg)
+    options = {"density": 500 / u.deg**2, "cluster_size": 10, "cluster_scale": 0.03 * u.deg, "rng": 3}
+    sky = rs.synthetic_catalog("clustered", center, 1.2 * u.deg, **options)
+    found = rs.selection_probabilities(sky, "sdss_apo", tiles, 256, allocator="nearest")
+
+    def sum_of_weights(allocator):
+        survey = rs.plan_survey(sky, "sdss_apo", tiles, allocator=allocator)
+        return found.weight[np.asarray(survey.outcomes["observed"]) > 0].sum(), survey
+
+    expected = np.count_nonzero(found.n_observed)
+    seeded = [sum_of_weights(rs.AllocationOptions("nearest", subpriority=seed))[0] for seed in range(8)]
+    assert abs(np.mean(seeded) - expected) < 0.05 * expected
+    biased, survey = sum_of_weights("nearest")
+    assert biased > 1.5 * expected
+    with pytest.warns(rs.RfpsurveyWarning, match="planned without the option subpriority"):
+        rs.selection_probabilities(sky, "sdss_apo", survey, 2, allocator="nearest")
 
 
 def test_surveys_with_conditions_or_joint_plans_are_refused(small):
