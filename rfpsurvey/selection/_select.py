@@ -101,7 +101,7 @@ def selection_probabilities(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if a name or the identifier of a required target is unknown, if a number
+        If the catalog or the tiling is empty, if two targets have the same id, if a name or the identifier of a required target is unknown, if a number
         is out of range, if a subpriority or a joint plan is given, if a survey or its state is given that was planned
         with another instrument, with other options or with cadences, or if the folder is in use, contains another
         computation, or is not writable.
@@ -170,6 +170,11 @@ def selection_probabilities(
 
     with used_elsewhere("rng"):
         request = prepare(catalog) if is_state else prepare_request(catalog, instrument, tiles, **options)
+    if request.source.has_repeated_ids:
+        raise InputError(
+            "the targets must have different ids, because the random subpriority of a target follows from its id; give "
+            "each row of the catalog its own id"
+        )
     if request.joint is not None:
         raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
     generations = None
