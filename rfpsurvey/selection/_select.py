@@ -101,19 +101,20 @@ def selection_probabilities(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if two targets have the same id, if a name or the identifier of a required target is unknown, if a number
-        is out of range, if a subpriority or a joint plan is given, if a survey or its state is given that was planned
-        with another instrument, with other options or with cadences, or if the folder is in use, contains another
-        computation, or is not writable.
+        If the catalog or the tiling is empty, if two targets have the same id, if a name or the identifier of a
+        required target is unknown, if a number is out of range, if a subpriority or a joint plan is given, if a survey
+        or its state is given that was planned with another instrument, with other options or with cadences, or if the
+        folder is in use, contains another computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if a survey is given that was planned without subpriorities, if no target has the kind or category that a requirement
-        counts, if an option has no effect, if the tiles were placed for fields of another size, or if a table of tiles
-        looks like a catalog of targets; on resuming, if the versions of the software differ or files are damaged.
+        If no target was observed, if a survey is given that was planned without subpriorities, if no target has the
+        kind or category that a requirement counts, if an option has no effect, if the tiles were placed for fields of
+        another size, or if a table of tiles looks like a catalog of targets; on resuming, if the versions of the
+        software differ or files are damaged.
 
     See Also
     --------

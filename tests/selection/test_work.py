@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from realizations import check, sky_of, tiles_of
+from realizations import sky_of, tiles_of
 from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection import _work
 from rfpsurvey.selection._work import Poses
