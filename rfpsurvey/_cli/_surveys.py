@@ -16,7 +16,7 @@ from rfpsurvey._cli._print import files, print_table, print_text
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
-from rfpsurvey.errors import warn_no_effect
+from rfpsurvey.errors import warn, warn_no_effect
 from rfpsurvey.report import survey_facts
 from rfpsurvey.survey import Cadences, SurveyState, VisitRule
 from rfpsurvey.tiling import warn_of_targets
@@ -57,6 +57,9 @@ def visits_of(keys, targets) -> "SurveyState | VisitRule | Cadences | int | None
             raise rs.InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
         return Cadences(keys.cadences)
     folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
+    for name in ("visits", "after_success"):
+        if visits is not None and getattr(rule, name) is not None:
+            warn(f"the number of visits of all targets ({visits}) has no effect with rule.{name}")
     if keys.output.replan:
         return SurveyState.read(folder, targets, rule=rule, visits=visits)
     if not keys.rule:
@@ -151,6 +154,8 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
     if "model" in s:  # the value is missing in surveys that earlier versions wrote
         print_text(f"model: {s['model']}")
+    if s.get("epoch") and survey.provenance["parameters"].get("epoch") is None:
+        print_text(f"epoch: {s['epoch']}")
     for label, value in survey_facts(survey).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     if survey.joint is not None:
@@ -212,6 +217,8 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     record = None if output.folder is None else output.folder / "survey.json"
     tables = ("options", "joint") if is_joint else ("options",)
     keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
+    if options["resume"] and not keeps_plan:
+        print(f"{output.folder} does not contain a survey; a new survey is planned", file=sys.stderr)
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
         keeps_plan = False

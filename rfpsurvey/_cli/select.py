@@ -139,6 +139,8 @@ def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds
     s = found.summary
     print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
     _print.print_text(f"model: {s['model']}")
+    if s.get("epoch") and found.provenance["parameters"].get("epoch") is None:
+        _print.print_text(f"epoch: {s['epoch']}")
     for label, value in selection_facts(found).items():
         print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
     plans = s["n_tiles"] * s["n_realizations"]

@@ -207,6 +207,6 @@ def _check_same(provenance: dict, request: Request) -> None:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")
     if recorded.get("subpriority") is None:
         warn(
-            "the survey was planned without the option subpriority, so that its plan is not a random realization, and "
+            "the survey was planned without the option subpriority, so its plan is not a random realization, and "
             "the weights of the targets that it observes are biased; plan the survey with a seed as subpriority"
         )

@@ -314,6 +314,13 @@ def test_visits_of_the_command_line_are_those_of_the_rule(call, plan):
     assert set(rs.Survey.read(folder).outcomes["requested"].tolist()) == {3}
 
 
+def test_visits_that_a_rule_replaces_cause_a_warning(run, files):
+    """Regression: the number of visits was ignored without a warning."""
+    words = (*COMMAND, files / "stars.fits", "--tiles", files / "tiles.ecsv", "--visits", 2)
+    for key in ("rule.visits", "rule.after_success"):
+        assert f"visits of all targets (2) has no effect with {key}" in run(*words, "--set", f"{key}=4")[2]
+
+
 def test_invalid_rules_are_one_sentence(run, files, tmp_path):
     words = (*COMMAND, files / "stars.fits", "--tiles", files / "tiles.ecsv", "--folder", tmp_path / "new")
     message = "rule.after_success must be a whole number from 1 to 255, got 0"

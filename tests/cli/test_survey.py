@@ -349,3 +349,14 @@ def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeyp
         _surveys.workers(WORKERS),
     ):
         pass
+
+
+def test_the_epoch_and_a_new_folder_are_stated(run, files, tmp_path):
+    """Regression: the sentence on proper motions was not printed, and a wrong name of a folder was not noticed."""
+    words = ("survey", "example:anticenter", "--instrument", "sdss_apo", "--allocator", "nearest", "--resume")
+    code, out, err = run(*words, "--folder", tmp_path / "new")
+    assert code == 0, err
+    assert "epoch: the targets are at the epoch of the catalog (J2000.000)" in out
+    assert f"{tmp_path / 'new'} does not contain a survey; a new survey is planned" in " ".join(err.split())
+    again = run(*words, "--folder", tmp_path / "new", "--epoch", "J2026")
+    assert again[0] == 2

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._folder import check_file
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.survey._folder import part_name
 from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, read_events
@@ -87,8 +88,10 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
         reasons += [] if one.places[rows[0]] == two.places[rows[1]] else ["moved"]
         changes.append(_changes(name, reasons))
-        is_same = one.digest(rows[0]) is not None and one.digest(rows[0]) == two.digest(rows[1])
-        if DROPPED not in states and not is_same:
+        if DROPPED in states:
+            continue
+        digests = one.digest(rows[0]), two.digest(rows[1])
+        if digests[0] is None or digests[0] != digests[1]:
             compared.append((name, rows))
     for _, rows in compared:  # the priorities in all plans that differ are known before fibers are compared
         one.see(rows[0]), two.see(rows[1])
@@ -130,9 +133,11 @@ class _Side:
         self.places = np.column_stack([getattr(one, "value", one) for one in columns]).tolist()
 
     def digest(self, row: int) -> str | None:
-        """Return the checksum of the plan of a tile; None if the survey is in memory."""
-        known = None if self.survey.folder is None else self.survey._known.get(part_name(row))
-        return known[-1][1] if known else None
+        """Return the checksum of the plan of a tile, after its file was tested; None if the survey is in memory."""
+        if self.survey.folder is None:
+            return None
+        check_file(self.survey.folder, part_name(row), self.survey._known)
+        return self.survey._known[part_name(row)][-1][1]
 
     def visits(self, row: int) -> QTable:
         return self.survey._visits(row)

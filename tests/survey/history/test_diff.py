@@ -77,6 +77,17 @@ def test_equal_surveys_have_no_differences(scene, small, tmp_path):
     assert len(diff_surveys(memory, survey)) == 0
 
 
+def test_damaged_surveys_are_not_compared(scene, tmp_path):
+    """Regression: a missing file, or the file of another tile, was not noticed if the plans were equal."""
+    part = tmp_path / "before" / "tiles" / "000" / "000001.fits"
+    shutil.copy(part.with_name("000002.fits"), part)
+    with pytest.raises(rs.InputError, match="000001.fits is damaged"):
+        diff_surveys(scene[2], tmp_path / "before")
+    part.unlink()
+    with pytest.raises(rs.InputError, match="000001.fits is missing"):
+        diff_surveys(tmp_path / "before", scene[2])
+
+
 def test_observed_tiles_do_not_change_and_failed_visits_are_repeated(again, scene):
     _, _, survey = scene
     bad = survey.tile(0)

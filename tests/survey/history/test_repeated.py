@@ -93,6 +93,7 @@ def test_thousands_of_failures_are_read(case, survey):
     assert len(_events.read_events(survey.folder).files[0].tiles[0].failed) == 120_000
 
 
+@pytest.mark.filterwarnings("ignore:the survey was planned without the option subpriority")
 def test_the_instrument_of_realizations_is_that_of_the_survey(case, survey):
     """Regression: another instrument with other positioners caused a KeyError."""
     survey.record(events(tile=11, date="2026-01-03", positioner=["", str(survey.tile(11)["positioner"][0])]))
