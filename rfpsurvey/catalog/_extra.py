@@ -32,7 +32,10 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
     names = [keep] if isinstance(keep, str) else list(keep)
     for name in names:
         if name not in table.colnames:
-            raise InputError(f"keep must name columns of the table ({listed(table.colnames)}), got {name!r}")
+            raise InputError(
+                f"columns that are kept, or that a rule uses, must be columns of the table ({listed(table.colnames)}), "
+                f"got {name!r}"
+            )
     names = [name for name in names if name not in others]
     return extra_columns({name: table[name] for name in names}, len(table)) if names else None
 

@@ -128,7 +128,10 @@ class Partitions:
             raise InputError(f"{path}: {find.missing(' and '.join(missing))}")
         lacking = [name for name in self.catalog.keep if name not in find.table.colnames]
         if lacking:
-            raise InputError(f"keep must name columns of {path} ({listed(find.table.colnames)}), got {lacking[0]!r}")
+            raise InputError(
+                f"columns that are kept, or that a rule uses, must be columns of {path} "
+                f"({listed(find.table.colnames)}), got {lacking[0]!r}"
+            )
         return list(dict.fromkeys(name for name in (*names, *self.catalog.keep) if name is not None))
 
     @cached_property

@@ -208,11 +208,14 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     unit = own if own is not None and own.is_equivalent(u.deg) else unit
     there = texts != ""
     angles = np.full(len(texts), np.nan)
+    decimal = [text for text in texts[there].tolist() if text.lstrip("+-").replace(".", "", 1).isdecimal()]
+    if own is None and decimal:
+        other = next(text for text in texts[there].tolist() if text not in decimal)
+        raise InputError(
+            f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or, in all rows, sexagesimal text, got "
+            f"{decimal[0]!r} and {other!r}"
+        )
     try:
-        if own is None and any(text.replace(".", "", 1).isdecimal() for text in texts[there]):
-            raise ValueError(
-                "the column contains both decimal numbers and sexagesimal text; give the unit of the column"
-            )
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
         text = _not_an_angle(texts[there], unit)

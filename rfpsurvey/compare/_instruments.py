@@ -207,11 +207,9 @@ def compare_instruments(
         fields = synthetic_fields(catalog, models, center, each, density, number, rng)
         way = "same density" if density is not None else "same targets per positioner"
     else:
-        if any(value is not None for value in (n_realizations, density, targets_per_positioner)):
-            what = "n_realizations, density and targets_per_positioner"
-            raise InputError(
-                f"{what} must be None if a catalog is given, because these arguments describe synthetic targets"
-            )
+        number = {"n_realizations": n_realizations, "density": density, "targets_per_positioner": targets_per_positioner}
+        if given := [name for name, value in number.items() if value is not None]:
+            raise InputError(f"{given[0]} cannot be used with a catalog, because it describes synthetic targets")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, others, executor, progress)

@@ -33,10 +33,12 @@ class Margins:
 
     Parameters
     ----------
-    outer, inner : Quantity, optional
-        Smallest distance of a target from the outer and from the inner edge of the patrol area. The edges are the two
-        radii, including limits of phi that shorten a whole edge. If the inner radius is 0, targets keep the distance
-        ``inner`` from the center. Targets at these distances are in reach.
+    outer : Quantity, optional
+        Smallest distance of a target from the outer edge of the patrol area. The edges are the two radii, including
+        limits of phi that shorten a whole edge. Targets at this distance are in reach.
+    inner : Quantity, optional
+        Smallest distance of a target from the inner edge of the patrol area or, if the inner radius is 0, from the
+        center. Targets at this distance are in reach.
     arms : Quantity, optional
         Length that is added to the clearance d of each arm. The minimum separation increases by twice this length.
     broken : Quantity, optional
@@ -46,7 +48,8 @@ class Margins:
         Radius of a circle around the center of each broken positioner that contains no targets, as a fraction of the
         outer radius of the patrol area of this positioner; by default 0.
     hidden_factor : float, optional
-        Factor, at least 1, by which the radii of the circles ``hidden`` of the focal plane are multiplied.
+        Factor, at least 1, by which the radii of the circles in which no target can be observed (``hidden``) are
+        multiplied.
 
     Raises
     ------

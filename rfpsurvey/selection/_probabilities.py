@@ -12,7 +12,7 @@ from rfpsurvey import _io
 from rfpsurvey._display import to_html
 from rfpsurvey._folder import check_file, read_index
 from rfpsurvey._units import to_visits
-from rfpsurvey.errors import InputError, check_whole, number_of
+from rfpsurvey.errors import InputError, check_whole, number_of, short
 from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
 from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error
 from rfpsurvey.selection._result import TARGETS
@@ -149,6 +149,11 @@ class SelectionProbabilities:
             Number of realizations that observed both targets. The weight of a pair that the survey observed is
             ``(n_realizations + 1) / (pair_counts + 1)``.
 
+        Raises
+        ------
+        InputError
+            If a row is not a whole number from 0 to the number of targets minus 1.
+
         Examples
         --------
         >>> import astropy.units as u
@@ -159,7 +164,14 @@ class SelectionProbabilities:
         >>> bool((found.pair_counts([0, 1, 2], [0, 1, 2]) == found.n_observed[:3]).all())
         True
         """
-        return count_bits(self.bits[np.asarray(first)] & self.bits[np.asarray(second)])
+        bits = []
+        for name, rows in (("first", first), ("second", second)):
+            rows, last = np.asarray(rows), len(self.bits) - 1
+            is_whole = rows.dtype.kind in "iu" or rows.size == 0
+            if not is_whole or rows.min(initial=0) < 0 or rows.max(initial=0) > last:
+                raise InputError(f"{name} must be rows of targets from 0 to {last}, got {short(rows.tolist())}")
+            bits.append(self.bits[rows.astype(np.int64)])
+        return count_bits(bits[0] & bits[1])
 
     @cached_property
     def summary(self) -> dict:

@@ -185,7 +185,10 @@ def plan_tile(
     seconds.update((name, plan.seconds[name]) for name in STAGES)
     if allocation.n_reachable == 0:
         what = "target" if options.counts or options.distributions else "science target"
-        raise InputError(f"no {what} lies in reach of a positioner of {instrument.name}")
+        raise InputError(
+            f"no positioner of {instrument.name} reaches a {what} of the field, which contains "
+            f"{number_of(len(slot), 'target')}; the center of the field can be given"
+        )
     verdicts = [*allocation.counts, *plan.verdicts()]
     summary = {
         "n_targets": len(everything) + everything.n_dropped,

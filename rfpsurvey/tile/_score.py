@@ -333,7 +333,7 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
         if not skip:
             raise InputError(
                 f"every assigned row must have a finite position, but {where} have none {who}; correct these rows, or "
-                'use missing="skip" (or --skip-missing)'
+                'use missing="skip" (or --missing skip)'
             )
         warn(f"{where} have no finite position and are skipped {who}")
     return np.flatnonzero(has_place)

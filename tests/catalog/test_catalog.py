@@ -285,7 +285,7 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
         (
             {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
-            "the column contains both decimal numbers and sexagesimal text",
+            "must hold decimal numbers or, in all rows, sexagesimal text, got",
         ),
         ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
         (

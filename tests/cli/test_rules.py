@@ -81,7 +81,7 @@ def test_a_survey_follows_rules(run, targets, tmp_path):
     [
         ("lamost", "dark_monit", "the instrument must have rules of the name 'dark_monit', but lamost has no rules"),
         ("sdss_lco", "dark_mon", "choose one of: bright_time, dark_faint, dark_monit, dark_plane, dark_rm"),
-        ("sdss_apo", "bright_time", "keep must name columns of the table"),
+        ("sdss_apo", "bright_time", "that a rule uses, must be columns of the table"),
     ],
 )
 def test_rules_that_cannot_be_used_get_one_sentence(run, targets, instrument, rules, message):

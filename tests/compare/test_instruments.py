@@ -290,8 +290,8 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
         ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
         ({"n_realizations": 0}, "n_realizations must be a whole number from 1 to 1000000, got 0"),
         ({"density": 5}, "density must be a Quantity"),
-        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "must be None if a catalog is given"),
-        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "must be None if a catalog is given"),
+        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "n_realizations cannot be used with a catalog"),
+        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "targets_per_positioner cannot be used"),
         ({"density": 5 / u.deg**2, "targets_per_positioner": 2}, "targets_per_positioner or density, not both"),
         ({"density": -5 / u.deg**2}, "density must be one finite value above 0"),
         (

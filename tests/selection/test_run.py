@@ -355,6 +355,14 @@ def test_the_realizations_of_a_survey_have_its_options(case):
         rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest", order="given")
 
 
+def test_pairs_of_unknown_targets_are_refused(case):
+    """Regression: the row -1 was the last target, and rows that are too large caused an IndexError."""
+    found = rs.selection_probabilities(*case, 2, allocator="nearest")
+    for rows in ([-1], [len(found)], [0.5], [True]):
+        with pytest.raises(rs.InputError, match=f"second must be rows of targets from 0 to {len(found) - 1}, got"):
+            found.pair_counts([0], rows)
+
+
 def test_only_surveys_with_random_subpriorities_have_unbiased_weights():
     """The weights of the observed targets sum to the number of targets that can be observed."""
     center, tiles = SkyCoord("95d 23d"), SkyCoord([95, 95.3] * u.deg, [23, 23] * u.deg)
