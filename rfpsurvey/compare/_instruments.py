@@ -207,9 +207,10 @@ def compare_instruments(
         fields = synthetic_fields(catalog, models, center, each, density, number, rng)
         way = "same density" if density is not None else "same targets per positioner"
     else:
-        number = {"n_realizations": n_realizations, "density": density, "targets_per_positioner": targets_per_positioner}
-        if given := [name for name, value in number.items() if value is not None]:
-            raise InputError(f"{given[0]} cannot be used with a catalog, because it describes synthetic targets")
+        numbers = {"n_realizations": n_realizations, "density": density}
+        for name, value in {**numbers, "targets_per_positioner": targets_per_positioner}.items():
+            if value is not None:
+                raise InputError(f"{name} cannot be used with a catalog, because it describes synthetic targets")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)
         way = "same catalog"
     plans = plan_fields(fields, methods, others, executor, progress)

@@ -146,6 +146,6 @@ def _plan_generation(generation: Generation, state: State, *, seeds, executor, t
 
 def _job(request, tile: int, state: State, seeds) -> BlockJob:
     job = request.job(tile, state.is_open)
-    if job.field.targets.around is None:  # no constraint uses the further columns
+    if not any(one.uses_field for one in request.options.all_constraints):  # no constraint uses the further columns
         job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
     return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))

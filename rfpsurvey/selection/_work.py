@@ -80,7 +80,8 @@ def plan_alone(given: BlockJob) -> BlockDone:
         names = given.job.model.instrument.focal_plane.id[rows]
         good.append(np.zeros_like(mask))
         good[-1][done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
-    return BlockDone(mask, np.array([[len(done.observed), np.count_nonzero(~done.observed)]]), good)
+    lost = done.counts["n_colliding_assigned"] if given.job.model.lost_in_collision else 0
+    return BlockDone(mask, np.array([[done.counts["n_assigned"], lost]]), good)
 
 
 class Poses:

@@ -21,7 +21,7 @@ from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import UNKNOWN, WORDS, counts_in
-from rfpsurvey.survey._work import COUNTS, LOST, N_FIELD, Done, cards_of, early_sentences, reach_of, work
+from rfpsurvey.survey._work import COUNTS, N_FIELD, N_LOST, Done, cards_of, early_sentences, reach_of, work
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
@@ -58,7 +58,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         state = request.open_state()
         round_of, parts = np.empty(n, dtype=np.int64), [None] * n
         names = [name for name, _ in cards_of(request.options).values()]
-        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, LOST, "n_observed")}
+        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}
         known = _enter_observed(request, folder, state, counts, parts)
         if request.joint is not None:
             request, joint, progress = plan_together(request, folder, executor, progress)
@@ -118,7 +118,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]
-            found = counts_in(own, cards) | {LOST: own[LOST], "n_observed": history.replayed.n_good[tile]}
+            found = counts_in(own, cards) | {"n_observed": history.replayed.n_good[tile]}
         else:
             job = request.job(tile, np.ones_like(state.left))
             done = _done_of(history.events.plan(tile, event.plan), job, is_kept=True)
@@ -234,6 +234,8 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
         counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(WORDS)}
     # files of earlier versions do not state whether constraints are checkable
     counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(UNKNOWN)}
+    if not lacking:  # files of earlier versions do not contain this number
+        cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")
@@ -243,9 +245,8 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if not np.array_equal(rows[target], visits["target_row"]):
         raise InputError("its stored result was planned for a different set of targets with remaining visits")
-    counts = counts_in(cards, every)
-    counts[LOST] = int(visits["in_collision"].sum())
-    return Done(None, None, target, visits["observed"].astype(bool), reach_of(job).pairs.covered, counts)
+    covered = reach_of(job).pairs.covered
+    return Done(None, None, target, visits["observed"].astype(bool), covered, counts_in(cards, every))
 
 
 def _check_part(visits: np.ndarray, cards: dict) -> None:

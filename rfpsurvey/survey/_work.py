@@ -18,15 +18,16 @@ from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, shortfall_cards, short
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
 # Header cards of the file of a tile, with the name of the count and the comment of each card.
-N_FIELD = "NFIELD"
+N_FIELD, N_LOST = "NFIELD", "NLOST"
 COUNTS = {
     N_FIELD: ("n_in_field", "targets in the field with remaining visits"),
     "NREACH": ("n_reachable", "targets in reach with remaining visits"),
-    "NASSIGN": ("n_assigned", "positioners with a target"),
+    "NASSIGN": ("n_assigned", "usable positioners with a target"),
     "NSCIENCE": ("n_science", "positioners with a science target"),
     "NSTANDAR": ("n_standard", "positioners with a standard star"),
     "NSKY": ("n_sky", "positioners with a sky position"),
     "NCOLLIDE": ("n_colliding", "positioners in collision"),
+    N_LOST: ("n_colliding_assigned", "usable positioners in collision with a target"),
     "NCOUNTED": ("n_counted", "positioners that have a target or are parked"),
     "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
     "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
@@ -38,8 +39,6 @@ MOTION = {
     "NPLANNER": ("n_needs_planner", "positioners that need a path planner"),
 }
 """Header cards of the file of a tile if a constraint of the plan refers to the motion of the arms."""
-LOST = "n_colliding_assigned"
-"""Name of the number of assigned positioners in collision, which has no header card, since visits contain it."""
 
 VISITS = {
     "target_id": "identifier of the target",
@@ -164,9 +163,9 @@ def work(job: Job) -> Done:
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
-        "n_assigned": len(plan.positioner),
+        "n_assigned": int(plan.arms.assigned.sum()),
         **{f"n_{kind}": of_kind.get(kind, 0) for kind in KINDS},
-        LOST: int(colliding.sum()),
+        "n_colliding_assigned": int((report.in_collision & plan.arms.assigned).sum()),
         "n_colliding": int((report.in_collision & report.counted).sum()),
         "n_counted": int(report.counted.sum()),
         "n_colliding_pairs": len(report.pairs),

@@ -61,7 +61,10 @@ class ScoredConstraints:
         target_of[stuck] = n + np.arange(more)
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
-        finished = report, arms, who, fibers, np.arange(n), np.empty((0, 3)), np.empty((0, 2))
+        owners, types = np.append(who, stuck), np.append(fibers, added["fiber_type"])
+        projection, sky = self.applied.field and self.applied.field.projection, arms.tip[stuck]
+        vectors = np.full((more, 3), np.nan) if projection is None else projection.unproject(sky, added["fiber_type"])
+        finished = report, arms, owners, types, np.arange(n), vectors, sky
         violations, verdicts = self.applied.checks(*finished)
         wrong = {one.requirement for one in lacking}
         numbers: dict = {}

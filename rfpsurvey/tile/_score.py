@@ -187,8 +187,9 @@ def score_tile(
     if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
         warn_of_parked(plane)
     stuck = np.empty(0, dtype=int)
-    if _is_ours(table) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
-        stuck = owner[(to_plain(table["status"]) == "stuck") & (to_plain(table["kind"]) == "sky")]
+    if (_is_ours(table) or is_plan(table)) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
+        stuck = np.setdiff1d(owner[(to_plain(table["kind"]) == "sky") & (owner >= 0)], who)
+        stuck = stuck[plane.arrays.is_stuck[stuck]]
     posed = place_arms(
         plane,
         tips * u.mm,

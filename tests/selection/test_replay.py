@@ -36,6 +36,17 @@ def test_fiber_types_kinds_required_targets_and_circles(allocator):
     check(found, sky, "sdss_apo", tiles, options, SOME[1:], order="given")
 
 
+@pytest.mark.parametrize("allocator", ["nearest", "repair"])
+def test_limits_of_magnitudes(small, allocator):
+    """Regression: the columns of the catalog that rules on magnitudes use were lost."""
+    sky, tiles = sky_of(0.8, 400), tiles_of(0.5, 2)
+    sky = rs.Catalog(sky.coord, extra={"r": np.random.default_rng(1).uniform(12, 20, len(sky))})
+    options = rs.AllocationOptions(allocator, constraints=["magnitude r 14 18"])
+    found = rs.selection_probabilities(sky, small, tiles, 3, allocator=options)
+    check(found, sky, small, tiles, options, (0, 2))
+    assert found.n_observed[np.asarray(sky.extra["r"]) > 18].sum() == 0 < found.n_observed.sum()
+
+
 def test_observing_conditions_and_losses_that_count():
     sky = sky_of(1.0, 3000)
     conditions = rs.ObservingConditions("kitt peak", hour_angle=30 * u.deg)

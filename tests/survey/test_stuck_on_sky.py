@@ -100,3 +100,59 @@ def test_stars_beyond_the_edge_of_the_field_keep_sky_positions_away(small, way, 
     apart = SkyCoord(sky["ra"], sky["dec"])[:, None].separation(ring[None])
     assert len(sky) > 20
     assert apart.min() > 0.99 * separation
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Return an instrument with a stuck and a movable positioner, and the center of a field."""
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, stuck=[[0, 90], [np.nan, np.nan]] * u.deg)
+    return rs.Instrument("pair", plane, plate_scale=200 * u.mm / u.deg)
+
+
+def at(*x):
+    """Return targets at distances (mm) east of the center."""
+    return rs.Catalog(CENTER.directional_offset_by(90 * u.deg, x * u.mm / (200 * u.mm / u.deg)))
+
+
+def test_scores_count_stuck_fibers_on_sky_for_all_rules(pair, tmp_path):
+    """Regression: rules on positions ignored these fibers, and plans in files lost them."""
+    rules = ["sky=1", "distribution sky 1 100 40"]
+    options = rs.AllocationOptions("optimal", constraints=rules, sky_separation=2 * u.mm)
+    tile = rs.plan_tile(at(20, 30), pair, CENTER, allocator=options)
+    assert tile.rules["verdict"].tolist() == ["pass", "pass"]
+    tables = [tile.table]
+    for name in ("plan.ecsv", "plan.fits"):
+        rs.plans.write_plan(tile, tmp_path / name)
+        tables.append(rs.plans.read_plan(tmp_path / name))
+    for table in tables:
+        for positions in ("focal_plane", "sky"):
+            score = rs.score_tile(table, pair, constraints=rules, positions=positions)
+            assert score.rules["number"].tolist() == tile.rules["number"].tolist() == [1, 100]
+            assert score.summary["unmet"] == []
+
+
+@pytest.mark.filterwarnings("ignore:constraint")
+def test_stuck_fibers_on_sky_are_not_assigned_positioners(tmp_path):
+    """Regression: they were counted as assigned, so that more fibers were used than there are."""
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    stuck = np.array([[0, 0], [np.nan, np.nan], [np.nan, np.nan]]) * u.deg
+    plane = rs.FocalPlane([[0, 0], [25.6, 0], [80, 0]] * u.mm, robot, stuck=stuck)
+    worn = rs.Instrument("worn", plane, plate_scale=200 * u.mm / u.deg)
+    options = rs.AllocationOptions("lamost_rule", constraints=["sky=1"], sky_separation=2 * u.mm)
+    tile = rs.plan_tile(at(12, 85), worn, CENTER, allocator=options)
+    survey = rs.plan_survey(at(12, 85), worn, CENTER.reshape(1), allocator=options, folder=tmp_path / "survey")
+    row = survey.tiles[0]
+    assert row["n_sky"] == 1
+    assert row["n_colliding_assigned"] == row["n_colliding"] == 1
+    assert row["n_assigned"] == tile.summary["n_assigned"] == 2
+    assert row["fiber_use"] == 1.0
+    assert survey.summary["collision_rate_assigned"] == tile.summary["collision_rate_assigned"] == 0.5
+    (tmp_path / "survey" / "tiles.fits").unlink()
+    again = rs.plan_survey(
+        at(12, 85), worn, CENTER.reshape(1), allocator=options, folder=tmp_path / "survey", resume=True
+    )
+    assert again.summary == survey.summary
+    found = rs.selection_probabilities(at(12, 85), worn, CENTER.reshape(1), 2, allocator=options)
+    assert set(found.realizations["n_assigned"].tolist()) == {2}
+    assert set(found.realizations["n_lost"].tolist()) == {1}

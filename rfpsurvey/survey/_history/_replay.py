@@ -22,8 +22,7 @@ from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
 )
-from rfpsurvey.survey._work import COUNTS, MOTION
-from rfpsurvey.survey._work import LOST as N_LOST
+from rfpsurvey.survey._work import COUNTS, MOTION, N_LOST
 
 CHECKPOINT = f"{EVENTS}/state.npz"
 MOST_VISITS = 255
@@ -163,7 +162,8 @@ class Replay:
                 for name, value in cards.items()
                 if name in {**COUNTS, **MOTION} or name.startswith(("MISS", "MORE", "VIOL", "NOTC"))
             }
-            self.counts[event.row][N_LOST] = int(visits["in_collision"].sum())
+            # files of earlier versions do not contain this number
+            self.counts[event.row].setdefault(N_LOST, int(visits["in_collision"].sum()))
             self.n_good[event.row], self.n_failed[event.row] = int(good.sum()), len(bad)
 
     def write(self, folder: Path) -> None:
@@ -258,7 +258,8 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
     except InputError:
         return None
     keys, size = stored["keys"].tolist(), len(stored["made"])
-    if size > n_targets or keys != [_key(one) for one in attempts[: len(keys)]]:
+    is_earlier = len(stored["rows"]) and N_LOST.encode() not in stored["names"]  # an earlier version wrote the file
+    if is_earlier or size > n_targets or keys != [_key(one) for one in attempts[: len(keys)]]:
         return None
     found = Replay(0)
     for name in ("made", "failed", "flags", "last", "is_good"):
