@@ -3,11 +3,15 @@
 from collections.abc import Callable
 from functools import partial
 
+import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.errors import InputError
+from rfpsurvey.instrument import Instrument
+from rfpsurvey.pipeline import field_radius_rad, project_field
 from rfpsurvey.region import Region, circle_around, distance_to, is_inside
 from rfpsurvey.tiling._centers import Centers, Declinations
 from rfpsurvey.tiling._problem import TilingProblem, TilingState
@@ -86,6 +90,19 @@ class RegionCover:
         if not limits.anywhere:
             quality["fraction_beyond_declination"] = float(np.mean(limits.distance(self.look) > self.radius))
         return quality
+
+    def fraction_in_reach(self, instrument: Instrument, table: QTable) -> float:
+        """Return the fraction of the region that at least one positioner reaches in at least one tile."""
+        index, radius = SkyIndex(self.look), field_radius_rad(instrument)
+        in_reach = np.zeros(len(index), dtype=bool)
+        places = np.deg2rad([table[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")])
+        for place in places.T.tolist():
+            projection = instrument.field_projection(*place)
+            slot = index.near(projection.basis[2], radius)
+            slot = slot[~in_reach[slot]]
+            points, fiber_type = project_field(instrument, projection, index.vectors[slot])
+            in_reach[slot] = instrument.focal_plane.arrays.reach(points, fiber_type).covered
+        return float(in_reach.mean())
 
 
 def in_any(regions: tuple[Region, ...], vectors: np.ndarray) -> np.ndarray:

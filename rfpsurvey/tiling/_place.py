@@ -188,7 +188,7 @@ def place_tiles(
         unused = {"visits": visits, "allocator": allocator, "fibers": fibers.number}
         unused |= {"min_separation": fibers.min_separation, "rng": rng if is_seed_given(rng) else None}
         check_region_options(chosen, goals, unused)
-        return _place_on_region(catalog, chosen, radius_rad, passes, where, exclude, summary)
+        return _place_on_region(catalog, chosen, model, radius_rad, passes, where, exclude, summary)
     times = times_of_tiles(where.tiling) if chosen.needs_tiles and by_positioners else None
     catalog, reference, moved = _targets(catalog, times)
     summary.update({} if moved is None else {"epoch": moved})
@@ -238,7 +238,7 @@ def place_tiles(
     return _finish(table, summary, {name: rows[name] for name in ("n_targets", "n_new", "completeness")})
 
 
-def _place_on_region(region, method, radius_rad, passes, where, exclude, summary):
+def _place_on_region(region, method, model, radius_rad, passes, where, exclude, summary):
     """Return the tiling of a region."""
     cover = RegionCover(region, radius_rad, exclude)
     if method.needs_tiles:
@@ -249,6 +249,8 @@ def _place_on_region(region, method, radius_rad, passes, where, exclude, summary
         table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]), where)
     quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
+    if model is not None:
+        summary["fraction_in_reach"] = cover.fraction_in_reach(model, table)
     if quality.get("fraction_beyond_declination") == 1:
         raise InputError(f"at least a part of the region must be within reach{where.limits.words}, got none")
     if quality["covering_fraction"] < 1:

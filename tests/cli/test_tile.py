@@ -24,7 +24,7 @@ def test_a_region(tile, tmp_path):
     box = rs.Region.box(ra=(350 * u.deg, 10 * u.deg), dec=(-5 * u.deg, 5 * u.deg))
     assert len(tiling) == len(rs.place_tiles(box, "lamost", passes=2))
     assert values_of(out)["tiles"] == str(len(tiling))
-    assert values_of(out)["fraction of the region that is covered"] == "1.0000"
+    assert values_of(out)["fraction of the region that fields cover"] == "1.0000"
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert f"wrote {ecsv}" in out
 

@@ -154,3 +154,14 @@ def test_progress_is_told_after_each_tile(capsys):
 def test_bad_centers_are_named(make, message):
     with pytest.raises(rs.InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("name", ["sdss_apo", "must"])
+def test_the_fraction_in_reach_is_that_of_random_points(name):
+    """Regression: the covering of a field that is not a circle was stated to be complete."""
+    model = rs.Instrument.preset(name)
+    tiling = rs.place_tiles(rs.Region.cap("95 23", 3 * model.field_radius), model)
+    points = rs.synthetic_catalog("uniform", "95 23", 3 * model.field_radius, n_targets=10_000, rng=2)
+    in_reach = rs.selection.potential_assignments(points, model, tiling).n_tiles() > 0
+    assert tiling.summary["covering_fraction"] == 1 > tiling.summary["fraction_in_reach"] + 0.05
+    assert tiling.summary["fraction_in_reach"] == pytest.approx(in_reach.mean(), abs=0.01)
