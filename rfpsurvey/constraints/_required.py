@@ -129,8 +129,10 @@ class Required(Constraint):
         Verdict
             The verdict, with the number of required targets without a fiber.
         """
-        observed = are_among(self.ids, field.id[has_fiber & ~field.is_added]).tolist()
-        without = tuple(name for name, is_observed in zip(self.ids, observed, strict=True) if not is_observed)
+        given = ~field.is_added
+        observed = are_among(self.ids, field.id[given & has_fiber])
+        observed &= ~are_among(self.ids, field.id[given & field.is_available & ~has_fiber])  # ids can be repeated
+        without = tuple(name for name, is_observed in zip(self.ids, observed.tolist(), strict=True) if not is_observed)
         note = f"without a fiber: {brief(without)}" if without else ""
         return Verdict(str(self), len(without), "no target without a fiber", FAIL if without else PASS, note)
 

@@ -140,3 +140,19 @@ def test_stuck_fibers_on_sky_count_in_the_score_of_a_tile():
     found = rs.score_tile(tile.table, instrument, constraints="sky=2-2")
     assert [one["number"] for one in (tile.rules[0], found.rules[0])] == [2, 2]
     assert found.summary["n_assigned"] == tile.summary["n_assigned"]
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+@pytest.mark.filterwarnings("ignore:.*same id")
+def test_all_rows_of_a_required_target_must_have_a_fiber(allocator):
+    """Regression: if one of two rows with the same identifier had a fiber, the verdict was "pass"."""
+    robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    model = rs.Instrument("pair", plane, plate_scale=200 * u.mm / u.deg)
+    center = SkyCoord(95 * u.deg, 23 * u.deg)
+    places = center.directional_offset_by(90 * u.deg, [3, 5] * u.mm / (200 * u.mm / u.deg))
+    options = rs.AllocationOptions(allocator, required=["a"])
+    for ids, expected in ((["a", "a"], "fail"), (["a", "b"], "pass")):
+        tile = rs.plan_tile(rs.Catalog(places, id=ids), model, center, allocator=options)
+        assert tile.rules["verdict"].tolist() == [expected]
+        assert bool(tile.summary["unmet"]) == (expected == "fail")
