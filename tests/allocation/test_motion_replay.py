@@ -94,7 +94,7 @@ def count_turning(plane, before, after):
     return n
 
 
-@pytest.mark.parametrize("n_plans", [2, pytest.param(10, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n_plans", [2, pytest.param(5, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", PRESETS)
 def test_no_arms_collide_between_plans_with_safe_motion(presets, name, n_plans):
     plane, law = patch(presets, name), rs.collision.LAWS[len(name) % 2]
