@@ -17,6 +17,7 @@ class Outcome(IntEnum):
     IN_REACH_NOT_ASSIGNED = 4
     OUT_OF_REACH = 5
     IN_NO_FIELD = 6
+    EXCLUDED_BY_A_CONSTRAINT = 7
 
 
 OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
@@ -25,13 +26,17 @@ OUTCOMES = tuple(outcome.name.lower().replace("_", " ") for outcome in Outcome)
 MOST_CLASSES, N_RANGES = 20, 10
 
 
-def outcome_codes(in_reach: np.ndarray, lost: np.ndarray, observed: np.ndarray) -> np.ndarray:
+def outcome_codes(
+    in_reach: np.ndarray, excluded: np.ndarray | None, lost: np.ndarray, observed: np.ndarray
+) -> np.ndarray:
     """Return the outcome of each target of a field, as an index into `OUTCOMES`.
 
-    The masks mark the targets that a positioner can reach (``in_reach``), that are lost to a collision (``lost``), and
-    that are observed (``observed``).
+    The masks mark the targets that a positioner can reach (``in_reach``), that constraints exclude (``excluded``; None
+    if there are none), that are lost to a collision (``lost``), and that are observed (``observed``).
     """
     code = np.where(in_reach, Outcome.IN_REACH_NOT_ASSIGNED, Outcome.OUT_OF_REACH).astype(np.uint8)
+    if excluded is not None:
+        code[in_reach & excluded] = Outcome.EXCLUDED_BY_A_CONSTRAINT
     code[lost] = Outcome.LOST_TO_A_COLLISION
     code[observed] = Outcome.OBSERVED
     return code

@@ -312,7 +312,7 @@ def _draw_radius(ax, table, outcome):
     radius = np.hypot(table["x"].to_value(u.mm), table["y"].to_value(u.mm))
     known = np.isfinite(radius)
     radius, outcome = radius[known], outcome[known]
-    reach = np.isin(outcome, (*ASSIGNED, Outcome.IN_REACH_NOT_ASSIGNED))
+    reach = np.isin(outcome, (*ASSIGNED, Outcome.IN_REACH_NOT_ASSIGNED, Outcome.EXCLUDED_BY_A_CONSTRAINT))
     n_rings = int(np.clip(len(radius) // FEW_PER_RING, 3, MOST_RINGS))
     edges = radius.max(initial=0.0) * np.sqrt(np.arange(n_rings + 1) / n_rings)
     ring = np.clip(np.searchsorted(edges, radius, side="left") - 1, 0, n_rings - 1)

@@ -86,7 +86,7 @@ STATUS = {
     "n_planned": "    planned",
     "n_not_assigned": "    in reach, not assigned",
     "n_lost": "    lost to a collision",
-    "n_impossible": "    no tile reaches the target",
+    "n_impossible": "    no tile can observe the target",
     "n_failed": "failed visits",
 }
 STATES = {

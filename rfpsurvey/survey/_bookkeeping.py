@@ -3,9 +3,8 @@
 import numpy as np
 
 from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
+from rfpsurvey.survey._flags import DONE, EXCLUDED, LOST, REACHED, SEEN, flags_of
 from rfpsurvey.survey._work import reach_of
-
-SEEN, REACHED, LOST, DONE = 1, 2, 4, 8
 
 
 class Tally:
@@ -91,8 +90,8 @@ class Bookkeeping:
         is_closed = is_closed if self.spends is None else is_closed & self.spends[slot]
         closed = slot[is_closed]
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
-            covered = reach_of(job).pairs.covered[is_closed]
-            self.flags[closed] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
+            reach = reach_of(job)
+            self.flags[closed] |= flags_of(reach.pairs.covered, reach.excluded)[is_closed]
         left, self.left[closed] = self.left[closed], 0
         job = request.job(tile, self.left)
         self.left[closed] = left
@@ -107,7 +106,7 @@ class Bookkeeping:
     def enter(
         self,
         field: FieldRows,
-        in_reach: np.ndarray,
+        flags: np.ndarray,
         slot: np.ndarray,
         observed: np.ndarray,
         number: int,
@@ -115,11 +114,11 @@ class Bookkeeping:
     ) -> int:
         """Record the visits of a tile, and return the number of successful visits to science targets.
 
-        ``number`` is the index of the pass of the tile, and ``tile`` its row, which windows require. ``in_reach``
-        states whether a positioner reaches each target of the field. ``slot`` is the slot of the target of each visit
-        (-1 for blank sky), and ``observed`` states whether each visit was successful.
+        ``number`` is the index of the pass of the tile, and ``tile`` its row, which windows require. ``flags`` contains
+        the flags of the targets of the field (see `flags_of`). ``slot`` is the slot of the target of each visit (-1 for
+        blank sky), and ``observed`` states whether each visit was successful.
         """
-        self.flags[field.slot] |= np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
+        self.flags[field.slot] |= flags
         slot, observed = slot[slot >= 0], observed[slot >= 0]
         self.flags[slot[~observed]] |= LOST
         slot = slot[observed]
@@ -167,6 +166,7 @@ def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
     """Return the outcome that each target has if it was never observed."""
     code = np.full(len(flags), Outcome.IN_NO_FIELD, dtype=np.uint8)
     code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
+    code[(flags & EXCLUDED) > 0] = Outcome.EXCLUDED_BY_A_CONSTRAINT
     code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
     code[(flags & LOST) > 0] = Outcome.LOST_TO_A_COLLISION
     return code

@@ -14,6 +14,7 @@ from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
+from rfpsurvey.survey._flags import flags_of
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._history import begin
 from rfpsurvey.survey._joint import plan_together
@@ -72,7 +73,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
                 results = in_order(executor, work, _jobs_of(request, tiles, state, folder, executor), together=together)
                 for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
                     slot = np.append(job.field.slot, -1)[done.target]
-                    kept = state.enter(job.field, done.in_reach, slot, done.observed, request.number[tile], tile)
+                    kept = state.enter(job.field, done.flags, slot, done.observed, request.number[tile], tile)
                     if is_new and folder is not None:
                         folder.put_part(tile, done.part)
                     parts[tile] = done.visits
@@ -125,9 +126,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts
-            found["n_observed"] = state.enter(
-                job.field, done.in_reach, slot, done.observed & open_, request.number[tile]
-            )
+            found["n_observed"] = state.enter(job.field, done.flags, slot, done.observed & open_, request.number[tile])
         for name, value in found.items():
             counts.setdefault(name, np.zeros(len(request.tiling), dtype=np.int64))[tile] = value
     return [*history.closed, *history.begun]
@@ -245,8 +244,9 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
     if not np.array_equal(rows[target], visits["target_row"]):
         raise InputError("its stored result was planned for a different set of targets with remaining visits")
-    covered = reach_of(job).pairs.covered
-    return Done(None, None, target, visits["observed"].astype(bool), covered, counts_in(cards, every))
+    reach = reach_of(job)
+    flags = flags_of(reach.pairs.covered, reach.excluded)
+    return Done(None, None, target, visits["observed"].astype(bool), flags, counts_in(cards, every))
 
 
 def _check_part(visits: np.ndarray, cards: dict) -> None:

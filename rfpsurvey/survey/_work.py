@@ -14,6 +14,7 @@ from rfpsurvey.errors import listed, number_of
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, early_violations, find_reach, plan_field
+from rfpsurvey.survey._flags import flags_of
 from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, shortfall_cards, shortfall_counts
 from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
 
@@ -131,8 +132,8 @@ class Done(NamedTuple):
     target: np.ndarray
     """For each visit, the index of its target among the targets of the field; -1 for blank sky."""
     observed: np.ndarray
-    in_reach: np.ndarray
-    """Whether at least one positioner reaches each target of the field."""
+    flags: np.ndarray
+    """The flags of the targets of the field (see `flags_of`)."""
     counts: dict
 
 
@@ -185,7 +186,8 @@ def work(job: Job) -> Done:
         part = part if job.path is None else write_new_file(job.path, part)
     else:
         visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
-    return Done(part, visits, plan.target, columns["observed"], plan.allocation.in_reach, counts)
+    flags = flags_of(plan.allocation.in_reach, plan.allocation.excluded)
+    return Done(part, visits, plan.target, columns["observed"], flags, counts)
 
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:

@@ -66,7 +66,7 @@ class TargetsOfField:
         lost, observed = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         lost[plan.target[of_catalog & colliding]] = True
         observed[plan.target[of_catalog & ~colliding]] = True
-        outcome[self.given] = outcome_codes(plan.allocation.in_reach[:n], lost, observed)
+        outcome[self.given] = outcome_codes(plan.allocation.in_reach[:n], plan.allocation.excluded, lost, observed)
         return outcome
 
     @cached_property

@@ -261,3 +261,32 @@ def test_no_target_in_a_circle_is_assigned(presets, name, away, radius):
     assert inside[1] == 0
     # the free area is not larger than the circle and the width of arms around it
     assert assigned[0] - assigned[1] < 2 * inside[0] + 10
+
+
+def test_targets_that_constraints_exclude_have_their_own_outcome(small, tmp_path):
+    """Regression: targets in reach that a rule excludes had the outcome "in reach not assigned"."""
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=120, rng=1)
+    magnitude = np.random.default_rng(2).uniform(12, 20, len(sky))
+    sky = rs.Catalog(sky.coord, extra={"r": magnitude})
+    options = rs.AllocationOptions(constraints=["magnitude r 14 18"])
+    plain = rs.plan_tile(sky, small, CENTER)
+    tile = rs.plan_tile(sky, small, CENTER, allocator=options)
+    rows = tile.outcomes["target_id"]
+    in_reach = np.asarray(plain.outcomes["outcome"]) != "out of reach"
+    excluded = in_reach & ~((magnitude >= 14) & (magnitude <= 18))[rows]
+    assert excluded.sum() > 20
+    np.testing.assert_array_equal(tile.outcomes["outcome"] == "excluded by a constraint", excluded)
+    folder = tmp_path / "survey"
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=options, folder=folder)
+    np.testing.assert_array_equal(survey.outcome_names[rows], tile.outcomes["outcome"])
+    for name in ("tiles.fits", "outcomes.fits"):
+        (folder / name).unlink()
+    resumed = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=options, folder=folder, resume=True)
+    assert (resumed.outcomes["outcome"] == survey.outcomes["outcome"]).all()
+    survey.record([{"tile": 0, "date": "2026-01-03"}])
+    replanned = rs.plan_survey(
+        sky, small, CENTER.reshape(1), allocator=options, folder=folder, visits=survey.state(sky), resume=True
+    )
+    assert (replanned.outcomes["outcome"] == survey.outcomes["outcome"]).all()
+    status = rs.survey.survey_status(replanned, replanned.state(sky))
+    assert status["n_impossible"][0] == excluded.sum() + np.count_nonzero(~in_reach) + len(sky) - len(rows)

@@ -5,7 +5,8 @@ import json
 
 import numpy as np
 
-from rfpsurvey.survey._bookkeeping import DONE, REACHED, SEEN, Bookkeeping
+from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey.survey._flags import DONE, flags_of
 from rfpsurvey.survey._history._events import DONE as OBSERVED
 from rfpsurvey.survey._work import reach_of
 
@@ -29,8 +30,8 @@ def begin(request, bookkeeping: Bookkeeping) -> None:
         for event in attempts if searched.any() else ():
             if event.state == OBSERVED:
                 job = request.job(event.row, left)
-                covered = reach_of(job).pairs.covered
-                own.flags[job.field.row] |= np.where(covered, SEEN | REACHED, SEEN).astype(np.uint8)
+                reach = reach_of(job)
+                own.flags[job.field.row] |= flags_of(reach.pairs.covered, reach.excluded)
     own.n_flagged, own.n_searched = len(own.attempts), len(unseen)
     bookkeeping.flags |= source.to_slots(own.flags)
     bookkeeping.flags[source.to_slots(own.made) > 0] |= DONE

@@ -11,7 +11,7 @@ import numpy as np
 from rfpsurvey import _io
 from rfpsurvey._readers import content_of, is_present, read_arrays, read_fits_bytes
 from rfpsurvey.errors import InputError, listed
-from rfpsurvey.survey._bookkeeping import LOST
+from rfpsurvey.survey._flags import LOST
 from rfpsurvey.survey._history._events import (
     ADDED,
     DONE,

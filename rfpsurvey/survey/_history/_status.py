@@ -28,7 +28,7 @@ STATUS = {
     "n_planned": "remaining visits of tiles that will be observed",
     "n_not_assigned": "remaining visits without a fiber, of targets that a tile reaches",
     "n_lost": "remaining visits of targets that were lost to a collision",
-    "n_impossible": "remaining visits of targets that no tile reaches",
+    "n_impossible": "remaining visits of targets that no tile can observe",
 }
 SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
 """Sizes of areas on the sky in degrees, and their largest number."""
@@ -52,7 +52,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         Columns: ``priority``, ``category`` if there are several, ``n_targets`` (with requested visits), ``n_complete``
         (targets with all requested visits), ``n_requested``, ``n_observed``, ``n_failed``, ``n_left`` (remaining
         visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
-        ``n_lost`` (to a collision), ``n_impossible`` (no tile reaches the target). The ``meta`` contains ``tiles``
+        ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). The ``meta`` contains ``tiles``
         (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
         ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
         each date), and ``is_planned``, which states whether the last plan takes all events into account.
@@ -88,7 +88,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     left = wanted - observed
     planned = np.minimum(_planned(survey, state, is_planned=is_planned), left)
     rest, code = left - planned, _codes(survey, len(state))
-    impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH))
+    impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH, Outcome.EXCLUDED_BY_A_CONSTRAINT))
     lost = code == Outcome.LOST_TO_A_COLLISION
     values = {
         "n_targets": wanted > 0,

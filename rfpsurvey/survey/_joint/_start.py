@@ -66,7 +66,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
             inside = np.append(job.field.slot, -1)[np.where(target < n, target, -1)]
             slot = np.where(target >= n, n - 2 - target, inside)
             made = np.ones(len(slot), dtype=bool)
-            state.enter(job.field, np.zeros(n, dtype=bool), slot, made, request.number[tile], tile)
+            state.enter(job.field, np.zeros(n, dtype=np.uint8), slot, made, request.number[tile], tile)
             plans[tile] = TilePlan(slot, side)
             done += 1
             tell(done)
