@@ -58,8 +58,8 @@ def visits_of(keys, targets) -> "SurveyState | VisitRule | Cadences | int | None
         return Cadences(keys.cadences)
     folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
     for name in ("visits", "after_success"):
-        if visits is not None and getattr(rule, name) is not None:
-            warn(f"the number of visits of all targets ({visits}) has no effect with rule.{name}")
+        if visits and getattr(rule, name) is not None:
+            warn(f"rule.{name} replaces the number of visits of all targets ({visits})")
     if keys.output.replan:
         return SurveyState.read(folder, targets, rule=rule, visits=visits)
     if not keys.rule:
@@ -217,7 +217,7 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
     record = None if output.folder is None else output.folder / "survey.json"
     tables = ("options", "joint") if is_joint else ("options",)
     keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
-    if options["resume"] and not keeps_plan:
+    if options["resume"] and record is not None and not keeps_plan:
         print(f"{output.folder} does not contain a survey; a new survey is planned", file=sys.stderr)
     try:
         survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)

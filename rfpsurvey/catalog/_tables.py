@@ -6,6 +6,7 @@ from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._readers import is_number
 from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
@@ -208,26 +209,25 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     unit = own if own is not None and own.is_equivalent(u.deg) else unit
     there = texts != ""
     angles = np.full(len(texts), np.nan)
-    decimal = [text for text in texts[there].tolist() if text.lstrip("+-").replace(".", "", 1).isdecimal()]
-    if own is None and decimal:
-        other = next(text for text in texts[there].tolist() if text not in decimal)
-        raise InputError(
-            f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or, in all rows, sexagesimal text, got "
-            f"{decimal[0]!r} and {other!r}"
-        )
+    what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
+    decimal = [text for text in texts[there].tolist() if is_number(text)] if own is None else []
+    others = texts[there & ~np.isin(texts, decimal)].tolist()
+    if decimal and not _not_an_angle(others, unit):
+        raise InputError(f"{what}, the same in all rows, got {decimal[0]!r} and {others[0]!r}")
     try:
+        if decimal:
+            raise ValueError("this is neither of them")
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
-        text = _not_an_angle(texts[there], unit)
+        text = _not_an_angle(others, unit)
         remedy = "; replace the decimal comma with a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
-        what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
         raise InputError(f"{what}, got {text!r}{remedy}") from error
     return angles * u.deg
 
 
-def _not_an_angle(texts: np.ndarray, unit: u.UnitBase) -> str:
+def _not_an_angle(texts: list[str], unit: u.UnitBase) -> str:
     """Return the first text in a column that is not an angle."""
-    for text in texts.tolist():
+    for text in texts:
         try:
             Angle(text, unit)
         except ValueError:

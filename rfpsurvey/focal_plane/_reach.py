@@ -134,7 +134,7 @@ def find_reach(plane, points, accepts) -> Reach:
 
     The argument ``accepts`` is the bit mask of fiber types of each target, as `accepted_types` returns it.
     """
-    kinds = np.unique(accepts) if plane.arrays.fibers is not None else np.array([-1])
+    kinds = np.unique(accepts) if plane.arrays.fibers is not None and len(points) else np.array([-1])
     parts = []
     for kind in kinds.tolist():
         # a target that requires no fiber type is observed with the first fiber of the positioner

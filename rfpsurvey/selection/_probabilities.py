@@ -164,14 +164,16 @@ class SelectionProbabilities:
         >>> bool((found.pair_counts([0, 1, 2], [0, 1, 2]) == found.n_observed[:3]).all())
         True
         """
-        bits = []
-        for name, rows in (("first", first), ("second", second)):
-            rows, last = np.asarray(rows), len(self.bits) - 1
-            is_whole = rows.dtype.kind in "iu" or rows.size == 0
-            if not is_whole or rows.min(initial=0) < 0 or rows.max(initial=0) > last:
-                raise InputError(f"{name} must be rows of targets from 0 to {last}, got {short(rows.tolist())}")
-            bits.append(self.bits[rows.astype(np.int64)])
-        return count_bits(bits[0] & bits[1])
+        return count_bits(self._bits_of(first, "first") & self._bits_of(second, "second"))
+
+    def _bits_of(self, rows: object, name: str) -> np.ndarray:
+        """Return the bits of the targets in some rows; raise an error for rows that do not exist."""
+        rows, last = np.asarray(rows), len(self.bits) - 1
+        is_whole = rows.ndim == 1 and (rows.dtype.kind in "iu" or rows.size == 0)
+        if not is_whole or rows.min(initial=0) < 0 or rows.max(initial=0) > last:
+            text = f"{name} must be a list of rows of targets (whole numbers from 0 to {last})"
+            raise InputError(f"{text}, got {short(rows.tolist())}")
+        return self.bits[rows.astype(np.int64)]
 
     @cached_property
     def summary(self) -> dict:
@@ -303,7 +305,8 @@ class SelectionProbabilities:
                 f"{path} must store the bits of each target in {number_of(n_words(len(realizations)), 'integer')}, got "
                 f"{bits.shape[1]}"
             )
-        kept = ("n_realizations", "n_tiles", "n_rounds", "n_fibers", "model")
+        kept = ["n_realizations", "n_tiles", "n_rounds", "n_fibers", "model"]
+        kept += ["epoch"] if "epoch" in meta["summary"] else []
         realizations.meta = {
             "summary": {name: meta["summary"].get(name) for name in kept},
             "provenance": meta["provenance"],

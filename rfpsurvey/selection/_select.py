@@ -111,7 +111,7 @@ def selection_probabilities(
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if a survey is given that was planned without subpriorities, if no target has the
+        If no target was observed, if a survey is given whose plan was not random, if no target has the
         kind or category that a requirement counts, if an option has no effect, if the tiles were placed for fields of
         another size, or if a table of tiles looks like a catalog of targets; on resuming, if the versions of the
         software differ or files are damaged.
@@ -171,7 +171,8 @@ def selection_probabilities(
 
     with used_elsewhere("rng"):
         request = prepare(catalog) if is_state else prepare_request(catalog, instrument, tiles, **options)
-    if request.source.has_repeated_ids:
+    ids = request.source.ids()[request.source.by_row(request.builder.wanted) > 0]
+    if len(np.unique(ids)) < len(ids):
         raise InputError(
             "the targets must have different ids, because the random subpriority of a target follows from its id; give "
             "each row of the catalog its own id"
@@ -198,15 +199,22 @@ def selection_probabilities(
 
 
 def _check_same(provenance: dict, request: Request) -> None:
-    """Raise an error if the parameters of a survey differ from those of its realizations; warn if it is not random."""
+    """Raise an error if the parameters of a survey differ from those of its realizations.
+
+    Warn if the plan of the survey was not random.
+    """
     recorded, used = provenance["parameters"], provenance["instrument"]["name"]
     if request.instrument.name != used:
         raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
     for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")
-    if recorded.get("subpriority") is None:
+    order = recorded.get("subpriority")
+    is_random = request.options.name == "balanced" or request.source.by_slot("subpriority") is not None
+    if order is None and not is_random:
         warn(
             "the survey was planned without the option subpriority, so its plan is not a random realization, and "
             "the weights of the targets that it observes are biased; plan the survey with a seed as subpriority"
         )
+    elif isinstance(order, str):
+        warn(f"the weights of the targets that the survey observes are biased unless the column {order!r} is random")

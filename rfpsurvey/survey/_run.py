@@ -231,14 +231,14 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     counted = every = cards_of(job.model.options)
     if is_kept:
         counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(WORDS)}
-    # files of earlier versions do not state whether constraints are checkable
-    counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(UNKNOWN)}
-    if not lacking:  # files of earlier versions do not contain this number
-        cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
+    # files of earlier versions do not state whether constraints are checkable, and the number of lost targets
+    optional = [card for card, one in counted.items() if card == N_LOST or one[0].startswith(UNKNOWN)]
+    counted = {card: one for card, one in counted.items() if card in cards or card not in optional}
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")
     _check_part(visits, {card: cards[card] for card in counted})
+    cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)

@@ -62,7 +62,7 @@ class ScoredConstraints:
         # the table does not state which other targets are in reach
         lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
         owners, types = np.append(who, stuck), np.append(fibers, added["fiber_type"])
-        projection, sky = self.applied.field and self.applied.field.projection, arms.tip[stuck]
+        sky, projection = arms.tip[stuck], None if self.applied.field is None else self.applied.field.projection
         vectors = np.full((more, 3), np.nan) if projection is None else projection.unproject(sky, added["fiber_type"])
         finished = report, arms, owners, types, np.arange(n), vectors, sky
         violations, verdicts = self.applied.checks(*finished)

@@ -186,8 +186,8 @@ def plan_tile(
     if allocation.n_reachable == 0:
         what = "target" if options.counts or options.distributions else "science target"
         raise InputError(
-            f"no positioner of {instrument.name} reaches a {what} of the field, which contains "
-            f"{number_of(len(slot), 'target')}; the center of the field can be given"
+            f"no positioner of {instrument.name} reaches a {what}; the field around the center "
+            f"{center.icrs.to_string('hmsdms', precision=0)} contains {number_of(len(slot), 'target')}"
         )
     verdicts = [*allocation.counts, *plan.verdicts()]
     summary = {

@@ -189,7 +189,7 @@ def score_tile(
     stuck = np.empty(0, dtype=int)
     if (_is_ours(table) or is_plan(table)) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
         stuck = np.setdiff1d(owner[(to_plain(table["kind"]) == "sky") & (owner >= 0)], who)
-        stuck = stuck[plane.arrays.is_stuck[stuck]]
+        stuck = stuck[(plane.arrays.is_stuck & ~plane.disabled)[stuck]]
     posed = place_arms(
         plane,
         tips * u.mm,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 
 import astropy.units as u
 import numpy as np
@@ -96,11 +97,12 @@ class RegionCover:
         index, radius = SkyIndex(self.look), field_radius_rad(instrument)
         in_reach = np.zeros(len(index), dtype=bool)
         places = np.deg2rad([table[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")])
-        for place in places.T.tolist():
+        types = instrument.distortion if isinstance(instrument.distortion, dict) else ("",)  # types with their own maps
+        for place, kind in product(places.T.tolist(), types):
             projection = instrument.field_projection(*place)
             slot = index.near(projection.basis[2], radius)
             slot = slot[~in_reach[slot]]
-            points, fiber_type = project_field(instrument, projection, index.vectors[slot])
+            points, fiber_type = project_field(instrument, projection, index.vectors[slot], np.full(len(slot), kind))
             in_reach[slot] = instrument.focal_plane.arrays.reach(points, fiber_type).covered
         return float(in_reach.mean())
 

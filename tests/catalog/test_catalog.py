@@ -285,8 +285,11 @@ def test_within_agrees_with_astropy(center, rng):
         ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
         (
             {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
-            "must hold decimal numbers or, in all rows, sexagesimal text, got",
+            "decimal numbers or sexagesimal text, the same in all rows, got '10.5' and '06:20:11'",
         ),
+        ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got 'abc'"),
+        ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got '--5'"),
+        ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
         ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
         (
             {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},

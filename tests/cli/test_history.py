@@ -318,7 +318,8 @@ def test_visits_that_a_rule_replaces_cause_a_warning(run, files):
     """Regression: the number of visits was ignored without a warning."""
     words = (*COMMAND, files / "stars.fits", "--tiles", files / "tiles.ecsv", "--visits", 2)
     for key in ("rule.visits", "rule.after_success"):
-        assert f"visits of all targets (2) has no effect with {key}" in run(*words, "--set", f"{key}=4")[2]
+        assert f"{key} replaces the number of visits of all targets (2)" in run(*words, "--set", f"{key}=4")[2]
+    assert "replaces" not in run(*words, "--set", "rule.retries=1")[2]
 
 
 def test_invalid_rules_are_one_sentence(run, files, tmp_path):

@@ -150,9 +150,9 @@ def test_all_rows_of_a_required_target_must_have_a_fiber(allocator):
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
     model = rs.Instrument("pair", plane, plate_scale=200 * u.mm / u.deg)
     center = SkyCoord(95 * u.deg, 23 * u.deg)
-    places = center.directional_offset_by(90 * u.deg, [3, 5] * u.mm / (200 * u.mm / u.deg))
     options = rs.AllocationOptions(allocator, required=["a"])
-    for ids, expected in ((["a", "a"], "fail"), (["a", "b"], "pass")):
-        tile = rs.plan_tile(rs.Catalog(places, id=ids), model, center, allocator=options)
+    for x, ids, expected in (([3, 5], "aa", "fail"), ([3, 5], "ab", "pass"), ([3, 35], "aa", "pass")):
+        places = center.directional_offset_by(90 * u.deg, x * u.mm / (200 * u.mm / u.deg))
+        tile = rs.plan_tile(rs.Catalog(places, id=list(ids)), model, center, allocator=options)
         assert tile.rules["verdict"].tolist() == [expected]
         assert bool(tile.summary["unmet"]) == (expected == "fail")

@@ -358,8 +358,10 @@ def test_the_realizations_of_a_survey_have_its_options(case):
 def test_pairs_of_unknown_targets_are_refused(case):
     """Regression: the row -1 was the last target, and rows that are too large caused an IndexError."""
     found = rs.selection_probabilities(*case, 2, allocator="nearest")
-    for rows in ([-1], [len(found)], [0.5], [True]):
-        with pytest.raises(rs.InputError, match=f"second must be rows of targets from 0 to {len(found) - 1}, got"):
+    for rows in ([-1], [len(found)], [0.5], [True], [[0]], 0):
+        with pytest.raises(
+            rs.InputError, match=r"second must be a list of rows of targets .whole numbers from 0 to \d+., got"
+        ):
             found.pair_counts([0], rows)
 
 
@@ -381,6 +383,10 @@ def test_only_surveys_with_random_subpriorities_have_unbiased_weights():
     assert biased > 1.5 * expected
     with pytest.warns(rs.RfpsurveyWarning, match="planned without the option subpriority"):
         rs.selection_probabilities(sky, "sdss_apo", survey, 2, allocator="nearest")
+    column = rs.Catalog(sky.coord, subpriority=np.random.default_rng(1).random(len(sky)))
+    for catalog, allocator in ((column, "nearest"), (sky, "balanced")):
+        survey = rs.plan_survey(catalog, "sdss_apo", tiles, allocator=allocator)
+        rs.selection_probabilities(catalog, "sdss_apo", survey, 2, allocator=allocator)
 
 
 def test_surveys_with_conditions_or_joint_plans_are_refused(small):

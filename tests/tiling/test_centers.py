@@ -1,5 +1,7 @@
 """Centers from a list, limits of declination, excluded regions, progress."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -165,3 +167,29 @@ def test_the_fraction_in_reach_is_that_of_random_points(name):
     in_reach = rs.selection.potential_assignments(points, model, tiling).n_tiles() > 0
     assert tiling.summary["covering_fraction"] == 1 > tiling.summary["fraction_in_reach"] + 0.05
     assert tiling.summary["fraction_in_reach"] == pytest.approx(in_reach.mean(), abs=0.01)
+
+
+def test_the_fraction_in_reach_of_tiles_that_reach_nothing_new(small):
+    """Regression: an instrument whose fibers have places on their arms caused an IndexError."""
+    plane = small.focal_plane
+    places = np.tile([plane.positioner.eccentric_arm.to_value(u.mm), 0], (len(plane), 1)) * u.mm
+    built = replace(small, focal_plane=replace(plane, fiber_xy=places))
+    region = rs.Region.cap("95 23", 0.3 * small.field_radius)
+    centers = QTable({"ra": [95, 95, 200] * DEG, "dec": [23, 23, 0] * DEG, "position_angle": [0, 30, 0] * DEG})
+    for model in (small, built):
+        given = rs.place_tiles(region, model, method="given", centers=rs.Tiling.from_table(centers))
+        assert given.summary["fraction_in_reach"] == pytest.approx(1, abs=0.05)
+    assert rs.place_tiles(region, built, passes=2).summary["fraction_in_reach"] == 1
+
+
+def test_the_fraction_in_reach_counts_all_fiber_types(small):
+    """Regression: only the first of several fiber types with their own maps was counted."""
+    types = np.where(np.arange(len(small.focal_plane)) % 2, "A", "B")
+    plane = replace(small.focal_plane, fiber_type=types)
+    scale = small.plate_scale.to_value(u.mm / u.deg)
+    one_map = rs.projection.RadialMap("theta", [scale], max_angle=1.2 * small.field_radius)
+    maps = {"A": one_map, "B": one_map}
+    region = rs.Region.cap("95 23", 0.8 * small.field_radius)
+    one = rs.place_tiles(region, small).summary["fraction_in_reach"]
+    both = replace(small, focal_plane=plane, plate_scale=None, distortion=maps)
+    assert rs.place_tiles(region, both).summary["fraction_in_reach"] == pytest.approx(one, abs=0.01)

@@ -160,19 +160,22 @@ def _tile_events(
     )
     columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
+    is_visit = [any(columns[one] and columns[one][k] for one in ("positioner", "target")) for k in range(n)]
+    has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
     groups = groups_of(names.tolist(), columns["date"])
     place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
     for name, date in sorted(groups, key=lambda key: (key[1], place[key[0]])):
         rows = groups[name, date]
-        whole = [k for k in rows if not any(columns[one] and columns[one][k] for one in ("positioner", "target"))]
+        whole = [k for k in rows if not is_visit[k]]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date)
+        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, has_states=has_states)
         if not state:
             if len(rows) > len(whole):
+                _event(DONE, name, date, fraction, history, ())  # raises an error if this date is not possible
                 raise InputError(
                     f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
-                    "only rows of its visits, or no state"
+                    f"{'no state' if whole else 'only rows of visits'}"
                 )
             n_ignored += 1
             continue
@@ -188,12 +191,19 @@ def _tile_events(
 
 
 def _state_of(
-    columns: dict, whole: list[int], rows: list[int], enough: float, earlier: list[TileEvent], date: str
+    columns: dict,
+    whole: list[int],
+    rows: list[int],
+    enough: float,
+    earlier: list[TileEvent],
+    date: str,
+    *,
+    has_states: bool,
 ) -> tuple[str, float]:
     """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
 
-    Without this row, the tile has the state that was recorded before for this date. If no state was recorded before for
-    any date, and the table has no states, the tile is done. ``earlier`` contains the recorded observations of the tile.
+    Without this row, the tile has the state that was recorded before for this date. If the tile was not begun before,
+    and the table has no states of tiles, the tile is done. ``earlier`` contains the recorded observations of the tile.
     """
     for row in rows:
         if columns["state"] is not None and row not in whole and columns["state"][row]:
@@ -203,8 +213,8 @@ def _state_of(
             )
     if not whole:
         known = [(one.state, one.fraction) for one in earlier if one.date == date]
-        has_states = bool(earlier or columns["state"] or columns["fraction"])
-        return known[-1] if known else ("" if has_states else DONE, 1.0)
+        is_begun = any(one.state in (DONE, PARTLY) for one in earlier)
+        return known[-1] if known else ("" if is_begun or has_states else DONE, 1.0)
     row = whole[0]
     fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
     if not 0 <= fraction <= MOST_FRACTION:

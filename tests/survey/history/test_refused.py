@@ -65,6 +65,11 @@ TILES = [
     (events(tile=11, positioner=["", "1"], state=""), "state of tile 11 must be given in a row without a positioner"),
     (events(tile=11, positioner="1", state=""), "state of tile 11 must be given in a row without a positioner"),
     (events(tile=11, positioner="1", state="unobs"), "state of tile 11 must be given in a row without a positioner"),
+    (
+        events(tile=[12, 11], positioner=["", "1"], good=False),
+        "state of tile 11 must be given in a row without a positioner or target, got only rows of visits",
+    ),
+    (events(tile=99, positioner="1", state=""), "tile must be a tile of the survey, such as 11, got '99'"),
     (events(tile=11, target="1", fraction=0.5), "state of tile 11 must be given in a row without a positioner"),
     (added(), "an added tile must have the columns ra and dec, got no ra and dec"),
     (added(ra=np.nan, dec=0), "the position of tile 30 must be finite angles"),
@@ -284,6 +289,10 @@ def test_failed_visits_keep_the_state_of_the_tile(survey, case):
     refuse(survey, events(tile=11, date="2026-01-05", positioner=1), "the state of tile 11 on 2026-01-05 must be given")
     survey.record(events(tile=13, positioner=1))
     assert survey.state(case[0]).summary["n_tiles_observed"] == 1
+    refuse(survey, events(tile=13, date="2026-01-05", positioner=1), "tile 13 was already observed")
+    survey.record(events(tile=12, date="2026-01-03", state="bad"))
+    survey.record(events(tile=12, date="2026-01-05", positioner=1))  # the bad tile was not observed before
+    assert survey.state(case[0]).summary["n_tiles_observed"] == 2
 
 
 def test_angles_of_added_tiles_have_units(survey):
