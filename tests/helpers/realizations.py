@@ -57,6 +57,8 @@ def check(found, sky, instrument, tiles, allocator, realizations, **options):
         np.testing.assert_array_equal(found.observed_in(r), observed, err_msg=f"realization {r}")
         row, s = found.realizations[r], survey.summary
         lost = s["n_colliding_assigned"] if options.get("lost_in_collision", True) else 0
+        if all((np.asarray(visits["target_row"]) >= 0).all() for visits in survey):  # no stuck fiber is on sky
+            assert lost == sum(int((~np.asarray(visits["observed"])).sum()) for visits in survey)
         assert (row["n_assigned"], row["n_observed"], row["n_lost"]) == (s["n_assigned"], s["n_visits_observed"], lost)
     reached = np.asarray(survey.outcomes["outcome"])
     never = {k for k, name in enumerate(rs.Survey.OUTCOMES) if name in ("in no field", "out of reach")}

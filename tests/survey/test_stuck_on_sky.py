@@ -1,5 +1,6 @@
 """Stuck fibers that observe sky: stars move by their proper motions between the dates of the tiles."""
 
+import hashlib
 import warnings
 from dataclasses import replace
 
@@ -156,3 +157,23 @@ def test_stuck_fibers_on_sky_are_not_assigned_positioners(tmp_path):
     found = rs.selection_probabilities(at(12, 85), worn, CENTER.reshape(1), 2, allocator=options)
     assert set(found.realizations["n_assigned"].tolist()) == {2}
     assert set(found.realizations["n_lost"].tolist()) == {1}
+
+
+def test_files_of_earlier_versions_are_read_without_the_number_of_lost_targets(small, tmp_path):
+    sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=1500, rng=3)
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), **options)
+    assert survey.summary["n_colliding_assigned"] > 0
+    part, index = tmp_path / "survey" / "tiles" / "000" / "000000.fits", tmp_path / "survey" / "index.csv"
+    before, content = part.read_bytes(), part.read_bytes().replace(b"NLOST   =", b"EARLIER =")
+    assert content != before
+    part.write_bytes(content)
+    checksums = [hashlib.sha256(one).hexdigest() for one in (before, content)]
+    index.write_text(index.read_text().replace(*checksums))
+    (tmp_path / "survey" / "tiles.fits").unlink()
+    resumed = rs.plan_survey(sky, small, CENTER.reshape(1), **options, resume=True)
+    assert resumed.summary == survey.summary
+    assert part.read_bytes() == content
+    resumed.record([{"tile": 0, "date": "2026-01-03"}])
+    replanned = rs.plan_survey(sky, small, CENTER.reshape(1), **options, visits=resumed.state(sky), resume=True)
+    assert replanned.tiles["n_colliding_assigned"].tolist() == survey.tiles["n_colliding_assigned"].tolist()
