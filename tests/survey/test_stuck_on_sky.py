@@ -159,10 +159,11 @@ def test_stuck_fibers_on_sky_are_not_assigned_positioners(tmp_path):
     assert set(found.realizations["n_lost"].tolist()) == {1}
 
 
-def test_files_of_earlier_versions_are_read_without_the_number_of_lost_targets(small, tmp_path):
-    sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=1500, rng=3)
+def test_files_of_earlier_versions_are_read_without_the_number_of_lost_targets(presets, tmp_path):
+    model = presets["moons"]
+    sky = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=3000, rng=3)
     options = {"allocator": "nearest", "folder": tmp_path / "survey"}
-    survey = rs.plan_survey(sky, small, CENTER.reshape(1), **options)
+    survey = rs.plan_survey(sky, model, CENTER.reshape(1), **options)
     assert survey.summary["n_colliding_assigned"] > 0
     part, index = tmp_path / "survey" / "tiles" / "000" / "000000.fits", tmp_path / "survey" / "index.csv"
     before, content = part.read_bytes(), part.read_bytes().replace(b"NLOST   =", b"EARLIER =")
@@ -171,9 +172,9 @@ def test_files_of_earlier_versions_are_read_without_the_number_of_lost_targets(s
     checksums = [hashlib.sha256(one).hexdigest() for one in (before, content)]
     index.write_text(index.read_text().replace(*checksums))
     (tmp_path / "survey" / "tiles.fits").unlink()
-    resumed = rs.plan_survey(sky, small, CENTER.reshape(1), **options, resume=True)
+    resumed = rs.plan_survey(sky, model, CENTER.reshape(1), **options, resume=True)
     assert resumed.summary == survey.summary
     assert part.read_bytes() == content
     resumed.record([{"tile": 0, "date": "2026-01-03"}])
-    replanned = rs.plan_survey(sky, small, CENTER.reshape(1), **options, visits=resumed.state(sky), resume=True)
+    replanned = rs.plan_survey(sky, model, CENTER.reshape(1), **options, visits=resumed.state(sky), resume=True)
     assert replanned.tiles["n_colliding_assigned"].tolist() == survey.tiles["n_colliding_assigned"].tolist()
