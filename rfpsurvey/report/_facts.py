@@ -92,6 +92,7 @@ STATUS = {
 STATES = {
     "observed": "  finished",
     "partly observed": "  partly observed",
+    "bad": "  observed without success",
     "dropped": "  dropped",
     "planned": "  not yet observed",
 }

@@ -15,12 +15,12 @@ def status_table():
         ("all", "stars", 300, 130, 400, 150, 8, 250, 150, 60, 20, 20),
     ]
     table = QTable(rows=rows, names=("priority", "category", *names))
-    states = {"observed": 6, "partly observed": 1, "dropped": 1, "planned": 4}
+    states = {"observed": 6, "partly observed": 1, "bad": 0, "dropped": 1, "planned": 4}
     table.meta = {
         "made_by": "survey_status",
         "instrument": "mine",
         "areas": [{"ra": "90 to 100", "dec": "20 to 30", "n_requested": 500, "n_observed": 200, "n_planned": 100}],
-        "tiles": [{"pass": 1, **states}, {"pass": 2, "observed": 0, "partly observed": 0, "dropped": 0, "planned": 12}],
+        "tiles": [{"pass": 1, **states}, {"pass": 2, **dict.fromkeys(states, 0), "planned": 12}],
         "progress": {
             "date": ["", "2026-01-03", "2026-01-04", "2026-01-17"],
             "n_tiles": [1, 3, 4, 6],

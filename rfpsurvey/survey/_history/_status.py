@@ -10,7 +10,7 @@ from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
 from rfpsurvey.survey._history._catalogs import columns_of, is_science
-from rfpsurvey.survey._history._events import DONE
+from rfpsurvey.survey._history._events import BAD, DONE, PARTLY
 from rfpsurvey.survey._history._replay import visits_of
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._survey import Survey
@@ -191,19 +191,22 @@ def _areas(catalog, values: dict) -> list[dict]:
 
 
 def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
-    """Return the numbers of tiles by state, for each pass."""
+    """Return the numbers of tiles by state, for each pass; the last observation of a tile that is ``bad`` failed."""
     number = {row: int(one) for row, one in enumerate(survey.tiles["pass"])}
     number |= {row: event.place[3] for row, event in state.states.added.items()}
     found: dict[int, dict] = {}
     for row, one in number.items():
-        words = found.setdefault(one, {"pass": one, "observed": 0, "partly observed": 0, "dropped": 0, "planned": 0})
+        words = found.setdefault(one, {"pass": one, **dict.fromkeys((*_WORDS.values(), "dropped", "planned"), 0)})
         kept = state.closed.get(row, state.begun.get(row))
-        dropped = row in state.closed and kept is None
-        words["dropped" if dropped else "planned" if kept is None else _WORDS[kept.state]] += 1
+        attempts = state.states.of(row) if kept is None else [kept]
+        if row in state.closed and kept is None:
+            words["dropped"] += 1
+        else:
+            words[_WORDS[attempts[-1].state] if attempts else "planned"] += 1
     return [found[one] for one in sorted(found)]
 
 
-_WORDS = {DONE: "observed", "partly": "partly observed"}
+_WORDS = {DONE: "observed", PARTLY: "partly observed", BAD: "bad"}
 
 
 def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:

@@ -95,9 +95,12 @@ def test_visits_are_counted_from_the_plans_until_the_survey_is_planned_again(sur
     assert status.meta["is_planned"]
     check(status, sky, *count(sky, again, (0, 2), (0,), failed))
     assert status.meta["tiles"] == [
-        {"pass": 1, "observed": 1, "partly observed": 1, "dropped": 0, "planned": 0},
-        {"pass": 2, "observed": 0, "partly observed": 0, "dropped": 1, "planned": 1},
+        {"pass": 1, "observed": 1, "partly observed": 1, "bad": 0, "dropped": 0, "planned": 0},
+        {"pass": 2, "observed": 0, "partly observed": 0, "bad": 0, "dropped": 1, "planned": 1},
     ]
+    again.record(Table({"tile": [3], "date": ["2026-01-09"], "state": ["bad"]}))  # regression: nothing stated this
+    bad = survey_status(again, again.state(sky)).meta["tiles"][1]
+    assert bad == {"pass": 2, "observed": 0, "partly observed": 0, "bad": 1, "dropped": 1, "planned": 0}
 
 
 def test_progress_is_that_of_the_observed_tiles(survey):
