@@ -39,13 +39,12 @@ def margins_of_text(text: str) -> dict:
 
 @dataclass(frozen=True)
 class TableKeys:
-    """A table of tiles, or of centers of tiles.
+    """A table, and the names and units of its columns.
 
     Parameters
     ----------
     path : Path, optional
         Table of tiles or centers, with at least the columns ra and dec, or other usual names such as racen and deccen.
-        Surveys use two hexagonal coverings of the catalog by default.
     columns : dict[str, str], optional
         Names of columns of the table by their roles: tile (the identifier), ra, dec, position_angle and pass.
     units : dict[str, str], optional
@@ -174,6 +173,9 @@ class TilesKeys(TableKeys):
 
     Parameters
     ----------
+    path : Path, optional
+        Table of tiles or centers, with at least the columns ra and dec, or other usual names such as racen and deccen.
+        By default, two hexagonal coverings of the catalog are used.
     passes : list[int], optional
         Passes of the tiling to plan, in this order. By default, all passes in ascending order.
     """

@@ -209,17 +209,17 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     unit = own if own is not None and own.is_equivalent(u.deg) else unit
     there = texts != ""
     angles = np.full(len(texts), np.nan)
-    what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
     decimal = [text for text in texts[there].tolist() if is_number(text)] if own is None else []
-    others = texts[there & ~np.isin(texts, decimal)].tolist()
-    if decimal and not _not_an_angle(others, unit):
-        raise InputError(f"{what}, the same in all rows, got {decimal[0]!r} and {others[0]!r}")
     try:
         if decimal:
             raise ValueError("this is neither of them")
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
+        what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
+        others = [text for text in texts[there].tolist() if not is_number(text)]
         text = _not_an_angle(others, unit)
+        if decimal and not text:
+            raise InputError(f"{what}, the same in all rows, got {decimal[0]!r} and {others[0]!r}") from None
         remedy = "; replace the decimal comma with a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
         raise InputError(f"{what}, got {text!r}{remedy}") from error
     return angles * u.deg

@@ -207,8 +207,8 @@ def compare_instruments(
         fields = synthetic_fields(catalog, models, center, each, density, number, rng)
         way = "same density" if density is not None else "same targets per positioner"
     else:
-        numbers = {"n_realizations": n_realizations, "density": density}
-        for name, value in {**numbers, "targets_per_positioner": targets_per_positioner}.items():
+        values = n_realizations, density, targets_per_positioner
+        for name, value in zip(("n_realizations", "density", "targets_per_positioner"), values, strict=True):
             if value is not None:
                 raise InputError(f"{name} cannot be used with a catalog, because it describes synthetic targets")
         fields = catalog_fields(as_catalog(catalog), models, center, rng)

@@ -8,7 +8,7 @@ from rfpsurvey.tile import describe, model_sentence
 REALIZATIONS = {
     "realization": "number of the realization, and of its bit in BITWEIGHTS",
     "seed": "seed of the subpriorities and of the random numbers of the realization",
-    "n_assigned": "number of positioners with a target, summed over all tiles",
+    "n_assigned": "number of usable positioners with a target, summed over all tiles",
     "n_lost": "number of targets lost to collisions, summed over all tiles",
     "n_observed": "number of visits to science targets, without lost targets, summed over all tiles",
 }

@@ -101,7 +101,7 @@ def selection_probabilities(
     Raises
     ------
     InputError
-        If the catalog or the tiling is empty, if two targets have the same id, if a name or the identifier of a
+        If the catalog or the tiling is empty, if two targets with requested visits have the same id, if a name or the identifier of a
         required target is unknown, if a number is out of range, if a subpriority or a joint plan is given, if a survey
         or its state is given that was planned with another instrument, with other options or with cadences, or if the
         folder is in use, contains another computation, or is not writable.
@@ -111,10 +111,10 @@ def selection_probabilities(
     Warns
     -----
     RfpsurveyWarning
-        If no target was observed, if a survey is given whose plan was not random, if no target has the
-        kind or category that a requirement counts, if an option has no effect, if the tiles were placed for fields of
-        another size, or if a table of tiles looks like a catalog of targets; on resuming, if the versions of the
-        software differ or files are damaged.
+        If no target was observed, if a survey is given whose plan was not random, if no target has the kind or category
+        that a requirement counts, if an option has no effect, if the tiles were placed for fields of another size, or
+        if a table of tiles looks like a catalog of targets; on resuming, if the versions of the software differ or
+        files are damaged.
 
     See Also
     --------
@@ -210,11 +210,10 @@ def _check_same(provenance: dict, request: Request) -> None:
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")
     order = recorded.get("subpriority")
-    is_random = request.options.name == "balanced" or request.source.by_slot("subpriority") is not None
-    if order is None and not is_random:
+    if isinstance(order, str):
+        warn(f"the weights of the targets that the survey observes are biased unless the column {order!r} is random")
+    elif order is None and request.options.name != "balanced" and request.source.by_slot("subpriority") is None:
         warn(
             "the survey was planned without the option subpriority, so its plan is not a random realization, and "
             "the weights of the targets that it observes are biased; plan the survey with a seed as subpriority"
         )
-    elif isinstance(order, str):
-        warn(f"the weights of the targets that the survey observes are biased unless the column {order!r} is random")

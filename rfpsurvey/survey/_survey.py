@@ -38,8 +38,8 @@ class Survey:
         Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
         ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets in the field that still
         require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
-        (positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
-        ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (those of them that have a target),
+        (usable positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this
+        kind), ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (usable ones of them with a target),
         ``n_counted`` (positioners that have a target or are parked), ``n_colliding_pairs`` (pairs of arms in
         collision), ``n_obstacle_collisions`` (collisions with obstacles), ``n_unfolding_pairs``,
         ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,

@@ -93,7 +93,7 @@ class RegionCover:
         return quality
 
     def fraction_in_reach(self, instrument: Instrument, table: QTable) -> float:
-        """Return the fraction of the region that at least one positioner reaches in at least one tile."""
+        """Return the fraction of the region that positioners reach in at least one tile; refraction is neglected."""
         index, radius = SkyIndex(self.look), field_radius_rad(instrument)
         in_reach = np.zeros(len(index), dtype=bool)
         places = np.deg2rad([table[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")])

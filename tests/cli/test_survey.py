@@ -360,3 +360,4 @@ def test_the_epoch_and_a_new_folder_are_stated(run, files, tmp_path):
     assert f"{tmp_path / 'new'} does not contain a survey; a new survey is planned" in " ".join(err.split())
     again = run(*words, "--folder", tmp_path / "new", "--epoch", "J2026")
     assert again[0] == 2
+    assert "a new survey is planned" not in again[2]

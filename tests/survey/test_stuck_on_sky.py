@@ -1,4 +1,4 @@
-"""Stuck fibers that observe sky: stars move by their proper motions between the dates of the tiles."""
+"""Stuck fibers that observe sky, also if stars move between the dates of the tiles, and the counts of tiles."""
 
 import hashlib
 import warnings
@@ -105,7 +105,7 @@ def test_stars_beyond_the_edge_of_the_field_keep_sky_positions_away(small, way, 
 
 @pytest.fixture(scope="module")
 def pair():
-    """Return an instrument with a stuck and a movable positioner, and the center of a field."""
+    """Return an instrument with a stuck positioner and a movable positioner."""
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, stuck=[[0, 90], [np.nan, np.nan]] * u.deg)
     return rs.Instrument("pair", plane, plate_scale=200 * u.mm / u.deg)

@@ -191,7 +191,7 @@ def _areas(catalog, values: dict) -> list[dict]:
 
 
 def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
-    """Return the numbers of tiles by state, for each pass; the last observation of a tile that is ``bad`` failed."""
+    """Return the numbers of tiles by state, for each pass; ``bad`` are tiles whose last observation failed."""
     number = {row: int(one) for row, one in enumerate(survey.tiles["pass"])}
     number |= {row: event.place[3] for row, event in state.states.added.items()}
     found: dict[int, dict] = {}

@@ -98,7 +98,7 @@ def test_visits_are_counted_from_the_plans_until_the_survey_is_planned_again(sur
         {"pass": 1, "observed": 1, "partly observed": 1, "bad": 0, "dropped": 0, "planned": 0},
         {"pass": 2, "observed": 0, "partly observed": 0, "bad": 0, "dropped": 1, "planned": 1},
     ]
-    again.record(Table({"tile": [3], "date": ["2026-01-09"], "state": ["bad"]}))  # regression: nothing stated this
+    again.record(Table({"tile": [3], "date": ["2026-01-09"], "state": ["bad"]}))
     bad = survey_status(again, again.state(sky)).meta["tiles"][1]
     assert bad == {"pass": 2, "observed": 0, "partly observed": 0, "bad": 1, "dropped": 1, "planned": 0}
 
