@@ -41,9 +41,9 @@ class SelectionProbabilities:
         significant bit. The unused bits of the last integer are 0.
     realizations : QTable
         Table with a row for each realization. Columns: ``realization``, ``seed``, ``n_assigned`` (number of usable
-        positioners with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and ``n_observed``
-        (number of visits to science targets, except targets lost to collisions). The ``meta`` of the table contains
-        ``summary`` and ``provenance``.
+        positioners with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and
+        ``n_observed`` (number of visits to science targets, except targets lost to collisions). The ``meta`` of
+        the table contains ``summary`` and ``provenance``.
 
     See Also
     --------
